@@ -1,0 +1,80 @@
+"""What the toolkit raises, and the one way in which it writes files."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+class TransferLensError(Exception):
+    """Base of everything that the toolkit raises on purpose."""
+
+
+class InputError(TransferLensError, ValueError):
+    """Bad input: the message names what, where, which value, and what is allowed.
+
+    Commands print the message and exit with status 2.
+    """
+
+
+class DesignError(InputError):
+    """A design or specification that cannot be a lens."""
+
+
+class MaterialError(InputError):
+    """An unknown material, or a wavelength outside the range for which it is known."""
+
+
+class SamplingError(InputError):
+    """A grid that cannot hold what was asked of it."""
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path beside `path` to write to, and rename it into place at the end.
+
+    A failure while writing leaves whatever stood at `path` as it was.
+
+    Parameters
+    ----------
+    path
+        Where the finished file is to stand. Its folder is made if needed.
+
+    Yields
+    ------
+    Path
+        A temporary path in the same folder, with the same suffix.
+
+    Raises
+    ------
+    InputError
+        If the folder or the file cannot be written.
+    """
+    target = Path(path)
+    try:
+        if target.is_dir():
+            raise InputError(f"cannot write {target}: it is a folder; give a file name")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(
+            dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix, delete=False
+        ) as handle:
+            temporary = Path(handle.name)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    try:
+        yield temporary
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,307 @@
+"""The Numba ray kernel: trials x rays, in blocks that the compiler can vectorize.
+
+Each block of rays lives in small local arrays, and each step is one loop without branches: a ray that
+has failed is carried along and left unchanged. No fast-math, so NaN and statuses decide as written.
+Results equal those of :mod:`lensdesign.trace_numpy` to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from lensdesign.surfaces import NEWTON_STEPS
+
+BLOCK = 128
+X, Y, Z, L, M, N, OPL, A, B, C = range(10)
+OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+_inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+
+
+@_jit
+def trace_kernel(
+    origins,
+    directions,
+    rotation,
+    vertex,
+    curvature,
+    conic,
+    asphere,
+    index,
+    semi_diameter,
+    tilted,
+    plane_z,
+    use_plane,
+    clip,
+    position,
+    direction,
+    opl,
+    status,
+    failed,
+    hits,
+):
+    """Trace all rays of all trials; origins and directions have shape (trials or 1, rays, 3).
+
+    The last six arrays are filled; `hits` may have no rays, and is then left alone. Returns the number
+    of directions that are not finite unit vectors.
+    """
+    trials, rays = status.shape
+    ray = np.empty((10, BLOCK))
+    state = np.empty((2, BLOCK), np.int64)
+    bad = 0
+    for t in range(trials):
+        to = t if origins.shape[0] > 1 else 0
+        td = t if directions.shape[0] > 1 else 0
+        tv = t if vertex.shape[0] > 1 else 0
+        tc = t if curvature.shape[0] > 1 else 0
+        tk = t if conic.shape[0] > 1 else 0
+        ti = t if index.shape[0] > 1 else 0
+        for start in range(0, rays, BLOCK):
+            count = min(BLOCK, rays - start)
+            bad += _load(ray, state, origins[to], directions[td], start, count)
+            for s in range(vertex.shape[1]):
+                if tilted[s]:
+                    _to_local(ray, rotation[tv, s], vertex[tv, s], count)
+                else:
+                    _shift(ray, vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2], count)
+                limit = semi_diameter[s] * semi_diameter[s] if clip else np.inf
+                n1, n2 = index[ti, s], index[ti, s + 1]
+                c, k = curvature[tc, s], conic[tk, s]
+                if _is_asphere(asphere[s]):
+                    _intersect_asphere(ray, state, s, c, k, asphere[s], n1, limit, count)
+                    _refract_asphere(ray, state, s, c, k, asphere[s], n1 / n2, count)
+                else:
+                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
+                if tilted[s]:
+                    _to_fixed(ray, rotation[tv, s], vertex[tv, s], count)
+                else:
+                    _shift(ray, -vertex[tv, s, 0], -vertex[tv, s, 1], -vertex[tv, s, 2], count)
+                if hits.shape[1] > 0:
+                    for i in range(count):
+                        hits[t, start + i, s, 0] = ray[X, i]
+                        hits[t, start + i, s, 1] = ray[Y, i]
+                        hits[t, start + i, s, 2] = ray[Z, i]
+            if use_plane:
+                _to_plane(ray, state, vertex.shape[1], plane_z, index[ti, index.shape[1] - 1], count)
+            _store(ray, state, position[t], direction[t], opl[t], status[t], failed[t], start, count)
+    return bad
+
+
+@_jit
+def _load(ray, state, origins, directions, start, count):
+    bad = 0
+    for i in range(count):
+        ray[X, i] = origins[start + i, 0]
+        ray[Y, i] = origins[start + i, 1]
+        ray[Z, i] = origins[start + i, 2]
+        ray[L, i] = directions[start + i, 0]
+        ray[M, i] = directions[start + i, 1]
+        ray[N, i] = directions[start + i, 2]
+    for i in range(count):
+        ray[OPL, i] = 0.0
+        state[0, i] = OK
+        state[1, i] = -1
+        norm = ray[L, i] * ray[L, i] + ray[M, i] * ray[M, i] + ray[N, i] * ray[N, i]
+        where = ray[X, i] + ray[Y, i] + ray[Z, i]
+        good = (abs(norm - 1.0) < 1e-6) & (where - where == 0.0)
+        bad += 0 if good else 1
+    return bad
+
+
+@_jit
+def _store(ray, state, position, direction, opl, status, failed, start, count):
+    for i in range(count):
+        position[start + i, 0] = ray[X, i]
+        position[start + i, 1] = ray[Y, i]
+        position[start + i, 2] = ray[Z, i]
+        direction[start + i, 0] = ray[L, i]
+        direction[start + i, 1] = ray[M, i]
+        direction[start + i, 2] = ray[N, i]
+    for i in range(count):
+        opl[start + i] = ray[OPL, i]
+        status[start + i] = state[0, i]
+        failed[start + i] = state[1, i]
+
+
+@_jit
+def _shift(ray, dx, dy, dz, count):
+    for i in range(count):
+        ray[X, i] -= dx
+        ray[Y, i] -= dy
+        ray[Z, i] -= dz
+
+
+@_jit
+def _to_local(ray, r, v, count):
+    for i in range(count):
+        x, y, z = ray[X, i] - v[0], ray[Y, i] - v[1], ray[Z, i] - v[2]
+        ray[X, i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+        ray[Y, i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+        ray[Z, i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+        x, y, z = ray[L, i], ray[M, i], ray[N, i]
+        ray[L, i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+        ray[M, i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+        ray[N, i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+
+
+@_jit
+def _to_fixed(ray, r, v, count):
+    for i in range(count):
+        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
+        ray[X, i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + v[0]
+        ray[Y, i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + v[1]
+        ray[Z, i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + v[2]
+        x, y, z = ray[L, i], ray[M, i], ray[N, i]
+        ray[L, i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+        ray[M, i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+        ray[N, i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+
+
+@_jit
+def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
+    """Intersect and refract at a plane, sphere or conic, in its own frame."""
+    q = 1.0 + k
+    for i in range(count):
+        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
+        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        qa = c * (1.0 + k * dz * dz)
+        qb = dz - c * (x * dx + y * dy + q * z * dz)
+        qc = c * (x * x + y * y + q * z * z) - 2.0 * z
+        square = qb * qb - qa * qc
+        root = math.sqrt(max(square, 0.0))
+        denominator = qb + (root if qb >= 0.0 else -root)
+        t = qc / (denominator if denominator != 0.0 else 1.0)
+        x += t * dx
+        y += t * dy
+        z += t * dz
+        upright = 1.0 - q * c * z
+        r2 = x * x + y * y
+        norm = 1.0 / math.sqrt(c * c * r2 + upright * upright)
+        cos_in = (dz * upright - c * (x * dx + y * dy)) * norm
+        square_out = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
+        bend = (math.sqrt(max(square_out, 0.0)) - ratio * cos_in) * norm
+
+        alive = state[0, i] == OK
+        hit = alive & (square >= 0.0) & (denominator != 0.0) & (upright > 0.0)
+        inside = hit & (r2 <= limit)
+        through = inside & (square_out >= 0.0)
+        ray[X, i] = x if hit else ray[X, i]
+        ray[Y, i] = y if hit else ray[Y, i]
+        ray[Z, i] = z if hit else ray[Z, i]
+        ray[OPL, i] += n1 * t if hit else 0.0
+        ray[L, i] = ratio * dx - bend * c * x if through else dx
+        ray[M, i] = ratio * dy - bend * c * y if through else dy
+        ray[N, i] = ratio * dz + bend * upright if through else dz
+        why = OK if through else (TOTAL_REFLECTION if inside else (CLIPPED if hit else MISSED))
+        state[0, i] = why if alive else state[0, i]
+        state[1, i] = surface if alive & (why != OK) else state[1, i]
+
+
+@_jit
+def _is_asphere(terms):
+    for j in range(terms.shape[0]):
+        if terms[j] != 0.0:
+            return True
+    return False
+
+
+@_inline
+def _sag_and_gradient(r2, c, k, terms):
+    """Sag, and its derivative by r^2; NaN beyond the conic's edge."""
+    root = math.sqrt(1.0 - (1.0 + k) * c * c * r2)
+    sag = c * r2 / (1.0 + root)
+    gradient = 0.5 * c / root
+    power = r2
+    for j in range(terms.shape[0]):
+        gradient += (j + 2) * terms[j] * power
+        power *= r2
+        sag += terms[j] * power
+    return sag, gradient
+
+
+@_jit
+def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
+    """Move rays to an even asphere by Newton's method from its conic."""
+    q = 1.0 + k
+    for i in range(count):
+        if state[0, i] != OK:
+            continue
+        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
+        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        qa = c * (1.0 + k * dz * dz)
+        qb = dz - c * (x * dx + y * dy + q * z * dz)
+        qc = c * (x * x + y * y + q * z * z) - 2.0 * z
+        square = qb * qb - qa * qc
+        why = MISSED
+        if square >= 0.0:
+            root = math.sqrt(square)
+            denominator = qb + (root if qb >= 0.0 else -root)
+            t = qc / denominator
+            if denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0:
+                t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms)
+        if why == OK:
+            x, y = x + t * dx, y + t * dy
+            ray[X, i], ray[Y, i], ray[Z, i] = x, y, z + t * dz
+            ray[OPL, i] += n1 * t
+            if x * x + y * y > limit:
+                why = CLIPPED
+        if why != OK:
+            state[0, i] = why
+            state[1, i] = surface
+
+
+@_jit
+def _newton(x, y, z, dx, dy, dz, t, c, k, terms):
+    settled_before = False
+    for _ in range(NEWTON_STEPS):
+        px, py = x + t * dx, y + t * dy
+        sag, gradient = _sag_and_gradient(px * px + py * py, c, k, terms)
+        slope = dz - 2.0 * gradient * (px * dx + py * dy)
+        step = (z + t * dz - sag) / slope
+        if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
+            return t, MISSED
+        t -= step
+        settled = abs(step) <= 1e-14 * (1.0 + abs(t))
+        if settled and settled_before:
+            return t, OK
+        settled_before = settled
+    return t, OK if settled_before else NOT_CONVERGED
+
+
+@_jit
+def _refract_asphere(ray, state, surface, c, k, terms, ratio, count):
+    for i in range(count):
+        x, y = ray[X, i], ray[Y, i]
+        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        _, gradient = _sag_and_gradient(x * x + y * y, c, k, terms)
+        nx, ny = -2.0 * gradient * x, -2.0 * gradient * y
+        norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
+        cos_in = (dz + nx * dx + ny * dy) * norm
+        square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
+        bend = (math.sqrt(max(square, 0.0)) - ratio * cos_in) * norm
+        alive = state[0, i] == OK
+        through = alive & (square >= 0.0)
+        ray[L, i] = ratio * dx + bend * nx if through else dx
+        ray[M, i] = ratio * dy + bend * ny if through else dy
+        ray[N, i] = ratio * dz + bend if through else dz
+        state[0, i] = TOTAL_REFLECTION if alive & (not through) else state[0, i]
+        state[1, i] = surface if alive & (not through) else state[1, i]
+
+
+@_jit
+def _to_plane(ray, state, surfaces, plane_z, n, count):
+    for i in range(count):
+        dz = ray[N, i]
+        alive = state[0, i] == OK
+        forward = alive & (dz > 0.0)
+        t = (plane_z - ray[Z, i]) / (dz if dz != 0.0 else 1.0)
+        ray[X, i] += t * ray[L, i] if forward else 0.0
+        ray[Y, i] += t * ray[M, i] if forward else 0.0
+        ray[Z, i] = plane_z if forward else ray[Z, i]
+        ray[OPL, i] += n * t if forward else 0.0
+        state[0, i] = MISSED if alive & (not forward) else state[0, i]
+        state[1, i] = surfaces if alive & (not forward) else state[1, i]
