@@ -1,4 +1,4 @@
-"""Design of non-imaging spatial information transfer lenses: geometry, rays, matching, optimization, meshes."""
+"""Design of non-imaging spatial information transfer lenses: geometry, rays, optimization, meshes."""
 
 from lensdesign.errors import DesignError, InputError, MaterialError, TransferLensError
 from lensdesign.files import load_design, save_design

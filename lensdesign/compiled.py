@@ -133,7 +133,9 @@ def _perturbed_shapes(lens: Lens, changes: Mapping[int, SurfacePerturbation]) ->
             raise InputError(f"surface {i + 1} is a plane: a change of its radius_mm has no meaning")
         radius = surface.radius_mm + delta
         if np.any(radius * surface.radius_mm <= 0.0):
-            raise InputError(f"surface {i + 1}: a radius_mm delta of {-surface.radius_mm:g} or past it turns it over")
+            raise InputError(
+                f"surface {i + 1}: a radius_mm delta of {-surface.radius_mm:g} or past it turns it over"
+            )
         curvature[:, i] = 1.0 / radius
     edge = np.broadcast_arrays(curvature, conic)
     for i, surface in enumerate(lens.surfaces):
@@ -156,7 +158,9 @@ def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) 
     lens_rotation, lens_shift = pose.transform()
     rotations, vertices = [], []
     for i, z in enumerate(lens.vertex_z_mm):
-        rotation, shift = changes[i].pose().transform() if i in changes else (np.eye(3)[None], np.zeros((1, 3)))
+        rotation, shift = (
+            changes[i].pose().transform() if i in changes else (np.eye(3)[None], np.zeros((1, 3)))
+        )
         vertex = shift + np.array([0.0, 0.0, 1.0]) * (z + behind[:, i])[:, None]
         rotations.append(lens_rotation @ rotation)
         vertices.append(np.einsum("tij,tj->ti", lens_rotation, vertex) + lens_shift)

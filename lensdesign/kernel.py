@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numba import njit
 
-from lensdesign.surfaces import NEWTON_STEPS
+from lensdesign.surfaces import NEWTON_STEPS, RIM_TOLERANCE
 
 BLOCK = 128
-X, Y, Z, L, M, N, OPL, A, B, C = range(10)
+X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
 OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
@@ -50,8 +50,8 @@ def trace_kernel(
     of directions that are not finite unit vectors.
     """
     trials, rays = status.shape
-    ray = np.empty((10, BLOCK))
-    state = np.empty((2, BLOCK), np.int64)
+    ray = np.empty(7 * BLOCK)
+    state = np.empty(2 * BLOCK, np.int64)
     bad = 0
     for t in range(trials):
         to = t if origins.shape[0] > 1 else 0
@@ -68,7 +68,7 @@ def trace_kernel(
                     _to_local(ray, rotation[tv, s], vertex[tv, s], count)
                 else:
                     _shift(ray, vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2], count)
-                limit = semi_diameter[s] * semi_diameter[s] if clip else np.inf
+                limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
                 c, k = curvature[tc, s], conic[tk, s]
                 if _is_asphere(asphere[s]):
@@ -82,9 +82,9 @@ def trace_kernel(
                     _shift(ray, -vertex[tv, s, 0], -vertex[tv, s, 1], -vertex[tv, s, 2], count)
                 if hits.shape[1] > 0:
                     for i in range(count):
-                        hits[t, start + i, s, 0] = ray[X, i]
-                        hits[t, start + i, s, 1] = ray[Y, i]
-                        hits[t, start + i, s, 2] = ray[Z, i]
+                        hits[t, start + i, s, 0] = ray[X + i]
+                        hits[t, start + i, s, 1] = ray[Y + i]
+                        hits[t, start + i, s, 2] = ray[Z + i]
             if use_plane:
                 _to_plane(ray, state, vertex.shape[1], plane_z, index[ti, index.shape[1] - 1], count)
             _store(ray, state, position[t], direction[t], opl[t], status[t], failed[t], start, count)
@@ -95,18 +95,18 @@ def trace_kernel(
 def _load(ray, state, origins, directions, start, count):
     bad = 0
     for i in range(count):
-        ray[X, i] = origins[start + i, 0]
-        ray[Y, i] = origins[start + i, 1]
-        ray[Z, i] = origins[start + i, 2]
-        ray[L, i] = directions[start + i, 0]
-        ray[M, i] = directions[start + i, 1]
-        ray[N, i] = directions[start + i, 2]
+        ray[X + i] = origins[start + i, 0]
+        ray[Y + i] = origins[start + i, 1]
+        ray[Z + i] = origins[start + i, 2]
+        ray[L + i] = directions[start + i, 0]
+        ray[M + i] = directions[start + i, 1]
+        ray[N + i] = directions[start + i, 2]
     for i in range(count):
-        ray[OPL, i] = 0.0
-        state[0, i] = OK
-        state[1, i] = -1
-        norm = ray[L, i] * ray[L, i] + ray[M, i] * ray[M, i] + ray[N, i] * ray[N, i]
-        where = ray[X, i] + ray[Y, i] + ray[Z, i]
+        ray[OPL + i] = 0.0
+        state[i] = OK
+        state[BLOCK + i] = -1
+        norm = ray[L + i] * ray[L + i] + ray[M + i] * ray[M + i] + ray[N + i] * ray[N + i]
+        where = ray[X + i] + ray[Y + i] + ray[Z + i]
         good = (abs(norm - 1.0) < 1e-6) & (where - where == 0.0)
         bad += 0 if good else 1
     return bad
@@ -115,50 +115,50 @@ def _load(ray, state, origins, directions, start, count):
 @_jit
 def _store(ray, state, position, direction, opl, status, failed, start, count):
     for i in range(count):
-        position[start + i, 0] = ray[X, i]
-        position[start + i, 1] = ray[Y, i]
-        position[start + i, 2] = ray[Z, i]
-        direction[start + i, 0] = ray[L, i]
-        direction[start + i, 1] = ray[M, i]
-        direction[start + i, 2] = ray[N, i]
+        position[start + i, 0] = ray[X + i]
+        position[start + i, 1] = ray[Y + i]
+        position[start + i, 2] = ray[Z + i]
+        direction[start + i, 0] = ray[L + i]
+        direction[start + i, 1] = ray[M + i]
+        direction[start + i, 2] = ray[N + i]
     for i in range(count):
-        opl[start + i] = ray[OPL, i]
-        status[start + i] = state[0, i]
-        failed[start + i] = state[1, i]
+        opl[start + i] = ray[OPL + i]
+        status[start + i] = state[i]
+        failed[start + i] = state[BLOCK + i]
 
 
 @_jit
 def _shift(ray, dx, dy, dz, count):
     for i in range(count):
-        ray[X, i] -= dx
-        ray[Y, i] -= dy
-        ray[Z, i] -= dz
+        ray[X + i] -= dx
+        ray[Y + i] -= dy
+        ray[Z + i] -= dz
 
 
 @_jit
 def _to_local(ray, r, v, count):
     for i in range(count):
-        x, y, z = ray[X, i] - v[0], ray[Y, i] - v[1], ray[Z, i] - v[2]
-        ray[X, i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-        ray[Y, i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-        ray[Z, i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
-        x, y, z = ray[L, i], ray[M, i], ray[N, i]
-        ray[L, i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-        ray[M, i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-        ray[N, i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+        x, y, z = ray[X + i] - v[0], ray[Y + i] - v[1], ray[Z + i] - v[2]
+        ray[X + i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+        ray[Y + i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+        ray[Z + i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+        x, y, z = ray[L + i], ray[M + i], ray[N + i]
+        ray[L + i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+        ray[M + i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+        ray[N + i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
 
 
 @_jit
 def _to_fixed(ray, r, v, count):
     for i in range(count):
-        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
-        ray[X, i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + v[0]
-        ray[Y, i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + v[1]
-        ray[Z, i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + v[2]
-        x, y, z = ray[L, i], ray[M, i], ray[N, i]
-        ray[L, i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
-        ray[M, i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
-        ray[N, i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        ray[X + i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + v[0]
+        ray[Y + i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + v[1]
+        ray[Z + i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + v[2]
+        x, y, z = ray[L + i], ray[M + i], ray[N + i]
+        ray[L + i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+        ray[M + i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+        ray[N + i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
 
 
 @_jit
@@ -166,8 +166,8 @@ def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
     """Intersect and refract at a plane, sphere or conic, in its own frame."""
     q = 1.0 + k
     for i in range(count):
-        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
-        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
         qa = c * (1.0 + k * dz * dz)
         qb = dz - c * (x * dx + y * dy + q * z * dz)
         qc = c * (x * x + y * y + q * z * z) - 2.0 * z
@@ -185,20 +185,20 @@ def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
         square_out = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
         bend = (math.sqrt(max(square_out, 0.0)) - ratio * cos_in) * norm
 
-        alive = state[0, i] == OK
+        alive = state[i] == OK
         hit = alive & (square >= 0.0) & (denominator != 0.0) & (upright > 0.0)
         inside = hit & (r2 <= limit)
         through = inside & (square_out >= 0.0)
-        ray[X, i] = x if hit else ray[X, i]
-        ray[Y, i] = y if hit else ray[Y, i]
-        ray[Z, i] = z if hit else ray[Z, i]
-        ray[OPL, i] += n1 * t if hit else 0.0
-        ray[L, i] = ratio * dx - bend * c * x if through else dx
-        ray[M, i] = ratio * dy - bend * c * y if through else dy
-        ray[N, i] = ratio * dz + bend * upright if through else dz
+        ray[X + i] = x if hit else ray[X + i]
+        ray[Y + i] = y if hit else ray[Y + i]
+        ray[Z + i] = z if hit else ray[Z + i]
+        ray[OPL + i] += n1 * t if hit else 0.0
+        ray[L + i] = ratio * dx - bend * c * x if through else dx
+        ray[M + i] = ratio * dy - bend * c * y if through else dy
+        ray[N + i] = ratio * dz + bend * upright if through else dz
         why = OK if through else (TOTAL_REFLECTION if inside else (CLIPPED if hit else MISSED))
-        state[0, i] = why if alive else state[0, i]
-        state[1, i] = surface if alive & (why != OK) else state[1, i]
+        state[i] = why if alive else state[i]
+        state[BLOCK + i] = surface if alive & (why != OK) else state[BLOCK + i]
 
 
 @_jit
@@ -228,10 +228,10 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
     """Move rays to an even asphere by Newton's method from its conic."""
     q = 1.0 + k
     for i in range(count):
-        if state[0, i] != OK:
+        if state[i] != OK:
             continue
-        x, y, z = ray[X, i], ray[Y, i], ray[Z, i]
-        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
         qa = c * (1.0 + k * dz * dz)
         qb = dz - c * (x * dx + y * dy + q * z * dz)
         qc = c * (x * x + y * y + q * z * z) - 2.0 * z
@@ -245,13 +245,13 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
                 t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms)
         if why == OK:
             x, y = x + t * dx, y + t * dy
-            ray[X, i], ray[Y, i], ray[Z, i] = x, y, z + t * dz
-            ray[OPL, i] += n1 * t
+            ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
+            ray[OPL + i] += n1 * t
             if x * x + y * y > limit:
                 why = CLIPPED
         if why != OK:
-            state[0, i] = why
-            state[1, i] = surface
+            state[i] = why
+            state[BLOCK + i] = surface
 
 
 @_jit
@@ -275,33 +275,33 @@ def _newton(x, y, z, dx, dy, dz, t, c, k, terms):
 @_jit
 def _refract_asphere(ray, state, surface, c, k, terms, ratio, count):
     for i in range(count):
-        x, y = ray[X, i], ray[Y, i]
-        dx, dy, dz = ray[L, i], ray[M, i], ray[N, i]
+        x, y = ray[X + i], ray[Y + i]
+        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
         _, gradient = _sag_and_gradient(x * x + y * y, c, k, terms)
         nx, ny = -2.0 * gradient * x, -2.0 * gradient * y
         norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
         cos_in = (dz + nx * dx + ny * dy) * norm
         square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
         bend = (math.sqrt(max(square, 0.0)) - ratio * cos_in) * norm
-        alive = state[0, i] == OK
+        alive = state[i] == OK
         through = alive & (square >= 0.0)
-        ray[L, i] = ratio * dx + bend * nx if through else dx
-        ray[M, i] = ratio * dy + bend * ny if through else dy
-        ray[N, i] = ratio * dz + bend if through else dz
-        state[0, i] = TOTAL_REFLECTION if alive & (not through) else state[0, i]
-        state[1, i] = surface if alive & (not through) else state[1, i]
+        ray[L + i] = ratio * dx + bend * nx if through else dx
+        ray[M + i] = ratio * dy + bend * ny if through else dy
+        ray[N + i] = ratio * dz + bend if through else dz
+        state[i] = TOTAL_REFLECTION if alive & (not through) else state[i]
+        state[BLOCK + i] = surface if alive & (not through) else state[BLOCK + i]
 
 
 @_jit
 def _to_plane(ray, state, surfaces, plane_z, n, count):
     for i in range(count):
-        dz = ray[N, i]
-        alive = state[0, i] == OK
+        dz = ray[N + i]
+        alive = state[i] == OK
         forward = alive & (dz > 0.0)
-        t = (plane_z - ray[Z, i]) / (dz if dz != 0.0 else 1.0)
-        ray[X, i] += t * ray[L, i] if forward else 0.0
-        ray[Y, i] += t * ray[M, i] if forward else 0.0
-        ray[Z, i] = plane_z if forward else ray[Z, i]
-        ray[OPL, i] += n * t if forward else 0.0
-        state[0, i] = MISSED if alive & (not forward) else state[0, i]
-        state[1, i] = surfaces if alive & (not forward) else state[1, i]
+        t = (plane_z - ray[Z + i]) / (dz if dz != 0.0 else 1.0)
+        ray[X + i] += t * ray[L + i] if forward else 0.0
+        ray[Y + i] += t * ray[M + i] if forward else 0.0
+        ray[Z + i] = plane_z if forward else ray[Z + i]
+        ray[OPL + i] += n * t if forward else 0.0
+        state[i] = MISSED if alive & (not forward) else state[i]
+        state[BLOCK + i] = surfaces if alive & (not forward) else state[BLOCK + i]

@@ -82,9 +82,7 @@ class SurfacePerturbation:
 
     def pose(self) -> Pose:
         """The rigid part."""
-        return Pose(
-            self.decenter_x_mm, self.decenter_y_mm, self.despace_mm, self.tilt_x_deg, self.tilt_y_deg
-        )
+        return Pose(self.decenter_x_mm, self.decenter_y_mm, self.despace_mm, self.tilt_x_deg, self.tilt_y_deg)
 
 
 def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -148,5 +148,8 @@ def _newton(
     return distance, hit, converged
 
 
+RIM_TOLERANCE = 1e-9
+"""Relative; a ray launched through the very rim of its stop must not be lost to rounding."""
+
 NEWTON_STEPS = 20
 """Most steps that an even asphere may take from its conic; rays that need more are reported."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,7 +68,7 @@ class Sensor(Section):
     @field_validator("plane_distances_mm")
     @classmethod
     def _increasing(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if any(b <= a for a, b in zip(value, value[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(value)):
             raise ValueError("distances must increase from one plane to the next")
         return value
 
@@ -171,7 +171,9 @@ class Lens(Section):
         *front, last = self.surfaces
         for number, surface in enumerate(front, start=1):
             if surface.thickness_mm is None:
-                raise ValueError(f"surface {number}: thickness_mm is missing (only the last surface has none)")
+                raise ValueError(
+                    f"surface {number}: thickness_mm is missing (only the last surface has none)"
+                )
         if last.thickness_mm is not None:
             raise ValueError(
                 f"surface {len(self.surfaces)}: the last surface has no thickness_mm; "
@@ -186,7 +188,7 @@ class Lens(Section):
         return self
 
     def _refuse_crossing(self) -> None:
-        for i, (front, back) in enumerate(zip(self.surfaces, self.surfaces[1:], strict=False)):
+        for i, (front, back) in enumerate(pairwise(self.surfaces)):
             heights = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
             if not heights:
                 continue
@@ -195,8 +197,8 @@ class Lens(Section):
             if np.any(gap <= 0.0):
                 where = r[np.argmax(gap <= 0.0)]
                 raise ValueError(
-                    f"surfaces {i + 1} and {i + 2} cross inside the aperture, at a radial height of {where:.4g} mm "
-                    f"(smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
+                    f"surfaces {i + 1} and {i + 2} cross inside the aperture, at a radial height of "
+                    f"{where:.4g} mm (smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
                     "raise thickness_mm or lower semi_diameter_mm"
                 )
 
@@ -260,14 +262,23 @@ class Lens(Section):
         """A lens with some values of one surface (counted from 0) replaced, and validated anew."""
         surface = Surface.model_validate(self.surfaces[index].model_dump() | changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
-        return self.replace(surfaces=surfaces)
+        return self.replaced(surfaces=surfaces)
 
-    def replace(self, **changes: Any) -> Lens:
+    def replaced(self, **changes: Any) -> Lens:
         """A lens with some of its sections replaced, and validated anew."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return Lens(**(values | changes))
 
 
+@lru_cache(maxsize=1024)
+def _index(material: str | float | None, wavelength_um: float, catalogs: tuple[Path, ...]) -> float:
+    if material is None:
+        return 1.0
+    from lensdesign.materials import refractive_index
+
+    return refractive_index(material, wavelength_um, catalogs=catalogs)
+
+
 def mechanical_semi_diameter_mm(lens: Lens) -> float:
-    """Largest clear semi-diameter: the radius of the ground edge. NaN if no surface has one."""
-    return max((s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None), default=math.nan)
+    """Largest clear semi-diameter of all surfaces: the radius of the ground edge."""
+    return max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,6 +75,7 @@ def trace(
     clip: bool = True,
     record_hits: bool = False,
     threads: int | None = None,
+    out: RayTrace | None = None,
 ) -> RayTrace:
     """Trace rays through the lens to a plane.
 
@@ -98,6 +100,9 @@ def trace(
         Whether to keep the points on each surface.
     threads
         Number of threads; by default as many as there are processors, if there is work for them.
+    out
+        An earlier result of the same shape, to be overwritten and returned; saves the system the
+        handing out of fresh memory, which takes longer than the rays where there are many.
 
     Returns
     -------
@@ -110,7 +115,7 @@ def trace(
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return trace_compiled(
-        system, origins, directions, plane_z_mm, clip=clip, record_hits=record_hits, threads=threads
+        system, origins, directions, plane_z_mm, clip=clip, record_hits=record_hits, threads=threads, out=out
     )
 
 
@@ -123,21 +128,25 @@ def trace_compiled(
     clip: bool = True,
     record_hits: bool = False,
     threads: int | None = None,
+    out: RayTrace | None = None,
 ) -> RayTrace:
     """As :func:`trace`, for a system that was compiled before."""
     start, heading = _rays(origins, "origins"), _rays(directions, "directions")
     if start.shape[1] == 1 < heading.shape[1]:
         start = np.ascontiguousarray(np.broadcast_to(start, (start.shape[0], heading.shape[1], 3)))
     if start.shape[1] != heading.shape[1]:
-        raise InputError(f"{start.shape[1]} origins and {heading.shape[1]} directions: must be as many of both")
+        raise InputError(
+            f"{start.shape[1]} origins and {heading.shape[1]} directions: must be as many of both"
+        )
     counts = {c for c in (system.trials, len(start), len(heading)) if c not in (None, 1)}
     if len(counts) > 1:
         raise InputError(f"origins, directions and poses hold different numbers of trials: {sorted(counts)}")
-    batched = system.trials is not None or np.ndim(origins) == 3 or np.ndim(directions) == 3
-    result = _run(system, start, heading, next(iter(counts), 1), plane_z_mm, clip, record_hits, threads)
-    if not batched:
-        result = [None if a is None else a[0] for a in result]
-    return RayTrace(*result)
+    trials: tuple[int, ...] = (next(iter(counts), 1),)
+    if system.trials is None and np.ndim(origins) < 3 and np.ndim(directions) < 3:
+        trials = ()
+    result = _results((*trials, start.shape[1]), system.surfaces, record_hits, out)
+    _run(system, start, heading, plane_z_mm, clip, result, threads)
+    return result
 
 
 def _rays(values: ArrayLike, name: str) -> Array:
@@ -147,25 +156,45 @@ def _rays(values: ArrayLike, name: str) -> Array:
     return array if array.ndim == 3 else array[None]
 
 
+def _results(shape: tuple[int, ...], surfaces: int, record_hits: bool, out: RayTrace | None) -> RayTrace:
+    """Arrays to fill: those of an earlier result, or new ones."""
+    if out is None:
+        return RayTrace(
+            np.empty((*shape, 3)),
+            np.empty((*shape, 3)),
+            np.empty(shape),
+            np.empty(shape, np.int8),
+            np.empty(shape, np.int16),
+            np.empty((*shape, surfaces, 3)) if record_hits else None,
+        )
+    if out.status.shape != shape:
+        raise InputError(f"out holds rays of shape {out.status.shape}: must be {shape}")
+    if record_hits != (out.hits is not None) or (out.hits is not None and out.hits.shape[-2] != surfaces):
+        raise InputError("out was made with other hits than these; trace without out once, then reuse that")
+    return out
+
+
 def _run(
     system: CompiledSystem,
     origins: Array,
     directions: Array,
-    trials: int,
     plane_z_mm: float | None,
     clip: bool,
-    record_hits: bool,
+    result: RayTrace,
     threads: int | None,
-) -> list[NDArray | None]:
+) -> None:
     from lensdesign.kernel import trace_kernel
 
-    rays = origins.shape[1]
-    position = np.empty((trials, rays, 3))
-    direction = np.empty((trials, rays, 3))
-    opl = np.empty((trials, rays))
-    status = np.empty((trials, rays), np.int8)
-    failed = np.empty((trials, rays), np.int16)
-    hits = np.empty((trials, rays if record_hits else 0, system.surfaces, 3))
+    def batched(array: NDArray) -> NDArray:
+        return array if result.status.ndim == 2 else array[None]
+
+    hits = (
+        np.empty((*result.status.shape[:-1], 0, system.surfaces, 3)) if result.hits is None else result.hits
+    )
+    fill = [
+        batched(a)
+        for a in (result.position, result.direction, result.opl, result.status, result.failed_surface, hits)
+    ]
 
     def work(part: tuple[slice, slice]) -> int:
         t, r = part
@@ -187,15 +216,10 @@ def _run(
             0.0 if plane_z_mm is None else float(plane_z_mm),
             plane_z_mm is not None,
             clip,
-            position[t, r],
-            direction[t, r],
-            opl[t, r],
-            status[t, r],
-            failed[t, r],
-            hits[t, r],
+            *(a[t, r] for a in fill),
         )
 
-    parts = _parts(trials, rays, threads)
+    parts = _parts(fill[3].shape[0], fill[3].shape[1], threads)
     if len(parts) == 1:
         bad = work(parts[0])
     else:
@@ -203,7 +227,6 @@ def _run(
             bad = sum(pool.map(work, parts))
     if bad:
         raise InputError(f"{bad} rays have an origin or direction that is not finite, or no unit direction")
-    return [position, direction, opl, status, failed, hits if record_hits else None]
 
 
 def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, slice]]:
@@ -214,7 +237,7 @@ def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, sli
         raise InputError(f"threads = {threads}: must be at least 1")
     length = max(trials, rays)
     cuts = np.linspace(0, length, min(threads, max(1, length)) + 1).astype(int)
-    slices = [slice(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    slices = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
     if trials >= rays:
         return [(s, slice(None)) for s in slices]
     return [(slice(None), s) for s in slices]

@@ -80,7 +80,9 @@ def _refract_at(
     position[reached] = (point @ rotation.T + vertex)[reached]
     opl[reached] += system.index[0, i] * distance[reached]
     r2 = np.real(point[:, 0] ** 2 + point[:, 1] ** 2)
-    inside = r2 <= system.semi_diameter[i] ** 2 if clip else np.ones_like(reached)
+    inside = (
+        r2 <= (system.semi_diameter[i] * (1.0 + shapes.RIM_TOLERANCE)) ** 2 if clip else np.ones_like(reached)
+    )
     _fail(status, failed, reached & ~inside, Status.CLIPPED, i)
     reached &= inside
 
