@@ -117,9 +117,27 @@ def launch_compiled(
 ) -> tuple[Array, Array]:
     """As :func:`launch`, for a system that was compiled before."""
     fields, pupil = _points(field_points_mm, "field_points_mm"), _points(pupil_points, "pupil_points")
-    origins = np.column_stack([fields, np.full(len(fields), object_z_mm)])
-    origins = np.repeat(origins, len(pupil), axis=0)
-    xy = np.tile(stop_semi_diameter_mm * pupil, (len(fields), 1))
+    return launch_pairs(
+        system,
+        np.repeat(fields, len(pupil), axis=0),
+        np.tile(pupil, (len(fields), 1)),
+        object_z_mm,
+        stop_index,
+        stop_semi_diameter_mm,
+    )
+
+
+def launch_pairs(
+    system: CompiledSystem,
+    field_points_mm: Array,
+    pupil_points: Array,
+    object_z_mm: float,
+    stop_index: int,
+    stop_semi_diameter_mm: float,
+) -> tuple[Array, Array]:
+    """As :func:`launch_compiled`, one ray from each field point through the stop point beside it."""
+    origins = np.column_stack([field_points_mm, np.full(len(field_points_mm), object_z_mm)])
+    xy = stop_semi_diameter_mm * pupil_points
     targets = _stop_points(system, stop_index, xy)
     directions = targets - origins
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)

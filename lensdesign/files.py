@@ -59,7 +59,7 @@ def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     with atomic_path(path) as temporary:
-        temporary.write_text(design_text(lens, path.parent))
+        temporary.write_text(design_text(lens, path.parent), encoding="utf-8")
 
 
 def design_text(lens: Lens, folder: Path = Path()) -> str:
@@ -95,7 +95,7 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
         What to call the place where the data came from, usually the file.
     """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, by_alias=True, by_name=False)
     except ValidationError as error:
         lines = sorted({_fault(fault, model) for fault in error.errors()})
         raise DesignError("\n".join(f"{source}: {line}" for line in lines)) from None

@@ -172,9 +172,10 @@ def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
         qb = dz - c * (x * dx + y * dy + q * z * dz)
         qc = c * (x * x + y * y + q * z * z) - 2.0 * z
         square = qb * qb - qa * qc
-        root = math.sqrt(max(square, 0.0))
-        denominator = qb + (root if qb >= 0.0 else -root)
-        t = qc / (denominator if denominator != 0.0 else 1.0)
+        root = math.sqrt(max(square, 0.0)) if dz >= 0.0 else -math.sqrt(max(square, 0.0))
+        stable = qb * root >= 0.0
+        denominator = qb + root if stable else qa
+        t = (qc if stable else qb - root) / (denominator if denominator != 0.0 else 1.0)
         x += t * dx
         y += t * dy
         z += t * dz
@@ -238,9 +239,10 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
         square = qb * qb - qa * qc
         why = MISSED
         if square >= 0.0:
-            root = math.sqrt(square)
-            denominator = qb + (root if qb >= 0.0 else -root)
-            t = qc / denominator
+            root = math.sqrt(square) if dz >= 0.0 else -math.sqrt(square)
+            stable = qb * root >= 0.0
+            denominator = qb + root if stable else qa
+            t = (qc if stable else qb - root) / denominator
             if denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0:
                 t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms)
         if why == OK:

@@ -91,7 +91,9 @@ def intersect(
     """Distance along each ray to the surface, in the surface's own frame (vertex at the origin).
 
     The conic's root is C / (B + sqrt(B^2 - A C)), which stays exact as the curvature goes to zero and
-    picks the hit nearest the vertex; an even asphere goes on from there by Newton's method.
+    picks the hit nearest the vertex; where B is negative (a ray that starts beyond the centre of
+    curvature) the same root is had without cancellation as (B - sqrt(B^2 - A C)) / A. An even asphere
+    goes on from there by Newton's method.
 
     Parameters
     ----------
@@ -115,9 +117,12 @@ def intersect(
     discriminant = b * b - a * c
     hit = np.real(discriminant) >= 0.0
     root = np.sqrt(np.where(hit, discriminant, 1.0))
-    denominator = b + np.where(np.real(b) >= 0.0, root, -root)
+    # The hit on the vertex's side is that with B - A t = root for a ray along +z (-root along -z).
+    root = np.where(np.real(dz) >= 0.0, root, -root)
+    stable = np.real(b * root) >= 0.0
+    denominator = np.where(stable, b + root, a)
     hit &= denominator != 0.0
-    distance = c / np.where(hit, denominator, 1.0)
+    distance = np.where(stable, c, b - root) / np.where(hit, denominator, 1.0)
     hit &= np.real(1.0 - (1.0 + conic) * curvature * (z + distance * dz)) > 0.0
     converged = np.ones_like(hit)
     if len(asphere):

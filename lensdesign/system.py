@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -202,19 +201,19 @@ class Lens(Section):
                     "raise thickness_mm or lower semi_diameter_mm"
                 )
 
-    @cached_property
+    @property
     def stop_index(self) -> int:
         """Index of the aperture stop among the surfaces; the entrance surface if none is marked."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.stop), 0)
 
-    @cached_property
+    @property
     def stop_semi_diameter_mm(self) -> float:
         """Semi-diameter of the aperture stop."""
         value = self.surfaces[self.stop_index].semi_diameter_mm
         assert value is not None  # the validator saw to it
         return value
 
-    @cached_property
+    @property
     def vertex_z_mm(self) -> NDArray[np.float64]:
         """z of every vertex; the front vertex is at 0."""
         return np.cumsum([0.0] + [s.thickness_mm or 0.0 for s in self.surfaces[:-1]])
@@ -268,15 +267,6 @@ class Lens(Section):
         """A lens with some of its sections replaced, and validated anew."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return Lens(**(values | changes))
-
-
-@lru_cache(maxsize=1024)
-def _index(material: str | float | None, wavelength_um: float, catalogs: tuple[Path, ...]) -> float:
-    if material is None:
-        return 1.0
-    from lensdesign.materials import refractive_index
-
-    return refractive_index(material, wavelength_um, catalogs=catalogs)
 
 
 def mechanical_semi_diameter_mm(lens: Lens) -> float:

@@ -1,0 +1,310 @@
+"""nlopt behind a wrapper that does not lose the best point, exceptions, or time.
+
+The problem is a minimax one: make the largest of several goals as small as possible while no constraint
+is above zero, with every variable scaled to [0, 1].
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+
+Array = NDArray[np.float64]
+
+FEASIBLE = 1e-8
+"""A point whose constraints, which are scaled to about 1, stay below this counts as feasible."""
+
+UNTRACEABLE = 1e3
+"""Stands in for a value that is not finite; far above any scaled goal, yet not so far as to blind a model."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Goals and constraints at a point, with their derivatives; k goals, m constraints, n variables.
+
+    Attributes
+    ----------
+    goals : ndarray, shape (k,)
+        The largest is to be made small.
+    goals_by : ndarray, shape (k, n)
+    constraints : ndarray, shape (m,)
+        Must not be above zero.
+    constraints_by : ndarray, shape (m, n)
+    """
+
+    goals: Array
+    goals_by: Array
+    constraints: Array
+    constraints_by: Array
+
+    @property
+    def objective(self) -> float:
+        """Largest goal."""
+        return float(np.max(self.goals))
+
+    @property
+    def violation(self) -> float:
+        """Largest constraint, or 0."""
+        return float(max(0.0, np.max(self.constraints, initial=0.0)))
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """How nlopt knows an algorithm, and what it can take.
+
+    Attributes
+    ----------
+    code
+        Name of nlopt's constant.
+    inner
+        Constant of the algorithm that AUGLAG drives; None where constraints are taken as they are.
+    bounded
+        Whether the largest goal is bounded by an extra variable (and each goal a constraint): smooth, as
+        local searches want it. Otherwise the largest goal itself is the objective.
+    everywhere
+        Whether it searches the whole box.
+    """
+
+    code: str
+    inner: str | None = None
+    bounded: bool = True
+    everywhere: bool = False
+
+
+ALGORITHMS = {
+    "slsqp": Algorithm("LD_SLSQP"),
+    "mma": Algorithm("LD_MMA"),
+    "ccsaq": Algorithm("LD_CCSAQ"),
+    "cobyla": Algorithm("LN_COBYLA"),
+    "isres": Algorithm("GN_ISRES", bounded=False, everywhere=True),
+    "auglag-lbfgs": Algorithm("LD_AUGLAG", "LD_LBFGS"),
+    "auglag-bobyqa": Algorithm("LN_AUGLAG", "LN_BOBYQA"),
+    "auglag-crs2": Algorithm("LN_AUGLAG", "GN_CRS2_LM", bounded=False, everywhere=True),
+    "auglag-direct": Algorithm("LN_AUGLAG", "GN_DIRECT_L", bounded=False, everywhere=True),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Best point that a search saw.
+
+    Attributes
+    ----------
+    point : ndarray, shape (n,)
+        The best feasible point; the least infeasible one where there was none.
+    objective, violation
+        Largest goal and largest constraint there.
+    evaluations
+        Number of different points that were tried.
+    stopped_because
+        What ended the search.
+    """
+
+    point: Array
+    objective: float
+    violation: float
+    evaluations: int
+    stopped_because: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended by itself, at a point where every constraint holds."""
+        return self.violation <= FEASIBLE and self.stopped_because.startswith("converged")
+
+
+class _Search:
+    """Calls the problem, remembers the best point, and keeps exceptions from getting lost."""
+
+    def __init__(
+        self,
+        evaluate: Callable[[Array], Evaluation],
+        n: int,
+        bounded: bool,
+        on_improvement: Callable[[float, float, int], None] | None,
+    ) -> None:
+        self.evaluate, self.n, self.bounded, self.on_improvement = evaluate, n, bounded, on_improvement
+        self.evaluations = 0
+        self.best: tuple[float, float] = (math.inf, math.inf)
+        self.point: Array | None = None
+        self.error: BaseException | None = None
+        self.opt: Any = None
+        self._last: tuple[bytes, Evaluation] | None = None
+
+    def at(self, x: Array) -> Evaluation:
+        key = x[: self.n].tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, self._finite(self.evaluate(np.clip(x[: self.n], 0.0, 1.0))))
+            self.evaluations += 1
+            self._remember(x, self._last[1])
+        return self._last[1]
+
+    def _finite(self, e: Evaluation) -> Evaluation:
+        parts = (e.goals, e.goals_by, e.constraints, e.constraints_by)
+        if all(np.all(np.isfinite(p)) for p in parts):
+            return e
+        fill = (UNTRACEABLE, 0.0, UNTRACEABLE, 0.0)
+        return Evaluation(*(np.where(np.isfinite(p), p, f) for p, f in zip(parts, fill, strict=True)))
+
+    def _remember(self, x: Array, e: Evaluation) -> None:
+        excess = e.violation if e.violation > FEASIBLE else 0.0
+        if (excess, e.objective) < self.best:
+            self.best, self.point = (excess, e.objective), np.clip(x[: self.n], 0.0, 1.0)
+            if self.on_improvement is not None:
+                self.on_improvement(e.objective, e.violation, self.evaluations)
+
+    def objective(self, x: Array, gradient: Array) -> float:
+        """For nlopt: the bound on the goals, or the largest of them."""
+        try:
+            e = self.at(x)
+            worst = int(np.argmax(e.goals))
+            if gradient.size:
+                gradient[:] = 0.0
+                if self.bounded:
+                    gradient[self.n] = 1.0
+                else:
+                    gradient[:] = e.goals_by[worst]
+            return float(x[self.n]) if self.bounded else float(e.goals[worst])
+        except BaseException as error:
+            return self._stop(error)
+
+    def constraints(self, result: Array, x: Array, gradient: Array) -> None:
+        """For nlopt: all constraints, and the goals below their bound."""
+        try:
+            e = self.at(x)
+            m = len(e.constraints)
+            result[:m] = e.constraints
+            if self.bounded:
+                result[m:] = e.goals - x[self.n]
+            if gradient.size:
+                gradient[:] = 0.0
+                gradient[:m, : self.n] = e.constraints_by
+                if self.bounded:
+                    gradient[m:, : self.n] = e.goals_by
+                    gradient[m:, self.n] = -1.0
+        except BaseException as error:
+            self._stop(error)
+            result[:] = UNTRACEABLE
+
+    def _stop(self, error: BaseException) -> float:
+        self.error = self.error or error
+        self.opt.force_stop()
+        return UNTRACEABLE
+
+
+def minimize(
+    evaluate: Callable[[Array], Evaluation],
+    start: Array,
+    algorithm: str = "slsqp",
+    max_seconds: float = 10.0,
+    max_evaluations: int = 2000,
+    seed: int = 0,
+    on_improvement: Callable[[float, float, int], None] | None = None,
+) -> Outcome:
+    """Search from a start with one of nlopt's algorithms.
+
+    Parameters
+    ----------
+    evaluate
+        Goals and constraints at a point of the unit box.
+    start
+        Shape (n,), within the unit box.
+    algorithm
+        A key of :data:`ALGORITHMS`.
+    max_seconds, max_evaluations
+        Both always hold.
+    seed
+        For the algorithms that draw random numbers.
+    on_improvement
+        Called with objective, violation and number of evaluations at each new best point.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+        If the algorithm is unknown or the start does not lie in the unit box.
+    BaseException
+        Whatever `evaluate` raised, a keyboard interrupt included.
+    """
+    import nlopt
+
+    method = ALGORITHMS.get(algorithm)
+    if method is None:
+        raise InputError(f"algorithm = {algorithm!r}: unknown; allowed: {', '.join(ALGORITHMS)}")
+    start = np.array(start, float)
+    if start.ndim != 1 or not np.all((start >= 0.0) & (start <= 1.0)):
+        raise InputError("start: must be a vector within the unit box")
+    search = _Search(evaluate, len(start), method.bounded, on_improvement)
+    first = search.at(start)
+    rows = len(first.constraints) + (len(first.goals) if method.bounded else 0)
+    n = len(start) + method.bounded
+    opt = search.opt = _prepared(
+        nlopt, method, n, search, rows, 2.0 * first.objective + 1.0, (max_seconds, max_evaluations)
+    )
+    nlopt.srand(seed + 1)
+    x0 = np.append(start, first.objective) if method.bounded else start
+    reason = _run(nlopt, opt, search, x0, time.monotonic() + max_seconds)
+    if search.error is not None:
+        raise search.error
+    assert search.point is not None  # the start at least was remembered
+    return Outcome(search.point, search.best[1], search.best[0], search.evaluations, reason)
+
+
+def _prepared(
+    nlopt: Any,
+    method: Algorithm,
+    n: int,
+    search: _Search,
+    rows: int,
+    highest: float,
+    limits: tuple[float, int],
+) -> Any:
+    opt = nlopt.opt(getattr(nlopt, method.code), n)
+    if method.inner is not None:
+        opt.set_local_optimizer(_limited(nlopt.opt(getattr(nlopt, method.inner), n), limits, 1e-7))
+    extra = [highest] if method.bounded else []
+    opt.set_lower_bounds(np.zeros(n))
+    opt.set_upper_bounds(np.append(np.ones(n - len(extra)), extra))
+    opt.set_min_objective(search.objective)
+    if rows:
+        opt.add_inequality_mconstraint(search.constraints, np.full(rows, 1e-10))
+    return _limited(opt, limits, 1e-11)
+
+
+def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
+    opt.set_maxtime(limits[0])
+    opt.set_maxeval(limits[1])
+    opt.set_xtol_rel(tolerance)
+    opt.set_xtol_abs(tolerance)
+    opt.set_ftol_abs(tolerance)
+    return opt
+
+
+def _run(nlopt: Any, opt: Any, search: _Search, x0: Array, deadline: float) -> str:
+    reasons = {
+        nlopt.STOPVAL_REACHED: "goal reached",
+        nlopt.FTOL_REACHED: "converged (objective)",
+        nlopt.XTOL_REACHED: "converged (variables)",
+        nlopt.MAXEVAL_REACHED: "evaluation limit",
+        nlopt.MAXTIME_REACHED: "time limit",
+    }
+    try:
+        opt.optimize(x0)
+        return reasons.get(opt.last_optimize_result(), "finished")
+    except Exception as error:  # nlopt's own classes differ from release to release
+        kind = type(error).__name__.lower().replace("_", "")
+        if search.error is None and search.evaluations <= 1:
+            raise InputError(f"nlopt refused the problem: {kind} {error}") from error
+        if time.monotonic() >= deadline:
+            return "time limit"
+        return "rounding limits further progress" if kind == "roundofflimited" else f"nlopt stopped: {kind}"

@@ -1,0 +1,357 @@
+"""Pictures of a lens: layout, spot diagrams, arrival angles (Figs. 2b to 2d), and all of them as files.
+
+Figures are built with matplotlib's object-oriented interface alone: no pyplot, no global settings.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.analysis import ArrivalAngles, arrival_angles, rms_spot_diameter
+from lensdesign.bundles import launch, pupil_fan, pupil_hexapolar
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.lens_solid import glass_elements
+from lensdesign.matching import spread_limit_sine
+from lensdesign.ray_paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.scene3d import RenderingError, render_lens
+from lensdesign.system import Lens
+from lensdesign.trace import trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PICTURE_FORMATS = ("png", "svg")
+RAYS_PER_FIELD = 11
+DOTS_PER_INCH = 200
+OBSERVATION_DISTANCE_MM = 3.0
+"""Plane of the spot diagrams and arrival angles, from the exit vertex."""
+
+_GLASS, _INK, _FAINT = "#CFE3F1", "#333333", "#8A8A8A"
+
+
+def draw_all(
+    lens: Lens,
+    folder: str | os.PathLike[str],
+    formats: Sequence[str] = ("png",),
+    report: Callable[[str], None] = warnings.warn,
+) -> list[Path]:
+    """Write every picture of a lens: layout, spots, incidence, and the 3D view where it can be rendered.
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    folder
+        Where the files go; made if needed.
+    formats
+        "png", "svg" or both; the 3D view is always PNG.
+    report
+        Told in one sentence if the 3D view was left out, and why: no rendering here, or no closed solid.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        If a format is unknown, a file cannot be written, or the lens lets no light pass.
+    """
+    unknown = [f for f in formats if f not in PICTURE_FORMATS]
+    if unknown or not formats:
+        raise InputError(f"formats = {list(formats)}: allowed are {', '.join(PICTURE_FORMATS)}")
+    figures = {
+        "layout": layout_figure(lens),
+        "spots": spot_figure(lens),
+        "incidence": incidence_figure(lens),
+    }
+    paths = []
+    for name, figure in figures.items():
+        for form in formats:
+            path = Path(folder) / f"{name}.{form}"
+            save_figure(figure, path)
+            paths.append(path)
+    path = Path(folder) / "view3d.png"
+    try:
+        render_lens(lens, path)
+    except (RenderingError, InputError) as error:
+        report(f"3D view left out: {error}")
+    else:
+        paths.append(path)
+    return paths
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG or SVG, by suffix; the same figure gives the same file."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    form = Path(path).suffix.lower().removeprefix(".")
+    if form not in PICTURE_FORMATS:
+        raise InputError(f"cannot write {path}: allowed suffixes are .{', .'.join(PICTURE_FORMATS)}")
+    canvas = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
+    metadata: dict[str, Any] = {} if form == "png" else {"Date": None}
+    with atomic_path(path) as temporary, rc_context({"svg.hashsalt": "transferlens"}):
+        canvas.print_figure(temporary, format=form, dpi=DOTS_PER_INCH, metadata=metadata)
+
+
+def layout_figure(lens: Lens) -> Figure:
+    """Meridional section with rays of three fields, object and sensor planes, stop and scale (Fig. 2b).
+
+    Surfaces without a semi-diameter are drawn as large as their footprint. Failed rays end where they
+    failed.
+
+    Raises
+    ------
+    InputError
+        If a surface's size is neither given nor can be had from rays.
+    """
+    lens = sized_lens(lens)
+    half_height = max(
+        0.5 * lens.sensor.size_mm[1],
+        max(s.semi_diameter_mm or 0.0 for s in lens.surfaces),
+        lens.half_field_mm,
+    )
+    length = lens.sensor_z_mm[-1] - lens.object_z_mm
+    span_z = (lens.object_z_mm - 0.09 * length, lens.sensor_z_mm[-1] + 0.06 * length)
+    span_y = (-1.22 * half_height, 1.22 * half_height)
+    height = 9.3 * (span_y[1] - span_y[0]) / (span_z[1] - span_z[0])
+    figure = _figure((10.0, min(max(height, 2.4), 9.0) + 0.95))
+    axes = figure.add_subplot()
+    _draw_glass(axes, lens)
+    _draw_rays(axes, lens)
+    _draw_stop(axes, lens, 0.06 * half_height)
+    _draw_planes(axes, lens, length, span_y[1])
+    axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=_FAINT, lw=0.6, zorder=0)
+    axes.set_aspect("equal")
+    axes.set(xlim=span_z, ylim=span_y)
+    _draw_scale_bar(axes, length, half_height)
+    _label(axes, "z (mm)", "y (mm)")
+    figure.legend(loc="outside upper center", ncols=len(FIELD_SHARES), frameon=False, fontsize=9)
+    return figure
+
+
+def spot_figure(lens: Lens, plane_distance_mm: float = OBSERVATION_DISTANCE_MM) -> Figure:
+    """Spot diagrams of field heights 0, 0.5 and 1 of the half field about their centroids (Fig. 2c).
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    plane_distance_mm
+        Plane of the spots, from the exit vertex.
+
+    Raises
+    ------
+    DesignError
+        If no ray of a field passes.
+    """
+    figure = _figure((9.6, 3.9))
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    wavelength_um, pupil = lens.wavelengths_um[0], pupil_hexapolar(14).points
+    reach = 0.0
+    for axes, share, color in zip(panels, (0.0, 0.5, 1.0), FIELD_COLORS, strict=True):
+        height = share * lens.half_field_mm
+        spot = rms_spot_diameter(lens, wavelength_um, height, plane_distance_mm)
+        origins, directions = launch(lens, [(0.0, height)], pupil, wavelength_um)
+        plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
+        rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=plane_z_mm)
+        points = rays.position[rays.ok, :2] - spot.centroid_mm
+        reach = max(reach, float(np.max(np.abs(points), initial=0.0)))
+        axes.plot(*points.T, ".", color=color, ms=2.2, mew=0.0)
+        passed = "" if spot.throughput > 1.0 - 1e-12 else f", {100.0 * spot.throughput:.1f} % pass"
+        axes.set_title(
+            f"field height {height:.3g} mm{passed}\nRMS diameter {_length(spot.rms_diameter_mm)}", fontsize=9
+        )
+        _label(axes, "x − centroid (mm)", "y − centroid (mm)")
+        axes.label_outer()
+    for axes in panels:
+        axes.locator_params(nbins=5)
+        axes.set_aspect("equal")
+        axes.set(xlim=(-1.1 * reach, 1.1 * reach), ylim=(-1.1 * reach, 1.1 * reach))
+    figure.suptitle(f"Spot diagrams {plane_distance_mm:g} mm behind the exit vertex", fontsize=10)
+    return figure
+
+
+def incidence_figure(
+    lens: Lens,
+    sensor_points_mm: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.0, 3.0), (0.0, 7.0), (0.0, 9.0)),
+    plane_distance_mm: float = OBSERVATION_DISTANCE_MM,
+) -> Figure:
+    """Angles in which light of the whole object disc arrives at points of the sensor (Fig. 2d).
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    sensor_points_mm
+        x and y of the points.
+    plane_distance_mm
+        Their plane, from the exit vertex.
+    """
+    wavelength_um = lens.wavelengths_um[0]
+    limit_sine = spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um)
+    arrivals = [arrival_angles(lens, p, plane_distance_mm, wavelength_um) for p in sensor_points_mm]
+    largest = max((a.largest_deg for a in arrivals if np.any(a.ok)), default=0.0)
+    reach = 1.12 * max(math.degrees(math.asin(limit_sine)), largest)
+    columns = min(4, len(arrivals))
+    rows = math.ceil(len(arrivals) / columns)
+    figure = _figure((2.6 * columns + 0.6, 3.1 * rows + 0.9))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes in panels[len(arrivals) :]:
+        axes.remove()
+    for axes, arrival in zip(panels, arrivals, strict=False):
+        _draw_arrivals(axes, arrival, limit_sine)
+        axes.set_aspect("equal")
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+        _label(axes, r"$\theta_x$ (deg)", r"$\theta_y$ (deg)")
+        axes.label_outer()
+    handles: dict[str, Any] = {}
+    for axes in panels[: len(arrivals)]:
+        handles |= {label: h for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(
+        handles.values(),
+        handles.keys(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=9,
+        markerscale=2,
+    )
+    figure.suptitle(
+        f"Angles of incidence from the whole field, {plane_distance_mm:g} mm behind the exit vertex",
+        fontsize=10,
+    )
+    return figure
+
+
+def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> None:
+    angle = np.linspace(0.0, 2.0 * math.pi, 361)
+    limit = limit_sine * np.stack([np.cos(angle), np.sin(angle)])
+    limit_deg = np.rad2deg(np.arctan2(limit, math.sqrt(1.0 - limit_sine**2)))
+    label = f"spread limit {math.degrees(math.asin(limit_sine)):.2f}°"
+    axes.plot(*limit_deg, color=_INK, lw=1.0, label=label)
+    points = arrival.angles_deg[arrival.ok]
+    within = np.hypot(*arrival.cosines[arrival.ok].T) <= limit_sine
+    axes.plot(*points[within].T, "o", color=FIELD_COLORS[2], ms=1.8, mew=0.0, label="within the limit")
+    if not np.all(within):
+        axes.plot(*points[~within].T, "D", color=FIELD_COLORS[0], ms=2.6, mew=0.0, label="beyond the limit")
+    x, y = arrival.sensor_point_mm
+    axes.set_title(f"({x:g}, {y:g}) mm\n{_arrival_note(arrival)}", fontsize=9)
+
+
+def _arrival_note(arrival: ArrivalAngles) -> str:
+    if not np.any(arrival.ok):
+        return "no light arrives"
+    return f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.share:.0f} % of the field"
+
+
+def _figure(size_inches: tuple[float, float]) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size_inches, layout="constrained", facecolor="white")
+
+
+def _label(axes: Axes, x: str, y: str) -> None:
+    axes.set_xlabel(x, fontsize=9)
+    axes.set_ylabel(y, fontsize=9)
+    axes.tick_params(labelsize=8, direction="in")
+
+
+def _length(value_mm: float) -> str:
+    return f"{value_mm:.2f} mm" if value_mm >= 0.1 else f"{1e3 * value_mm:.3g} µm"
+
+
+def _mirrored(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A meridian (r, z) and its mirror image as one closed polygon (z, y)."""
+    upper = outline[:, ::-1]
+    return np.concatenate([upper, upper[::-1] * [1.0, -1.0]])
+
+
+def _draw_glass(axes: Axes, lens: Lens) -> None:
+    for element in glass_elements(lens):
+        outline = element.outline()
+        axes.fill(*_mirrored(outline).T, facecolor=_GLASS, edgecolor=_INK, lw=0.9, zorder=2)
+        edge = outline[outline[:, 0] >= element.edge_mm]
+        for sign in (1.0, -1.0):
+            axes.plot(edge[:, 1], sign * edge[:, 0], color=_INK, lw=2.4, solid_capstyle="butt", zorder=5)
+
+
+def _draw_rays(axes: Axes, lens: Lens) -> None:
+    from matplotlib.collections import LineCollection
+
+    for share, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
+        height = share * lens.half_field_mm
+        paths = ray_paths(lens, (0.0, height), pupil_fan(RAYS_PER_FIELD).points)
+        label = f"field height {height:.3g} mm"
+        axes.add_collection(
+            LineCollection([p[:, [2, 1]] for p in paths], colors=color, linewidths=0.8, zorder=3, label=label)
+        )
+
+
+def _draw_stop(axes: Axes, lens: Lens, size_mm: float) -> None:
+    """Two wedges that point at the rim of the stop."""
+    radius = lens.stop_semi_diameter_mm
+    z = lens.vertex_z_mm[lens.stop_index] + float(lens.surfaces[lens.stop_index].sag_mm(radius))
+    for sign in (1.0, -1.0):
+        wedge = [
+            (z, sign * radius),
+            (z - 0.5 * size_mm, sign * (radius + 1.6 * size_mm)),
+            (z + 0.5 * size_mm, sign * (radius + 1.6 * size_mm)),
+        ]
+        axes.fill(*zip(*wedge, strict=True), color="black", lw=0.0, zorder=6)
+    axes.annotate(
+        "stop",
+        (z - 0.5 * size_mm, radius + 1.6 * size_mm),
+        xytext=(-3, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=8,
+    )
+
+
+def _draw_planes(axes: Axes, lens: Lens, length: float, label_y: float) -> None:
+    """Object and sensor planes as far as they reach; labels of sensor planes close together alternate."""
+    line: dict[str, Any] = {"color": _INK, "lw": 2.0, "solid_capstyle": "butt", "zorder": 4}
+    text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
+    half = lens.half_field_mm
+    axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
+    name = f"object\n⌀ {lens.object.field_diameter_mm:g} mm"
+    axes.annotate(name, (lens.object_z_mm, 0.0), xytext=(-5, 0), ha="right", va="center", **text)
+    half, before, raised = 0.5 * lens.sensor.size_mm[1], -math.inf, False
+    for number, distance in enumerate(lens.sensor.plane_distances_mm, start=1):
+        z = lens.exit_vertex_z_mm + distance
+        raised = z - before < 0.1 * length and not raised
+        before = z
+        axes.plot([z, z], [-half, half], **line)
+        axes.plot([z, z], [half, label_y], ":", color=_FAINT, lw=0.8, zorder=1)
+        name, lift = f"$H_{{{number}}}$ = {distance:g} mm", 13 if raised else 2
+        axes.annotate(name, (z, label_y), xytext=(0, lift), ha="center", va="bottom", **text)
+
+
+def _draw_scale_bar(axes: Axes, length: float, half_height: float) -> None:
+    exponent = 10.0 ** math.floor(math.log10(0.2 * length))
+    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= 0.2 * length)
+    left, y = axes.get_xlim()[0] + 0.03 * length, -1.12 * half_height
+    axes.plot([left, left + bar], [y, y], color=_INK, lw=2.0, solid_capstyle="butt")
+    axes.annotate(
+        f"{bar:g} mm",
+        (left + 0.5 * bar, y),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=8,
+    )

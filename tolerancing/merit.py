@@ -1,0 +1,119 @@
+"""What every merit has: a score for each trial, and the limit that a good part keeps."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from lensdesign.system import Finite, Lens, Positive, Section
+from tolerancing.context import Context
+from tolerancing.perturbations import Name, PerturbationBatch, with_unit
+
+Array = NDArray[np.float64]
+
+
+class Merit(Section):
+    """One figure of merit and its limit.
+
+    Attributes
+    ----------
+    kind
+        Name in the registry of merits.
+    name
+        Lower-case letters, digits and underscores; the kind where left out.
+    at_least, at_most
+        The limit of a good part; one of the two.
+    wavelength_um
+        The lens's first wavelength where left out.
+    """
+
+    kind: str
+    name: Name = ""
+    at_least: Finite | None = None
+    at_most: Finite | None = None
+    wavelength_um: Positive | None = None
+
+    unit: ClassVar[str] = ""
+    trials_per_chunk: ClassVar[int] = 16
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Merit:
+        if (self.at_least is None) == (self.at_most is None):
+            given = "both are given" if self.at_least is not None else "the limit is missing"
+            raise ValueError(f"give one limit, at_least or at_most; {given}")
+        return self
+
+    @property
+    def label(self) -> str:
+        """What to call the merit."""
+        return self.name or self.kind
+
+    @property
+    def column(self) -> str:
+        """Name of the scores in tables, with the unit."""
+        return with_unit(self.label, self.unit)
+
+    @property
+    def limit(self) -> float:
+        """The limit, whichever way it works."""
+        value = self.at_least if self.at_least is not None else self.at_most
+        assert value is not None  # the validator saw to it
+        return value
+
+    @property
+    def limit_text(self) -> str:
+        """The limit in words."""
+        return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
+
+    def margin(self, scores: Any) -> Array:
+        """How far scores lie on the good side of the limit; NaN where there is no score."""
+        distance = np.asarray(scores, float) - self.limit
+        return distance if self.at_least is not None else -distance
+
+    def passed(self, scores: Any) -> NDArray[np.bool_]:
+        """Which scores keep the limit; one that is missing does not."""
+        return self.margin(scores) >= 0.0
+
+    def check(self, lens: Lens) -> None:
+        """Refuse what does not fit this lens.
+
+        Raises
+        ------
+        ValueError
+            For a field point outside the lens's field of view.
+        """
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> Array:
+        """Score each trial of a batch.
+
+        Parameters
+        ----------
+        context
+            The nominal lens and what merits share.
+        batch
+            The trials' perturbations.
+
+        Returns
+        -------
+        ndarray, shape (trials,)
+            NaN for a trial that cannot be scored.
+
+        Raises
+        ------
+        TransferLensError
+            If a trial cannot be evaluated at all; whoever runs the batch then scores trials singly.
+        """
+        raise NotImplementedError
+
+
+def check_field_point(lens: Lens, point: tuple[float, float], key: str) -> None:
+    """Refuse an object point outside the field of view, with a ValueError."""
+    height = float(np.hypot(*point))
+    if height > lens.half_field_mm * (1.0 + 1e-9):
+        raise ValueError(
+            f"{key} = {list(point)}: lies {height:g} mm from the axis; "
+            f"allowed: up to {lens.half_field_mm:g} mm, half the field_diameter_mm"
+        )

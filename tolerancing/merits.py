@@ -1,0 +1,33 @@
+"""The registry of merits: a new merit is one class and one line here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lensdesign.files import validate
+from tolerancing.merit import Merit
+from tolerancing.pupil_merits import LinePairContrast, ModulationTransfer, RmsWaves, Strehl
+from tolerancing.ray_merits import FootprintRadius, LargestSpread, Throughput
+from tolerancing.registry import pick
+
+MERITS: dict[str, type[Merit]] = {
+    "largest_spread_deg": LargestSpread,
+    "footprint_radius_mm": FootprintRadius,
+    "throughput": Throughput,
+    "strehl": Strehl,
+    "rms_waves": RmsWaves,
+    "line_pair_contrast": LinePairContrast,
+    "mtf": ModulationTransfer,
+}
+"""Merits by the kind that a study file gives."""
+
+
+def merit_from_table(table: dict[str, Any], source: str) -> Merit:
+    """Read one ``[[merit]]`` table.
+
+    Raises
+    ------
+    DesignError
+        For each fault: which key and value, and what is allowed.
+    """
+    return validate(pick(MERITS, table, "kind", source), table, source)

@@ -1,0 +1,192 @@
+"""What a store says in a few numbers: yield with its confidence, statistics of each merit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tolerancing.merit import Merit
+from tolerancing.results import FAILED, TrialResults
+from tolerancing.store import Store, StudyRecord
+from tolerancing.study import Study
+
+PERCENTILES = (1, 5, 50, 95, 99)
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Yield:
+    """Share of good parts, with the Wilson score interval at `CONFIDENCE`.
+
+    Attributes
+    ----------
+    passed, total
+        Good trials, and all trials.
+    share
+        Their ratio.
+    low, high
+        Ends of the confidence interval.
+    """
+
+    passed: int
+    total: int
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MeritSummary:
+    """One merit over all trials; statistics leave out trials without a score, the yield does not.
+
+    Attributes
+    ----------
+    merit
+        The merit.
+    nominal
+        Score of the nominal lens; None where it has none.
+    good
+        Yield of this merit by itself; None where there are no trials.
+    scored
+        Number of trials with a score.
+    mean, standard_deviation
+        None with fewer than one, or two, scores.
+    percentiles
+        By `PERCENTILES`; empty without scores.
+    """
+
+    merit: Merit
+    nominal: float | None
+    good: Yield | None
+    scored: int
+    mean: float | None
+    standard_deviation: float | None
+    percentiles: dict[int, float]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A store in a few numbers.
+
+    Attributes
+    ----------
+    record, study
+        What was studied.
+    trials
+        Number of trials in the store.
+    failed
+        Number of those that could not be scored; they count as bad.
+    good
+        Yield over all limits; None where there are no trials.
+    merits
+        Merit by merit.
+    steps, planned_steps
+        Sweep steps in the store, and in the study.
+    """
+
+    record: StudyRecord
+    study: Study
+    trials: int
+    failed: int
+    good: Yield | None
+    merits: tuple[MeritSummary, ...]
+    steps: int
+    planned_steps: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was planned is there."""
+        return self.trials >= self.record.planned_trials and self.steps >= self.planned_steps
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary for JSON; names carry their units, missing numbers are null."""
+        return {
+            "title": self.study.title,
+            "design": self.study.design,
+            "seed": self.study.seed,
+            "created": self.record.created,
+            "toolkit_version": self.record.toolkit_version,
+            "complete": self.complete,
+            "trials": self.trials,
+            "planned_trials": self.record.planned_trials,
+            "failed": self.failed,
+            "sweep_steps": self.steps,
+            "planned_sweep_steps": self.planned_steps,
+            "yield": _yield_dict(self.good),
+            "merits": {m.merit.column: _merit_dict(m) for m in self.merits},
+        }
+
+
+def summarize(store: Store, results: TrialResults | None = None) -> Summary:
+    """Summarize a store.
+
+    Parameters
+    ----------
+    store
+        An open store.
+    results
+        Its trials, if they were read already.
+    """
+    results = store.trials() if results is None else results
+    study, nominal = store.study, store.nominal()
+    return Summary(
+        record=store.record(),
+        study=study,
+        trials=len(results),
+        failed=results.status.count(FAILED),
+        good=yield_of(results.passed),
+        merits=tuple(
+            _merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
+            for k, merit in enumerate(study.merits)
+        ),
+        steps=len(store.finished_steps()),
+        planned_steps=sum(len(sweep.values) for sweep in study.sweeps),
+    )
+
+
+def yield_of(passed: NDArray[np.bool_]) -> Yield | None:
+    """Yield with its confidence interval (Wilson 1927); None of nothing."""
+    from scipy.stats import binomtest
+
+    total = len(passed)
+    if total == 0:
+        return None
+    good = int(np.count_nonzero(passed))
+    interval = binomtest(good, total).proportion_ci(CONFIDENCE, method="wilson")
+    return Yield(good, total, good / total, float(interval.low), float(interval.high))
+
+
+def _merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
+    known = scores[np.isfinite(scores)]
+    values = np.percentile(known, PERCENTILES) if len(known) else ()
+    return MeritSummary(
+        merit=merit,
+        nominal=nominal,
+        good=yield_of(merit.passed(scores)),
+        scored=len(known),
+        mean=float(known.mean()) if len(known) else None,
+        standard_deviation=float(known.std(ddof=1)) if len(known) > 1 else None,
+        percentiles={p: float(v) for p, v in zip(PERCENTILES, values, strict=False)},
+    )
+
+
+def _yield_dict(good: Yield | None) -> dict[str, Any] | None:
+    return None if good is None else {**vars(good), "confidence": CONFIDENCE}
+
+
+def _merit_dict(summary: MeritSummary) -> dict[str, Any]:
+    merit = summary.merit
+    return {
+        "kind": merit.kind,
+        "at_least": merit.at_least,
+        "at_most": merit.at_most,
+        "nominal": summary.nominal,
+        "yield": _yield_dict(summary.good),
+        "scored": summary.scored,
+        "mean": summary.mean,
+        "standard_deviation": summary.standard_deviation,
+        "percentiles": {str(p): v for p, v in summary.percentiles.items()},
+    }

@@ -1,0 +1,350 @@
+"""Point characteristic V(c, s) of a lens, from rays, and the reconstruction pupil of a perturbed one.
+
+V(c, s) is the optical path from an object point c to a sensor point s (Hamilton's point characteristic).
+Its gradients are the ray's directions at both ends: dV/dc = -p and dV/ds = n q. The field of a plane
+object O near c is then U(s) = (1/lambda) a(s) exp(i k V(c, s)) times the spectrum of O at p(s), with
+a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) by conservation of energy along the rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.bundles import launch
+from lensdesign.compiled import CompiledSystem, compile_system
+from lensdesign.errors import InputError
+from lensdesign.poses import Pose, SurfacePerturbation
+from lensdesign.system import Lens
+from lensdesign.trace import RayTrace, trace_compiled
+from wavesim.pupil import PupilGrid, ReconstructionPupil
+
+Array = NDArray[np.float64]
+
+PATH_TOLERANCE_WAVES = 1e-4
+"""What aiming at a sensor point may leave in an optical path difference."""
+
+AIM_STEPS = 8
+"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
+
+DIFFERENCE_STEP = 1e-4
+"""Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""
+
+RIM_POINTS = 256
+
+
+class FoldError(InputError):
+    """The map from directions at the object to sensor points folds: no single ray per sensor point."""
+
+
+class RayAimError(InputError):
+    """Rays through a perturbed lens could not be aimed at their sensor points."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCharacteristic:
+    """Rays from one object point to one plane behind a lens, for the n samples inside the stop.
+
+    Attributes
+    ----------
+    grid : PupilGrid
+        Directions at the object: ``grid.cosines`` holds p = (L, M).
+    status : ndarray of int8, shape (samples, samples)
+        :class:`lensdesign.status.Status` of every ray of the grid; the n inside are OK.
+    object_point_mm : ndarray, shape (3,)
+        The point c.
+    plane_z_mm : float
+        z of the plane.
+    index_behind : float
+        Refractive index n between the lens and the plane.
+    sensor_points_mm : ndarray, shape (n, 2)
+        Where the rays meet the plane, s.
+    path_mm : ndarray, shape (n,)
+        Optical path V(c, s).
+    directions : ndarray, shape (n, 3)
+        Direction cosines q behind the lens.
+    jacobian_mm : ndarray, shape (n, 2, 2)
+        ds/dp.
+    direction_jacobian : ndarray, shape (n, 2, 2)
+        dq/dp, of the two transverse cosines.
+    """
+
+    grid: PupilGrid
+    status: NDArray[np.int8]
+    object_point_mm: Array
+    plane_z_mm: float
+    index_behind: float
+    sensor_points_mm: Array
+    path_mm: Array
+    directions: Array
+    jacobian_mm: Array
+    direction_jacobian: Array
+
+    @cached_property
+    def determinant_mm2(self) -> Array:
+        """Determinant of ds/dp, shape (n,); one sign throughout unless the map of rays folds."""
+        return np.asarray(np.linalg.det(self.jacobian_mm))
+
+    @cached_property
+    def amplitude_per_mm(self) -> Array:
+        """Amplitude a in 1/mm, shape (n,); inf on a caustic."""
+        cosines = self.grid.axial_cosine / (self.index_behind * self.directions[:, 2])
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.sqrt(cosines / np.abs(self.determinant_mm2)), float)
+
+    @cached_property
+    def inverse_jacobian(self) -> Array:
+        """dp/ds in 1/mm, shape (n, 2, 2).
+
+        Raises
+        ------
+        FoldError
+            If the map of rays folds inside the bundle.
+        """
+        sign = np.sign(self.determinant_mm2)
+        if np.any(sign != sign[0]) or sign[0] == 0.0:
+            raise FoldError(
+                f"the rays from ({self.object_point_mm[0]:g}, {self.object_point_mm[1]:g}) mm fold on the "
+                f"plane z = {self.plane_z_mm:g} mm: several rays reach one sensor point there; "
+                "choose a plane before or behind the caustic"
+            )
+        return np.asarray(np.linalg.inv(self.jacobian_mm))
+
+    @cached_property
+    def wavefront_curvature_per_mm(self) -> float:
+        """Largest second derivative of V along the plane, over the bundle."""
+        hessian = self.index_behind * (self.direction_jacobian @ self.inverse_jacobian)
+        return float(np.max(np.linalg.norm(hessian, axis=(1, 2))))
+
+
+def point_characteristic(
+    lens: Lens,
+    field_mm: Sequence[float] = (0.0, 0.0),
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 3.0,
+    samples: int = 128,
+) -> PointCharacteristic:
+    """Trace the point characteristic of a nominal lens.
+
+    Parameters
+    ----------
+    lens
+        The lens; its stop and the other clear semi-diameters bound the bundle.
+    field_mm
+        Object point (x, y) on the object plane.
+    wavelength_um
+        Vacuum wavelength; the design's first one if left out.
+    plane_distance_mm
+        Distance of the plane from the exit vertex.
+    samples
+        Samples along each side of the square grid that covers the bundle's direction cosines.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or no ray gets through.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    field = np.asarray(field_mm, float)
+    if field.shape != (2,) or not np.all(np.isfinite(field)):
+        raise InputError(f"field_mm = {field_mm!r}: must be two finite numbers, x and y")
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 8 <= samples <= 4096:
+        raise InputError(f"samples = {samples!r}: must be a whole number from 8 to 4096")
+    if not (np.isfinite(plane_distance_mm) and plane_distance_mm > 0.0):
+        raise InputError(f"plane_distance_mm = {plane_distance_mm!r}: must be finite and above 0")
+    if not (np.isfinite(wavelength) and wavelength > 0.0):
+        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and above 0")
+    system = compile_system(lens, wavelength)
+    point = np.array([*field, lens.object_z_mm])
+    plane_z = lens.exit_vertex_z_mm + plane_distance_mm
+    centre, spacing = _bounding_square(lens, field, wavelength, samples)
+    whole = PupilGrid(centre, spacing, np.ones((samples, samples), bool), wavelength)
+    rays, _ = _shoot(system, point, whole.cosines.T, plane_z, clip=True)
+    if not np.any(rays.ok):
+        raise InputError(
+            f"no ray from the object point ({field[0]:g}, {field[1]:g}) mm gets through the lens: "
+            "choose a field point that the lens sees"
+        )
+    grid = PupilGrid(centre, spacing, rays.ok.reshape(samples, samples), wavelength)
+    jacobian, direction_jacobian = _derivatives(system, point, grid.cosines.T, plane_z)
+    return PointCharacteristic(
+        grid=grid,
+        status=rays.status.reshape(samples, samples),
+        object_point_mm=point,
+        plane_z_mm=plane_z,
+        index_behind=float(system.index[0, -1]),
+        sensor_points_mm=rays.position[rays.ok, :2],
+        path_mm=rays.opl[rays.ok],
+        directions=rays.direction[rays.ok],
+        jacobian_mm=jacobian,
+        direction_jacobian=direction_jacobian,
+    )
+
+
+def _bounding_square(
+    lens: Lens, field: Array, wavelength_um: float, samples: int
+) -> tuple[tuple[float, float], float]:
+    """Centre and spacing of the grid that covers the cosines of all rays through the stop's rim."""
+    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    _, rim = launch(lens, field, np.column_stack([np.cos(angle), np.sin(angle)]), wavelength_um)
+    low, high = rim[:, :2].min(axis=0), rim[:, :2].max(axis=0)
+    centre = 0.5 * (low + high)
+    return (float(centre[0]), float(centre[1])), float(np.max(high - low)) / samples
+
+
+def _shoot(
+    system: CompiledSystem,
+    point: Array,
+    cosines: Array,
+    plane_z_mm: float,
+    clip: bool,
+    out: RayTrace | None = None,
+) -> tuple[RayTrace, NDArray[np.bool_]]:
+    """Trace from one point along direction cosines, shape (2, n).
+
+    Also tells which cosines are those of a real ray; the others go along the axis, and count for nothing.
+    """
+    axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
+    real = axial_square > 0.0
+    directions = np.empty((cosines.shape[1], 3))
+    directions[:, 0] = np.where(real, cosines[0], 0.0)
+    directions[:, 1] = np.where(real, cosines[1], 0.0)
+    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
+    return trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1, out=out), real
+
+
+def _derivatives(
+    system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float
+) -> tuple[Array, Array]:
+    """ds/dp and dq/dp by central differences, one-sided where a neighbour does not arrive."""
+    base, _ = _shoot(system, point, cosines, plane_z_mm, clip=False)
+    parts: list[tuple[Array, Array]] = []
+    for axis in np.eye(2):
+        ends = []
+        for sign in (-1.0, 1.0):
+            rays, real = _shoot(
+                system, point, cosines + sign * DIFFERENCE_STEP * axis[:, None], plane_z_mm, clip=False
+            )
+            arrived = rays.ok & real
+            values = np.hstack([rays.position[:, :2], rays.direction[:, :2]])
+            fallback = np.hstack([base.position[:, :2], base.direction[:, :2]])
+            ends.append((np.where(arrived[:, None], values, fallback), sign * arrived))
+        width = DIFFERENCE_STEP * (ends[1][1] - ends[0][1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = (ends[1][0] - ends[0][0]) / width[:, None]
+        parts.append((slope[:, :2], slope[:, 2:]))
+    return np.stack([p[0] for p in parts], axis=-1), np.stack([p[1] for p in parts], axis=-1)
+
+
+class PupilSampler:
+    """Reconstruction pupils of perturbed copies of one lens, the nominal part done once.
+
+    What it neglects: the small patch of the object around the point is taken to see one pupil
+    (isoplanatic), and interface losses are those of an ideal coating.
+
+    Parameters
+    ----------
+    lens, field_mm, wavelength_um, plane_distance_mm, samples
+        As in :func:`point_characteristic`. The plane stands still when the lens moves.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or no ray gets through.
+    FoldError
+        If the nominal rays fold on the plane.
+
+    Examples
+    --------
+    >>> sampler = PupilSampler(lens, field_mm=(0.0, 1.0))                   # doctest: +SKIP
+    >>> strehl(refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil)          # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        lens: Lens,
+        field_mm: Sequence[float] = (0.0, 0.0),
+        wavelength_um: float | None = None,
+        plane_distance_mm: float = 3.0,
+        samples: int = 128,
+    ) -> None:
+        self.lens = lens
+        self.nominal = point_characteristic(lens, field_mm, wavelength_um, plane_distance_mm, samples)
+        self.grid = self.nominal.grid
+        inverse = self.nominal.inverse_jacobian
+        self._inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
+        self._cosines = np.ascontiguousarray(self.grid.cosines.T)
+        self._targets = np.ascontiguousarray(self.nominal.sensor_points_mm.T)
+
+    def pupil(
+        self,
+        pose: Pose = Pose(),
+        surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+        object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> ReconstructionPupil:
+        """Reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
+
+        The perturbed ray that reaches s(p) is found by a quasi-Newton iteration with the nominal
+        Jacobian, and what is left of the way is bridged by V'(s) = V'(s') + n q'.(s - s').
+
+        Parameters
+        ----------
+        pose, surface_perturbations
+            One perturbed lens, as in :func:`lensdesign.trace.trace`; no arrays of trials.
+        object_shift_mm, sensor_shift_mm
+            How far object and sensor are shifted (x, y, z). To shift both is to shift the lens the
+            other way.
+
+        Raises
+        ------
+        InputError
+            If a value is not usable, or no ray arrives through both lenses.
+        RayAimError
+            If aiming does not converge.
+        """
+        wavelength = self.grid.wavelength_um
+        system = compile_system(self.lens, wavelength, pose, surface_perturbations)
+        if system.trials is not None:
+            raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
+        point = self.nominal.object_point_mm + _shift(object_shift_mm, "object_shift_mm")
+        sensor = _shift(sensor_shift_mm, "sensor_shift_mm")
+        path, valid = self._aimed_path(system, point, sensor)
+        return ReconstructionPupil(self.grid, path - self.nominal.path_mm, valid)
+
+    def _aimed_path(
+        self, system: CompiledSystem, point: Array, sensor: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """V' at the nominal sensor points, and which rays arrive."""
+        inverse, plane_z = self._inverse, self.nominal.plane_z_mm + sensor[2]
+        targets = self._targets + sensor[:2, None]
+        curvature = self.nominal.wavefront_curvature_per_mm
+        reach_mm = np.sqrt(2e-3 * PATH_TOLERANCE_WAVES * self.grid.wavelength_um / max(curvature, 1e-12))
+        index = float(system.index[0, -1])
+        cosines = self._cosines
+        for step in range(AIM_STEPS):
+            # Only aimed rays tell what the perturbed stop lets through.
+            rays, real = _shoot(system, point, cosines, plane_z, clip=step > 0)
+            arrived = rays.ok & real
+            miss = targets - rays.position[:, :2].T
+            miss[:, ~arrived] = 0.0
+            if step > 0 and np.max(miss[0] ** 2 + miss[1] ** 2) <= reach_mm**2:
+                bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1]
+                return rays.opl + index * bridge, arrived
+            cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
+        furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
+        raise RayAimError(
+            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
+            f"steps (allowed: {reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
+        )
+
+
+def _shift(values: Sequence[float], name: str) -> Array:
+    shift = np.asarray(values, float)
+    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
+        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
+    return shift
