@@ -99,8 +99,8 @@ def _hit(p, d, c, k, terms):
     square = qb * qb - qa * qc
     if square < 0.0:
         return 0.0, MISSED
-    root = math.sqrt(square) if d[2] >= 0.0 else -math.sqrt(square)
-    stable = qb * root >= 0.0
+    root = math.sqrt(square)
+    stable = qb >= 0.0
     denominator = qb + root if stable else qa
     if denominator == 0.0:
         return 0.0, MISSED

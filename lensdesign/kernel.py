@@ -172,8 +172,8 @@ def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
         qb = dz - c * (x * dx + y * dy + q * z * dz)
         qc = c * (x * x + y * y + q * z * z) - 2.0 * z
         square = qb * qb - qa * qc
-        root = math.sqrt(max(square, 0.0)) if dz >= 0.0 else -math.sqrt(max(square, 0.0))
-        stable = qb * root >= 0.0
+        root = math.sqrt(max(square, 0.0))
+        stable = qb >= 0.0
         denominator = qb + root if stable else qa
         t = (qc if stable else qb - root) / (denominator if denominator != 0.0 else 1.0)
         x += t * dx
@@ -239,8 +239,8 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
         square = qb * qb - qa * qc
         why = MISSED
         if square >= 0.0:
-            root = math.sqrt(square) if dz >= 0.0 else -math.sqrt(square)
-            stable = qb * root >= 0.0
+            root = math.sqrt(square)
+            stable = qb >= 0.0
             denominator = qb + root if stable else qa
             t = (qc if stable else qb - root) / denominator
             if denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0:
@@ -269,9 +269,11 @@ def _newton(x, y, z, dx, dy, dz, t, c, k, terms):
         t -= step
         settled = abs(step) <= 1e-14 * (1.0 + abs(t))
         if settled and settled_before:
-            return t, OK
+            return t, OK if slope > 0.0 else MISSED
         settled_before = settled
-    return t, OK if settled_before else NOT_CONVERGED
+    if not settled_before:
+        return t, NOT_CONVERGED
+    return t, OK if slope > 0.0 else MISSED
 
 
 @_jit

@@ -91,9 +91,10 @@ def intersect(
     """Distance along each ray to the surface, in the surface's own frame (vertex at the origin).
 
     The conic's root is C / (B + sqrt(B^2 - A C)), which stays exact as the curvature goes to zero and
-    picks the hit nearest the vertex; where B is negative (a ray that starts beyond the centre of
-    curvature) the same root is had without cancellation as (B - sqrt(B^2 - A C)) / A. An even asphere
-    goes on from there by Newton's method.
+    picks the hit at which a ray crosses from the front to the back; where B is negative (a ray that
+    starts beyond the centre of curvature) the same root is had without cancellation as
+    (B - sqrt(B^2 - A C)) / A. An even asphere goes on from there by Newton's method. A ray that could
+    only cross from the back to the front misses.
 
     Parameters
     ----------
@@ -117,9 +118,7 @@ def intersect(
     discriminant = b * b - a * c
     hit = np.real(discriminant) >= 0.0
     root = np.sqrt(np.where(hit, discriminant, 1.0))
-    # The hit on the vertex's side is that with B - A t = root for a ray along +z (-root along -z).
-    root = np.where(np.real(dz) >= 0.0, root, -root)
-    stable = np.real(b * root) >= 0.0
+    stable = np.real(b) >= 0.0
     denominator = np.where(stable, b + root, a)
     hit &= denominator != 0.0
     distance = np.where(stable, c, b - root) / np.where(hit, denominator, 1.0)
@@ -150,7 +149,7 @@ def _newton(
         if np.all(settled & converged | ~hit):
             break
         converged = settled
-    return distance, hit, converged
+    return distance, hit & (~converged | (np.real(slope) > 0.0)), converged
 
 
 RIM_TOLERANCE = 1e-9

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,16 +257,16 @@ class Lens(Section):
             ]
         )
 
-    def with_surface(self, index: int, **changes: Any) -> Lens:
+    def with_surface(self, index: int, **changes: Any) -> Self:
         """A lens with some values of one surface (counted from 0) replaced, and validated anew."""
         surface = Surface.model_validate(self.surfaces[index].model_dump() | changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)
 
-    def replaced(self, **changes: Any) -> Lens:
+    def replaced(self, **changes: Any) -> Self:
         """A lens with some of its sections replaced, and validated anew."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
-        return Lens(**(values | changes))
+        return type(self)(**(values | changes))
 
 
 def mechanical_semi_diameter_mm(lens: Lens) -> float:

@@ -10,7 +10,9 @@ from hypothesis import HealthCheck, settings
 from lensdesign import Lens, load_design
 
 # The first example compiles kernels, which takes longer than any deadline for a single one.
-settings.register_profile("transferlens", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "transferlens", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("transferlens")
 
 ROOT = Path(__file__).parent.parent

@@ -21,8 +21,11 @@ def signed(low: float, high: float) -> st.SearchStrategy[float]:
     return st.builds(lambda sign, size: sign * size, st.sampled_from([-1.0, 1.0]), numbers(low, high))
 
 
+MATERIALS = st.none() | numbers(1.0, 2.0) | st.just("N-BK7")
+
+
 @st.composite
-def surfaces(draw: st.DrawFn, last: bool, stop: bool, materials: st.SearchStrategy) -> Surface:
+def surfaces(draw: st.DrawFn, last: bool, stop: bool) -> Surface:
     """Planes, spheres, conics and even aspheres that end nowhere near their clear aperture."""
     kind = draw(st.sampled_from(["plane", "sphere", "conic", "even asphere"]))
     asphere = ()
@@ -34,18 +37,14 @@ def surfaces(draw: st.DrawFn, last: bool, stop: bool, materials: st.SearchStrate
         conic=draw(numbers(-3.0, 1.5)) if kind in ("conic", "even asphere") else 0.0,
         asphere=asphere,
         thickness_mm=None if last else draw(numbers(4.0, 12.0)),
-        material=draw(materials),
+        material=draw(MATERIALS),
         semi_diameter_mm=draw(numbers(1.0, 4.0)) if stop else draw(st.none() | numbers(1.0, 4.0)),
         stop=stop,
     )
 
 
 @st.composite
-def lenses(
-    draw: st.DrawFn,
-    materials: st.SearchStrategy = st.none() | numbers(1.0, 2.0) | st.just("N-BK7"),
-    most_surfaces: int = 4,
-) -> Lens:
+def lenses(draw: st.DrawFn, most_surfaces: int = 4) -> Lens:
     """Lenses of one to a few surfaces with the stop anywhere."""
     count = draw(st.integers(1, most_surfaces))
     stop = draw(st.integers(0, count - 1))
@@ -64,7 +63,7 @@ def lenses(
                 sorted(draw(st.sets(st.integers(1, 50).map(float), min_size=1, max_size=3)))
             ),
         ),
-        surfaces=tuple(draw(surfaces(i == count - 1, i == stop, materials)) for i in range(count)),
+        surfaces=tuple(draw(surfaces(i == count - 1, i == stop)) for i in range(count)),
     )
 
 
@@ -93,14 +92,12 @@ def surface_perturbations(draw: st.DrawFn, lens: Lens, trials: int | None) -> di
     return result
 
 
-def random_rays(
-    seed: int, count: int, wild: float = 0.2
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def random_rays(seed: int, count: int, wild: float = 0.2) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rays from an object disc to the front of a lens; a share of them goes anywhere ahead."""
     rng = np.random.default_rng(seed)
     origins = np.column_stack([rng.uniform(-2.0, 2.0, (count, 2)), np.full(count, -OBJECT_DISTANCE_MM)])
     targets = np.column_stack([rng.uniform(-2.5, 2.5, (count, 2)), np.zeros(count)])
     directions = targets - origins
     anywhere = rng.random(count) < wild
-    directions[anywhere] = rng.normal(size=(np.count_nonzero(anywhere), 3)) + [0.0, 0.0, 1.0]
+    directions[anywhere] = rng.normal([0.0, 0.0, 1.0], 1.0, (np.count_nonzero(anywhere), 3))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
