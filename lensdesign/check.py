@@ -41,10 +41,8 @@ class Constraint:
         What is limited, and the unit of both numbers (empty for pure numbers).
     value, relation, limit
         Such as 4.81, "<=", 4.77.
-    met
-        Whether it holds.
-    miss
-        Where it does not: a sentence with the numbers. Empty where it holds.
+    met, miss
+        Whether it holds; where it does not, a sentence with the numbers, else empty.
     """
 
     name: str
@@ -280,7 +278,7 @@ def _constraint(
 def _sensor_holds_object(traced: list[_Traced]) -> Constraint:
     m = max((t.matching for t in traced), key=lambda m: m.sbp_object)
     return _constraint(
-        "space-bandwidth product of the sensor (Eq. 1)",
+        "SBP of the sensor (Eq. 1)",
         m.sbp_sensor,
         ">=",
         m.sbp_object,

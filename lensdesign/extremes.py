@@ -1,15 +1,15 @@
 """The worst ray of a lens: the largest value of a ray metric over field and pupil, refined until it stands.
 
-A dense sampling finds where the largest values lie; a pattern search (every neighbour on a grid that halves
-whenever its centre is best) then follows each of them. Maxima inside the pupil or the field are found as
-well as those on the rim.
+A dense sampling finds where the largest values lie; a direct search then follows each of them. It polls
+random directions (every direction comes up in the end, as in mesh-adaptive direct search: Audet and Dennis,
+SIAM J. Optim. 17, 188, 2006), so that it also creeps along the edge of a vignetted pupil, and shortens its
+step whenever no direction is better. Maxima inside the pupil or the field are found as well as on the rim.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,16 @@ from lensdesign.trace import RayTrace, trace_compiled
 
 Array = NDArray[np.float64]
 Metric = Callable[[RayTrace], Array]
+Evaluate = Callable[[Array], Array]
 
-HEIGHT, AZIMUTH, PUPIL_RADIUS, PUPIL_ANGLE = range(4)
-FINEST_STEP = 1e-9
+FIELD, PUPIL = slice(0, 2), slice(2, 4)
+FINEST_STEP = 1e-8
 MOST_STEPS = 200
+POLLED = 24
+"""Directions that are polled at a step, half of them the opposites of the others."""
+
+PUPIL_STEP, AZIMUTHS = 1.0 / 16, 16
+"""Of the dense sampling."""
 
 
 @dataclass(frozen=True)
@@ -76,75 +82,92 @@ def extremes(
     """
 
     def evaluate(coordinates: Array) -> Array:
-        field, pupil = _points(coordinates)
-        stop = lens.stop_index, lens.stop_semi_diameter_mm
-        rays = trace_compiled(
-            system, *launch_pairs(system, field, pupil, lens.object_z_mm, *stop), plane_z_mm
+        origins, directions = launch_pairs(
+            system,
+            coordinates[:, FIELD],
+            coordinates[:, PUPIL],
+            lens.object_z_mm,
+            lens.stop_index,
+            lens.stop_semi_diameter_mm,
         )
+        rays = trace_compiled(system, origins, directions, plane_z_mm)
         return np.where(rays.ok, metric(rays), -np.inf)
 
-    starts, steps = _starts(evaluate, heights_mm, symmetric)
-    free = [PUPIL_RADIUS, PUPIL_ANGLE] if symmetric else [AZIMUTH, PUPIL_RADIUS, PUPIL_ANGLE]
-    best, values = _climb(evaluate, starts, steps, free, lens.half_field_mm)
-    table = values.reshape(len(heights_mm), -1).max(axis=1)
+    starts = _starts(evaluate, heights_mm, symmetric)
+    per_height = len(starts) // len(heights_mm)
+    heights = np.repeat(heights_mm, per_height)
+    spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
+    around = 0.0 if symmetric else 2.0 * np.pi / AZIMUTHS * lens.half_field_mm
+    pupil_steps = [PUPIL_STEP, PUPIL_STEP]
+    best, values = _climb(
+        evaluate, starts, np.array([around, around, *pupil_steps]), lambda u: _project(u, heights)
+    )
+    table = values.reshape(len(heights_mm), per_height).max(axis=1)
     if between_heights:
-        best, values = _climb(evaluate, best, steps, [HEIGHT, *free], lens.half_field_mm)
+        steps = np.array([around, max(around, spacing), *pupil_steps])
+        best, values = _climb(evaluate, best, steps, lambda u: _project(u, None, lens.half_field_mm))
     worst = int(np.argmax(values))
-    field, pupil = _points(best[worst : worst + 1])
+    fx, fy, px, py = (float(v) for v in best[worst])
     return Extremes(
         values=np.where(np.isfinite(table), table, np.nan),
         value=float(values[worst]) if np.isfinite(values[worst]) else np.nan,
-        field_mm=(float(field[0, 0]), float(field[0, 1])),
-        pupil=(float(pupil[0, 0]), float(pupil[0, 1])),
+        field_mm=(fx, fy),
+        pupil=(px, py),
     )
 
 
-def _points(coordinates: Array) -> tuple[Array, Array]:
-    """Object points and stop points; both angles are measured from +y towards +x."""
-    height, azimuth, radius, angle = coordinates.T
-    return (
-        np.stack([height * np.sin(azimuth), height * np.cos(azimuth)], axis=-1),
-        np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=-1),
-    )
-
-
-def _starts(evaluate: Callable[[Array], Array], heights_mm: Array, symmetric: bool) -> tuple[Array, Array]:
-    """For each height the best ray on the rim of the stop and the best inside, and the sampling's steps."""
-    azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(16) / 16
-    radii = np.linspace(0.0, 1.0, 17)
+def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
+    """For each height the best sample on the rim of the stop and the best inside, height by height."""
+    azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    radii = np.linspace(0.0, 1.0, round(1.0 / PUPIL_STEP) + 1)
     angles = np.linspace(0.0, np.pi, 25) if symmetric else 2.0 * np.pi * np.arange(48) / 48
-    axes = np.meshgrid(heights_mm, azimuths, radii, angles, indexing="ij")
-    coordinates = np.stack(axes, axis=-1)
-    values = evaluate(coordinates.reshape(-1, 4)).reshape(coordinates.shape[:-1])
+    height, azimuth, radius, angle = np.meshgrid(heights_mm, azimuths, radii, angles, indexing="ij")
+    coordinates = np.stack(
+        [height * np.sin(azimuth), height * np.cos(azimuth), radius * np.sin(angle), radius * np.cos(angle)],
+        axis=-1,
+    )
+    values = evaluate(coordinates.reshape(-1, 4)).reshape(height.shape)
     starts = []
-    for i, part in product(range(len(heights_mm)), (slice(16, 17), slice(0, 16))):
-        where = np.unravel_index(np.argmax(values[i, :, part]), values[i, :, part].shape)
-        starts.append(coordinates[i, :, part][where])
-    height_step = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
-    steps = np.array([height_step, 2.0 * np.pi / 16, 1.0 / 16, np.pi / 24])
-    return np.array(starts), steps
+    for i in range(len(heights_mm)):
+        for part in (slice(-1, None), slice(0, -1)):
+            some = values[i, :, part]
+            where = np.unravel_index(np.argmax(some), some.shape)
+            starts.append(coordinates[i, :, part][where])
+    return np.array(starts)
+
+
+def _project(coordinates: Array, heights_mm: Array | None, half_field_mm: float = 0.0) -> Array:
+    """Put stop points back into the stop, and object points back to their heights or into the field."""
+    result = coordinates.copy()
+    field = np.linalg.norm(coordinates[..., FIELD], axis=-1, keepdims=True)
+    if heights_mm is None:
+        scale = np.minimum(1.0, half_field_mm / np.maximum(field, 1e-300))
+    else:
+        own = heights_mm.reshape(-1, *(1,) * (coordinates.ndim - 1))
+        scale = np.where(field > 0.0, own / np.maximum(field, 1e-300), 1.0)
+    result[..., FIELD] *= scale
+    result[..., PUPIL] /= np.maximum(1.0, np.linalg.norm(coordinates[..., PUPIL], axis=-1, keepdims=True))
+    return result
 
 
 def _climb(
-    evaluate: Callable[[Array], Array], starts: Array, steps: Array, free: list[int], half_field_mm: float
+    evaluate: Evaluate, starts: Array, steps: Array, project: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """Pattern search for the largest value from every start at once, along the free coordinates."""
-    pattern = np.zeros((3 ** len(free), 4))
-    pattern[:, free] = list(product((0.0, -1.0, 1.0), repeat=len(free)))
+    """Direct search for the largest value from every start at once."""
+    rng = np.random.default_rng(0)
     best, values = starts.copy(), evaluate(starts)
     size = np.full(len(starts), 0.5)
+    rows = np.arange(len(starts))
     for _ in range(MOST_STEPS):
-        active = np.flatnonzero(size > FINEST_STEP)
-        if not len(active):
+        if np.all(size < FINEST_STEP):
             break
-        trial = best[active, None] + size[active, None, None] * (pattern * steps)
-        trial[..., HEIGHT] = np.clip(trial[..., HEIGHT], 0.0, half_field_mm)
-        trial[..., PUPIL_RADIUS] = np.clip(trial[..., PUPIL_RADIUS], 0.0, 1.0)
+        direction = rng.normal(size=(POLLED // 2, 4)) * (steps > 0.0)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        polled = np.concatenate([direction, -direction]) * steps
+        trial = project(best[:, None] + size[:, None, None] * polled)
         found = evaluate(trial.reshape(-1, 4)).reshape(trial.shape[:-1])
         choice = np.argmax(found, axis=1)
-        rows = np.arange(len(active))
-        better = found[rows, choice] > values[active]
-        moved = active[better]
-        best[moved], values[moved] = trial[rows, choice][better], found[rows, choice][better]
-        size[active[~better]] *= 0.5
+        better = found[rows, choice] > values
+        best[better], values[better] = trial[rows, choice][better], found[rows, choice][better]
+        size = np.where(better, np.minimum(1.0, 1.5 * size), 0.7 * size)
     return best, values
