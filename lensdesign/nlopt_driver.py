@@ -278,7 +278,7 @@ def _prepared(
     opt.set_min_objective(search.objective)
     if rows:
         opt.add_inequality_mconstraint(search.constraints, np.full(rows, 1e-10))
-    return _limited(opt, limits, 1e-11)
+    return _limited(opt, limits, 1e-10)
 
 
 def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
@@ -303,7 +303,7 @@ def _run(nlopt: Any, opt: Any, search: _Search, x0: Array, deadline: float) -> s
         return reasons.get(opt.last_optimize_result(), "finished")
     except Exception as error:  # nlopt's own classes differ from release to release
         kind = type(error).__name__.lower().replace("_", "")
-        if search.error is None and search.evaluations <= 1:
+        if search.error is None and kind == "invalidargument":
             raise InputError(f"nlopt refused the problem: {kind} {error}") from error
         if time.monotonic() >= deadline:
             return "time limit"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import DesignError
 from lensdesign.nlopt_driver import ALGORITHMS, FEASIBLE, Evaluation, Outcome, minimize
 from lensdesign.problem import DesignProblem, Rays, sample_rays
-from lensdesign.requirements import Row
+from lensdesign.requirements import KEPT, Row
 from lensdesign.specification import Specification, refuse_impossible
 from lensdesign.system import Lens
 
@@ -27,6 +27,9 @@ EXCHANGES = 12
 
 LOCAL_EVALUATIONS = 200
 """Most evaluations of one algorithm of a chain; what takes longer is better left to the next."""
+
+TOLERANCE = 3e-5
+"""Rays that exceed the working set by less than this (scaled) are not worth another round."""
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
@@ -85,7 +88,7 @@ class _Found:
 
     @property
     def rank(self) -> tuple[float, float]:
-        violation = self.outcome.violation if self.outcome.violation > FEASIBLE else 0.0
+        violation = self.outcome.violation if self.outcome.violation > KEPT else 0.0
         return violation, self.outcome.objective
 
 
@@ -188,7 +191,7 @@ def _search(
     heights = tuple(f.field_mm for f in specification.constraints.field_spread)
     half = problem.base.half_field_mm
     rays = sample_rays(half, 3, 5, 1, heights)
-    dense = sample_rays(half, 21, 65, 15, heights)
+    dense = sample_rays(half, 16, 97, 12, heights)
     chain = _chain(specification.optimize.algorithm)
     point, spent = start, 0
     for _ in range(EXCHANGES):
@@ -200,6 +203,7 @@ def _search(
         if worse is None or time.monotonic() > deadline:
             break
         rays = rays.with_rays(worse)
+    dense = dense.with_rays(rays)
     final = problem.evaluate(point, dense)
     ended = Outcome(point, final.objective, final.violation, spent, outcome.stopped_because)
     return _Found(problem, dense, ended), spent
@@ -208,12 +212,12 @@ def _search(
 def _chain(algorithm: str) -> tuple[str, ...]:
     """What to run, each from where the one before ended, until one converges.
 
-    SLSQP is the fastest, but at times loses its way in narrow valleys. MMA does not, and leaves SLSQP
+    SLSQP is the fastest, but at times loses its way in narrow valleys. COBYLA does not, and leaves SLSQP
     the last step.
     """
     if ALGORITHMS[algorithm].everywhere:
-        return (algorithm, "slsqp", "mma", "slsqp")
-    return ("slsqp", "mma", "slsqp") if algorithm == "slsqp" else (algorithm,)
+        return (algorithm, "slsqp", "cobyla", "slsqp")
+    return ("slsqp", "cobyla", "slsqp") if algorithm == "slsqp" else (algorithm,)
 
 
 def _solve(
@@ -259,16 +263,41 @@ def _solve(
 
 
 def _worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
-    """Rays of the dense set that exceed every ray of the working set, the worst of each kind."""
-    picked: list[int] = []
-    for own, all_ in zip(_flat(problem.rows(point, rays)), _flat(problem.rows(point, dense)), strict=True):
-        if all_.rays is None or not len(all_.values):
+    """Rays that exceed every ray of the working set, the worst of each kind, refined off the dense grid."""
+    worse: Rays | None = None
+    own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
+    for number, (row, wide) in enumerate(zip(own, all_, strict=True)):
+        if wide.rays is None or not len(wide.values):
             continue
-        worst = int(np.argmax(all_.values))
-        matters = all_.values[worst] > -0.02 or all_.name.startswith("spread")
-        if matters and all_.values[worst] > np.max(own.values) + 1e-7:
-            picked.append(int(all_.rays[worst]))
-    return dense.take(np.array(sorted(set(picked)))) if picked else None
+        worst = int(np.argmax(wide.values))
+        matters = wide.values[worst] > -0.02 or wide.name.startswith("spread")
+        if not matters:
+            continue
+        ray, value = _refined(problem, point, number, dense.take(wide.rays[worst : worst + 1]))
+        if value > np.max(row.values) + TOLERANCE:
+            worse = ray if worse is None else worse.with_rays(ray)
+    return worse
+
+
+def _refined(problem: DesignProblem, point: Array, number: int, ray: Rays) -> tuple[Rays, float]:
+    """The worst ray of one row in the neighbourhood of a ray, by shrinking grids over field and stop."""
+    half = problem.base.half_field_mm
+    step, value = 1.0 / 32.0, -math.inf
+    steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))))
+    fixed_fields = bool(problem.specification.constraints.field_spread)
+    for _ in range(5):
+        field = ray.fields_mm[0, 1] + (0.0 if fixed_fields else step * half) * steps[:, 0]
+        pupil = ray.pupil[0] + step * steps[:, 1:]
+        radius = np.maximum(1.0, np.linalg.norm(pupil, axis=-1, keepdims=True))
+        near = Rays(np.column_stack([np.zeros(len(field)), np.clip(field, 0.0, half)]), pupil / radius)
+        row = _flat(problem.rows(point, near))[number]
+        if row.rays is None or not len(row.values):
+            break
+        worst = int(np.argmax(row.values))
+        if row.values[worst] >= value:
+            ray, value = near.take(row.rays[worst : worst + 1]), float(row.values[worst])
+        step /= 3.0
+    return ray, value
 
 
 def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:
@@ -283,7 +312,7 @@ def _result(best: _Found, found: list[_Found], evaluations: int, seconds: float)
     violations = [
         f"{row.name}: exceeds its limit by {100.0 * np.max(row.values):.3g} %"
         for row in constraints
-        if np.max(row.values, initial=-1.0) > FEASIBLE
+        if np.max(row.values, initial=-1.0) > KEPT
     ]
     target = best.rank[1] * 1.001
     at_best = [f for f in found if f.rank[0] == best.rank[0] and f.rank[1] <= target]

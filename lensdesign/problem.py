@@ -34,25 +34,37 @@ class Rays:
         kept = both[np.sort(first)]
         return Rays(kept[:, :2], kept[:, 2:])
 
-    def take(self, which: Array) -> Rays:
+    def take(self, which: NDArray[np.int64]) -> Rays:
         """Some of the rays."""
         return Rays(self.fields_mm[which], self.pupil[which])
 
 
 def sample_rays(
-    half_field_mm: float, fields: int, fan: int, rim: int, heights: tuple[float, ...] = ()
+    half_field_mm: float, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()
 ) -> Rays:
-    """Field heights along y, each with a meridional fan and half of the rim (the rest is symmetric)."""
+    """Field heights along y, each with a meridional fan and rays over half of the stop beside it.
+
+    The other half, and fields along other azimuths, are the same by symmetry.
+
+    Parameters
+    ----------
+    half_field_mm
+        Largest field height.
+    fields, fan
+        Number of field heights, and of rays in each fan.
+    skew
+        Number of azimuths, and of rings, of the skew rays.
+    heights
+        More field heights.
+    """
     y = np.union1d(np.linspace(0.0, half_field_mm, fields), heights)
-    angle = np.pi * np.arange(1, rim + 1) / (rim + 1) - 0.5 * np.pi
-    fan_y = np.linspace(-1.0, 1.0, fan)
-    pupil = np.concatenate(
-        [
-            np.stack([np.zeros(fan), fan_y], axis=-1),
-            np.stack([np.cos(angle), np.sin(angle)], axis=-1),
-            0.7 * np.stack([np.cos(angle), np.sin(angle)], axis=-1),
-        ]
+    azimuth = np.pi * np.arange(1, skew + 1) / (skew + 1) - 0.5 * np.pi
+    radius = np.arange(1, skew + 1) / skew
+    fan_points = np.stack([np.zeros(fan), np.linspace(-1.0, 1.0, fan)], axis=-1)
+    skew_points = np.stack(
+        [np.outer(radius, np.cos(azimuth)).ravel(), np.outer(radius, np.sin(azimuth)).ravel()], axis=-1
     )
+    pupil = np.concatenate([fan_points, skew_points])
     fields_mm = np.column_stack([np.zeros(len(y)), y])
     return Rays(np.repeat(fields_mm, len(pupil), axis=0), np.tile(pupil, (len(y), 1)))
 

@@ -21,8 +21,11 @@ from lensdesign.system import Lens
 
 Array = NDArray[np.float64]
 
-LIMIT_MARGIN = 1e-5
+LIMIT_MARGIN = 3e-5
 """Limits are kept by this relative margin, so that a denser check of the result finds them kept too."""
+
+KEPT = 2.0 * LIMIT_MARGIN
+"""A scaled square that exceeds its narrowed limit by no more than this keeps the limit as given."""
 
 CONIC_EDGE_SHARE = 0.95
 """Surfaces stay within this share of the radial height at which their conic ends."""
