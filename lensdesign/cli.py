@@ -122,7 +122,8 @@ def draw(
     from lensdesign.files import load_design
     from lensdesign.plots import draw_all
 
-    _report_files(draw_all(load_design(design), output, tuple(f.value for f in formats)), as_json)
+    lens, chosen = load_design(design), tuple(f.value for f in formats)
+    _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
 
 
 @app.command()
@@ -291,7 +292,7 @@ def _table(title: str, *columns: str) -> Any:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title) or None, title_justify="left", title_style="bold")
+    table = Table(title=escape(title) or None, title_justify="left", title_style="bold", min_width=len(title))
     for column in columns:
         table.add_column(column, justify="right" if column in ("value", "limit") else "left")
     return table

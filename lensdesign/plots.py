@@ -127,7 +127,7 @@ def layout_figure(lens: Lens) -> Figure:
     span_z = (lens.object_z_mm - 0.09 * length, lens.sensor_z_mm[-1] + 0.06 * length)
     span_y = (-1.22 * half_height, 1.22 * half_height)
     height = 9.3 * (span_y[1] - span_y[0]) / (span_z[1] - span_z[0])
-    figure = _figure((10.0, min(max(height, 2.4), 9.0) + 0.95))
+    figure = _figure((10.0, min(max(height, 2.4), 9.0) + 1.2))
     axes = figure.add_subplot()
     _draw_glass(axes, lens)
     _draw_rays(axes, lens)
@@ -138,7 +138,7 @@ def layout_figure(lens: Lens) -> Figure:
     axes.set(xlim=span_z, ylim=span_y)
     _draw_scale_bar(axes, length, half_height)
     _label(axes, "z (mm)", "y (mm)")
-    figure.legend(loc="outside upper center", ncols=len(FIELD_SHARES), frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=len(FIELD_SHARES), frameon=False, fontsize=9)
     return figure
 
 
