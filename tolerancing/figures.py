@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,6 +44,14 @@ STYLE: dict[str, Any] = {
 }
 
 
+def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    """The report's style, with some changes, for figures drawn inside a ``with``."""
+    import matplotlib as mpl
+
+    parameters: Any = {**STYLE, **(changes or {})}
+    return mpl.rc_context(parameters)
+
+
 def styled_figure(width: float, height: float) -> Figure:
     """An empty figure, in inches, that no window system knows of."""
     from matplotlib.figure import Figure
@@ -65,9 +74,7 @@ def merit_label(summary: MeritSummary) -> str:
 
 def distributions_figure(merits: Sequence[MeritSummary], scores: Array) -> Figure:
     """Histogram and cumulative distribution of each merit, with its limit and nominal value."""
-    import matplotlib as mpl
-
-    with mpl.rc_context(STYLE):
+    with styled():
         columns = min(2, len(merits))
         rows = -(-len(merits) // columns)
         figure = styled_figure(4.7 * columns, 2.5 * rows)
@@ -103,16 +110,14 @@ def _distribution(axis: Axes, summary: MeritSummary, scores: Array) -> None:
     cumulative.set_ylim(0.0, 1.02)
     cumulative.set_ylabel("cumulative", color=ORANGE)
     cumulative.grid(visible=False)
-    axis.legend(loc="upper left" if merit.at_least is not None else "upper right", fontsize=7.5)
+    axis.legend(loc="upper left", fontsize=7.5)
 
 
 def scatter_figure(
     study: Study, results: TrialResults, summary: MeritSummary, merit: int, correlation: RankCorrelation
 ) -> Figure:
     """One merit (by its number) against every perturbation, the strongest first."""
-    import matplotlib as mpl
-
-    with mpl.rc_context(STYLE | {"font.size": 7.5, "axes.titlesize": 7.5}):
+    with styled({"font.size": 7.5, "axes.titlesize": 7.5}):
         order = np.argsort(-correlation.strength[merit], kind="stable")
         columns = min(4, len(order))
         rows = -(-len(order) // columns)
@@ -137,11 +142,9 @@ def scatter_figure(
 
 def sweep_figure(study: Study, sweep: Sweep, steps: Sequence[StepResults]) -> Figure:
     """Contrast of the line pairs, and the other merits, over a sweep's values."""
-    import matplotlib as mpl
-
     others = [m for m in study.sweep_merits(sweep) if m.label in sweep.merits]
     panels = int(bool(sweep.line_widths_um)) + len(others)
-    with mpl.rc_context(STYLE):
+    with styled():
         figure = styled_figure(4.7 * max(2, panels), 2.9)
         axes = list(np.ravel(figure.subplots(1, max(2, panels), squeeze=False)))
         values = [step.value for step in steps]
@@ -184,17 +187,15 @@ def axis_label_of_sweep(sweep: Sweep) -> str:
 
 def contrast_label(merit: LinePairContrast) -> str:
     """A line width, and whether it was refocused, in words."""
-    return f"{merit.line_width_um:g} um lines, {'refocused' if merit.refocus else 'as it is'}"
+    return f"{merit.line_width_um:g} um lines, {'refocused' if merit.refocus else 'not refocused'}"
 
 
 def pictures_figure(sweep: Sweep, steps: Sequence[StepResults]) -> Figure:
     """Reconstructed line pairs: a column for each value with pictures, a row for each line width."""
-    import matplotlib as mpl
-
     shown = [step for step in steps if step.pictures]
     merits = sweep.line_pairs()
     columns = len(shown)
-    with mpl.rc_context(STYLE | {"axes.grid": False}):
+    with styled({"axes.grid": False}):
         figure = styled_figure(9.4, 9.4 / max(columns, 3) / 2.05 * len(sweep.line_widths_um) + 0.5)
         parts = figure.subfigures(1, columns, squeeze=False, wspace=0.02)[0]
         for part, step in zip(parts, shown, strict=True):
@@ -221,7 +222,7 @@ def _picture(axis: Axes, step: StepResults, merit: LinePairContrast) -> None:
             )
     score = step.scores.get(merit.label, np.nan)
     axis.set_title(
-        f"{'refocused' if merit.refocus else 'as it is'}: {score:.2f}",
+        f"{'refocused' if merit.refocus else 'not refocused'}: {score:.2f}",
         fontsize=7.0,
         fontweight="normal",
         pad=2.5,

@@ -68,6 +68,13 @@ class Merit(Section):
         """The limit in words."""
         return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
 
+    @property
+    def meaning(self) -> str:
+        """What the merit is, in one sentence, and what it was asked for."""
+        own = [name for name in type(self).model_fields if name not in Merit.model_fields]
+        values = ", ".join(f"{name} = {getattr(self, name)}" for name in own if getattr(self, name) != ())
+        return f"{(type(self).__doc__ or '').splitlines()[0]} {f'({values})' if values else ''}".strip()
+
     def margin(self, scores: Any) -> Array:
         """How far scores lie on the good side of the limit; NaN where there is no score."""
         distance = np.asarray(scores, float) - self.limit

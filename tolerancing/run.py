@@ -17,6 +17,7 @@ from tolerancing.evaluate import nominal_scores, score_step, score_trials
 from tolerancing.results import Results
 from tolerancing.store import Store, create_store, open_store, toolkit_version
 from tolerancing.study import LoadedStudy, Study
+from tolerancing.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -187,6 +188,7 @@ def _results(
     from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
     from multiprocessing import get_context
 
+    one_blas_thread()
     pool = ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(loaded,)
     )

@@ -69,7 +69,7 @@ class Sweep(PerturbedParameter):
         check_field_point(lens, self.field_mm, "field_mm")
 
     def line_pairs(self) -> tuple[LinePairContrast, ...]:
-        """The contrasts to score, each line width refocused and not."""
+        """The contrasts to score, each line width refocused and not; limit 0 is where lines reverse."""
         return tuple(
             LinePairContrast(
                 kind="line_pair_contrast",

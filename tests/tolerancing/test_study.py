@@ -1,0 +1,97 @@
+"""Study files: what is read, and every fault with its place and what is allowed."""
+
+import pytest
+
+from lensdesign import DesignError
+from tolerancing.study import load_study
+
+
+def test_study_is_read_with_its_design(write_study, full_study):
+    path = write_study(full_study)
+    loaded = load_study(path)
+    study = loaded.study
+    assert (study.title, study.trials, study.seed, study.sampling.arms) == ("a study", 40, 7, 6)
+    assert [p.column for p in study.perturbations] == ["lens_decenter_y_mm", "shop_radius_mm"]
+    assert [(m.kind, m.limit, m.column) for m in study.merits] == [
+        ("largest_spread_deg", 4.83, "largest_spread_deg"),
+        ("strehl", 0.5, "strehl"),
+    ]
+    assert [m.label for m in study.sweep_merits(study.sweeps[0])] == [
+        "largest_spread_deg",
+        "contrast_1um_refocused",
+        "contrast_1um",
+    ]
+    assert loaded.lens.surfaces[1].radius_mm == -12.0
+    assert loaded.study_text == full_study
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seed = 7", "sed = 7", r"study.toml: sed: unknown key; allowed: title, design, .*perturbation"),
+        ("trials = 40", "trials = 0", r"trials = 0: must be greater than or equal to 1"),
+        ("trials = 40", "", r"trials: missing key"),
+        ("sigma = 0.02", "sigma = -0.02", r"study.toml: perturbation 1: sigma = -0.02"),
+        ('"normal"', '"gauss"', r"perturbation 1: distribution = 'gauss'.*allowed: normal, truncated_normal"),
+        ('"surface 2"', '"surface 9"', r"perturbation 2: target = 'surface 9'.*allowed: lens, surface 1"),
+        (
+            'kind = "largest_spread_deg"',
+            'kind = "largest"',
+            r"merit 1: kind = 'largest'.*allowed: largest_sp",
+        ),
+        ("at_most = 4.83", "", r"merit 1: give one limit, at_least or at_most; the limit is missing"),
+        ("at_most = 4.83", "at_most = 5.0\nat_least = 1.0", r"merit 1: .*both are given"),
+        ("at_most = 4.83", "at_most = 5.0\nfield_points_mm = [[0.0, 2.0]]", r"lies 2 mm from the axis"),
+        ("at_most = 4.83", "at_most = 5.0\nline_width_um = 1.0", r"merit 1: line_width_um: unknown key"),
+        ("arms = 6", "arms = 1", r"sampling, arms = 1"),
+        ('design = "design.toml"', 'design = "none.toml"', r"cannot read .*none.toml"),
+        (
+            'merits = ["largest_spread_deg"]',
+            'merits = ["speed"]',
+            r"there is no merit 'speed'; allowed: larg",
+        ),
+        (
+            "picture_values = [0.04]",
+            "picture_values = [0.05]",
+            r"sweep 1: picture_values = \[0.05\]: allowed",
+        ),
+        ("line_widths_um = [1.0]", "line_widths_um = [-1.0]", r"sweep 1: line_widths_um 1 = -1.0"),
+        ('name = "shop_radius"', 'name = "lens_decenter_y"', r"both called 'lens_decenter_y_mm'"),
+    ],
+)
+def test_faults_name_their_place(write_study, full_study, old, new, message):
+    assert old in full_study
+    path = write_study(full_study.replace(old, new, 1))
+    with pytest.raises(DesignError, match=message):
+        load_study(path)
+
+
+def test_all_faults_are_told_at_once(write_study, full_study):
+    text = full_study.replace("sigma = 0.02", "sigma = -1.0").replace("at_most = 4.83", "")
+    with pytest.raises(DesignError) as error:
+        load_study(write_study(text))
+    assert len(str(error.value).splitlines()) == 2
+
+
+def test_names_must_differ(write_study, full_study):
+    path = write_study(
+        full_study.replace('name = "shop_radius"', 'name = "strehl"').replace("radius_mm", "conic")
+    )
+    with pytest.raises(DesignError, match="both called 'strehl'"):
+        load_study(path)
+
+
+def test_sections_must_be_arrays_of_tables(write_study, full_study):
+    path = write_study(full_study.replace("[[merit]]", "[merit]", 1).replace("[[merit]]", "[other]"))
+    with pytest.raises(DesignError, match=r"merit: must be tables, each headed \[\[merit\]\]"):
+        load_study(path)
+
+
+def test_fingerprint_follows_study_design_and_indices(write_study, full_study):
+    first = load_study(write_study(full_study)).fingerprint
+    assert load_study(write_study(full_study)).fingerprint == first
+    assert load_study(write_study(full_study.replace("seed = 7", "seed = 8"))).fingerprint != first
+    path = write_study(full_study)
+    design = path.parent / "design.toml"
+    design.write_text(design.read_text().replace("42.3", "42.4"))
+    assert load_study(path).fingerprint != first
