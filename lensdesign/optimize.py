@@ -31,6 +31,9 @@ LOCAL_EVALUATIONS = 200
 TOLERANCE = 3e-5
 """Rays that exceed the working set by less than this (scaled) are not worth another round."""
 
+SECTOR_DEG = 30.0
+"""Of the stop, in each of which the worst ray is refined."""
+
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
 
@@ -263,19 +266,28 @@ def _solve(
 
 
 def _worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
-    """Rays that exceed every ray of the working set, the worst of each kind, refined off the dense grid."""
+    """Rays that exceed every ray of the working set: the worst of each kind and sector of the stop.
+
+    Maxima compete (a skew ray on the rim, a meridional one inside), so each sector is searched: else the
+    grid's error on a sharp maximum hides it behind a flat one.
+    """
     worse: Rays | None = None
+    sector = np.minimum(np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0])) // SECTOR_DEG, 2)
     own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
     for number, (row, wide) in enumerate(zip(own, all_, strict=True)):
         if wide.rays is None or not len(wide.values):
             continue
-        worst = int(np.argmax(wide.values))
-        matters = wide.values[worst] > -0.02 or wide.name.startswith("spread")
-        if not matters:
+        top = np.max(wide.values)
+        if top <= -0.02 and not wide.name.startswith("spread"):
             continue
-        ray, value = _refined(problem, point, number, dense.take(wide.rays[worst : worst + 1]))
-        if value > np.max(row.values) + TOLERANCE:
-            worse = ray if worse is None else worse.with_rays(ray)
+        for which in np.unique(sector):
+            mine = np.flatnonzero(sector[wide.rays] == which)
+            if not len(mine) or np.max(wide.values[mine]) < top - 0.02:
+                continue
+            worst = wide.rays[mine[np.argmax(wide.values[mine])]]
+            ray, value = _refined(problem, point, number, dense.take(worst[None]))
+            if value > np.max(row.values) + TOLERANCE:
+                worse = ray if worse is None else worse.with_rays(ray)
     return worse
 
 
