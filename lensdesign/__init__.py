@@ -1,21 +1,6 @@
 """Design of non-imaging spatial information transfer lenses: geometry, rays, optimization, meshes."""
 
-from lensdesign.errors import DesignError, InputError, MaterialError, TransferLensError
-from lensdesign.files import load_design, save_design
-from lensdesign.poses import Pose, SurfacePerturbation
-from lensdesign.system import Lens, ObjectSpace, Sensor, Surface
+import lazy_loader
 
-__all__ = [
-    "DesignError",
-    "InputError",
-    "Lens",
-    "MaterialError",
-    "ObjectSpace",
-    "Pose",
-    "Sensor",
-    "Surface",
-    "SurfacePerturbation",
-    "TransferLensError",
-    "load_design",
-    "save_design",
-]
+# Public names are listed in __init__.pyi, and imported where they are first used.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.console import message_console, print_json, run_app
+from lensdesign.console import make_app, message_console, print_json, run_app
 from lensdesign.errors import atomic_path
 
 if TYPE_CHECKING:
@@ -16,12 +16,7 @@ if TYPE_CHECKING:
     from lensdesign.optimize import OptimizationResult
     from lensdesign.specification import Specification
 
-app = typer.Typer(
-    help="Design non-imaging spatial information transfer lenses.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+app = make_app("Design non-imaging spatial information transfer lenses.")
 
 
 class PictureFormat(StrEnum):
@@ -40,26 +35,11 @@ def main() -> None:
     run_app(app)
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
-        from importlib.metadata import version
-
-        typer.echo(f"transferlens {version('transferlens')}")
-        raise typer.Exit
-
-
-@app.callback()
-def _common(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    """Options of every command."""
-
-
 @app.command()
 def check(design: Design, as_json: Json = False) -> None:
-    """Check a design against Eqs. 1 and 2, its sensor, its aperture and its edges.
+    """Check matching, spread, footprint and edges.
+
+    Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge thickness.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """
@@ -87,7 +67,7 @@ def optimize(
         float | None, typer.Option(help="Time limit, in place of the specification's.", show_default=False)
     ] = None,
 ) -> None:
-    """Search for the lens that a specification asks for, and write it as a design file.
+    """Search for the lens that a specification asks for.
 
     Exit status: 0 if the lens meets every constraint, 1 if not (it is written all the same), 2 for bad input.
     """
@@ -118,7 +98,10 @@ def draw(
     ] = [PictureFormat.PNG],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Draw the layout, spot diagrams, arrival angles and, where it can be rendered, the lens in 3D."""
+    """Draw the layout, spots, arrival angles and the lens in 3D.
+
+    The 3D view is left out, with a note, where nothing can be rendered off-screen.
+    """
     from lensdesign.files import load_design
     from lensdesign.plots import draw_all
 
@@ -166,7 +149,7 @@ def glass(
     search: Annotated[bool, typer.Option("--search", help="List the names that contain NAME.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show the index, Abbe number and range of a glass, or search for one."""
+    """Show a glass (index, Abbe number, range), or search."""
     if search:
         _print_matches(name, catalog, as_json)
         return

@@ -4,14 +4,45 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from lensdesign.errors import TransferLensError
 
 if TYPE_CHECKING:
-    import typer
     from rich.console import Console
     from rich.progress import Progress
+
+
+def make_app(purpose: str) -> typer.Typer:
+    """A Typer application with the looks and the options that all commands have."""
+    app = typer.Typer(
+        help=purpose,
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+    @app.callback()
+    def common(
+        version: Annotated[
+            bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        ] = False,
+    ) -> None:
+        """Options of every command."""
+
+    return app
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"transferlens {version('transferlens')}")
+        raise typer.Exit
 
 
 def run_app(app: typer.Typer) -> None:

@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lensdesign.console import make_app, print_json, run_app
+
 if TYPE_CHECKING:
     from tolerancing.merit import Merit
     from tolerancing.summary import Summary, Yield
 
-app = typer.Typer(
-    help="Monte Carlo tolerancing of transfer lenses: studies, yields, reports.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+app = make_app("Monte Carlo tolerancing of transfer lenses: studies, yields, reports.")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -31,8 +28,11 @@ def run(
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Run a study's trials and sweeps into a store; an interrupted run goes on where it stopped."""
-    from lensdesign.console import message_console, print_json, progress_bar
+    """Run a study's trials and sweeps into a store.
+
+    An interrupted run goes on where it stopped.
+    """
+    from lensdesign.console import message_console, progress_bar
     from tolerancing.run import run_study
     from tolerancing.store import open_store
     from tolerancing.study import load_study
@@ -71,8 +71,7 @@ def run(
 
 @app.command()
 def show(store: StorePath, as_json: Json = False) -> None:
-    """Show what a store holds: trials done, yield with its confidence interval, merit by merit."""
-    from lensdesign.console import print_json
+    """Show the yield that a store holds, merit by merit."""
     from tolerancing.store import open_store
     from tolerancing.summary import summarize
 
@@ -90,8 +89,10 @@ def report(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the report.")],
     as_json: Json = False,
 ) -> None:
-    """Write a store's report: report.html, which needs nothing beside itself, and tables as CSV."""
-    from lensdesign.console import print_json
+    """Write a store's report.
+
+    report.html needs nothing beside itself; trials.csv and sweeps.csv are for other programs.
+    """
     from tolerancing.report import write_report
     from tolerancing.store import open_store
 
@@ -154,8 +155,6 @@ def main() -> None:
     from tolerancing.threads import one_blas_thread
 
     one_blas_thread()
-    from lensdesign.console import run_app
-
     run_app(app)
 
 

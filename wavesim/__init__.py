@@ -1,49 +1,6 @@
 """Wave side of the toolkit: from rays and fields to images and their quality."""
 
-from wavesim.line_pairs import (
-    line_pair_contrast,
-    line_pair_displacement_um,
-    line_pair_image,
-    line_pair_profile,
-    smallest_resolved_line_width_um,
-)
-from wavesim.point_characteristic import (
-    FoldError,
-    PointCharacteristic,
-    PupilSampler,
-    RayAimError,
-    point_characteristic,
-)
-from wavesim.pupil import (
-    PupilGrid,
-    ReconstructionPupil,
-    Refocused,
-    mtf,
-    psf,
-    refocus,
-    remove_shift,
-    rms_waves,
-    strehl,
-)
+import lazy_loader
 
-__all__ = [
-    "FoldError",
-    "PointCharacteristic",
-    "PupilGrid",
-    "PupilSampler",
-    "RayAimError",
-    "ReconstructionPupil",
-    "Refocused",
-    "line_pair_contrast",
-    "line_pair_displacement_um",
-    "line_pair_image",
-    "line_pair_profile",
-    "mtf",
-    "point_characteristic",
-    "psf",
-    "refocus",
-    "remove_shift",
-    "rms_waves",
-    "smallest_resolved_line_width_um",
-    "strehl",
-]
+# Public names are listed in __init__.pyi, and imported where they are first used.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

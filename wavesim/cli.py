@@ -7,29 +7,19 @@ from typing import Annotated, Any
 
 import typer
 
-from lensdesign.console import print_json, run_app
+from lensdesign.console import make_app, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import load_design
 from lensdesign.poses import Pose
 
-app = typer.Typer(
-    help="Waves through spatial information transfer lenses.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+app = make_app("Waves through spatial information transfer lenses.")
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 
 
-@app.callback()
-def _commands() -> None:
-    """Waves through spatial information transfer lenses."""
-
-
 @app.command()
 def pupil(
-    design: Annotated[Path, typer.Argument(help="Design file (TOML).")],
+    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
     field_mm: Annotated[str, typer.Option(help="Object point: x,y.")] = "0,0",
     wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
     plane_distance_mm: Annotated[float, typer.Option(help="From the exit vertex to the plane.")] = 3.0,
@@ -45,7 +35,11 @@ def pupil(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write.")] = None,
 ) -> None:
-    """What a displaced lens does to a reconstruction that knows only the nominal one."""
+    """Score the reconstruction through a displaced lens.
+
+    The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
+    the reconstruction pupil, and with it contrast and MTF.
+    """
     from wavesim.point_characteristic import PupilSampler
     from wavesim.pupil import refocus as to_best_focus
     from wavesim.pupil import remove_shift

@@ -252,7 +252,7 @@ def test_help_is_quick_and_lists_the_commands() -> None:
     done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=True)
     assert time.perf_counter() - began < 5.0  # well under 1 s where nothing else runs
     for name in ("check", "optimize", "draw", "export", "glass"):
-        assert f"│ {name} " in done.stdout
+        assert f"\n  {name} " in done.stdout
 
 
 def test_the_script_exits_with_2_and_a_message(tmp_path: Path) -> None:

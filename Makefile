@@ -1,0 +1,64 @@
+# make demo: the main job on the paper's lens.  make test: style, types and tests.
+# Both set up their own virtual environment first; Python 3.11, make and a C compiler are enough.
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+READY := .venv/ready
+OUT := demo_output
+PACKAGES := lensdesign wavesim tolerancing
+
+.PHONY: demo test test-lowest benchmarks lock clean
+
+demo: $(READY)
+	@mkdir -p $(OUT)
+	@# Exit status 1 says that a constraint is not met: the paper's lens is 0.9 % over its spread limit.
+	$(BIN)/lensdesign check designs/paper_singlet.toml || test $$? -eq 1
+	$(BIN)/lensdesign optimize designs/feasible_singlet_spec.toml -o $(OUT)/feasible_singlet.toml
+	$(BIN)/lensdesign check $(OUT)/feasible_singlet.toml
+	$(BIN)/lensdesign draw designs/paper_singlet.toml -o $(OUT)/paper_singlet
+	$(BIN)/lensdesign draw $(OUT)/feasible_singlet.toml -o $(OUT)/feasible_singlet
+	$(BIN)/lensdesign export designs/paper_singlet.toml $(OUT)/paper_singlet/paper_singlet.stl
+	$(BIN)/lensdesign export $(OUT)/feasible_singlet.toml $(OUT)/feasible_singlet/feasible_singlet.stl
+	$(BIN)/wavesim pupil designs/paper_singlet.toml --decenter-y-mm 0.03 -o $(OUT)/paper_singlet/decentered_30um.png
+	$(BIN)/tolerancing run designs/paper_tolerances.toml --store $(OUT)/paper_tolerances.db --fresh
+	$(BIN)/tolerancing report $(OUT)/paper_tolerances.db -o $(OUT)/report
+	@echo
+	@echo "Everything lies in $(OUT):"
+	@echo "  feasible_singlet.toml       the strictly feasible sibling, as a design file"
+	@echo "  paper_singlet/              layout, spots, arrival angles, 3D view, mesh, effect of a decentration"
+	@echo "  feasible_singlet/           the same of the sibling"
+	@echo "  paper_tolerances.db         the tolerance study's trials and sweeps"
+	@echo "  report/report.html          its report; open it in a browser"
+
+test: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy $(PACKAGES)
+	$(BIN)/python -m pytest -n auto
+
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed: make PYTHON=..."'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
+	touch $@
+
+# The oldest versions that pyproject.toml allows.
+test-lowest: $(READY)
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv venv --quiet --clear .venv-lowest
+	$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct --editable '.[dev]'
+	.venv-lowest/bin/python -m pytest -n auto
+
+benchmarks: $(READY)
+	$(BIN)/python -m benchmarks
+
+lock: $(READY)
+	$(BIN)/python -m pip install --quiet uv
+	printf 'hatchling\neditables\n' | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 \
+	  --extra dev --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
+	  --upgrade pyproject.toml - --output-file requirements.lock
+	sed -i '1i # Every version that make installs: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
+
+clean:
+	rm -rf .venv .venv-lowest demo_output build dist
