@@ -21,7 +21,7 @@ from lensdesign.extremes import Extremes, extremes
 from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.surfaces import edge_radius_mm
 from lensdesign.system import Lens, Surface, mechanical_semi_diameter_mm
-from lensdesign.trace import RayTrace, trace_compiled
+from lensdesign.tracing import RayTrace, trace_compiled
 
 __all__ = [
     "ArrivalAngles",
@@ -138,7 +138,7 @@ def largest_spread(
     field_heights_mm
         Only these object heights; None takes the whole field.
     pose, surface_perturbations
-        As in :func:`lensdesign.trace.trace`, single values. Fields then cover every azimuth.
+        As in :func:`lensdesign.tracing.trace`, single values. Fields then cover every azimuth.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from lensdesign.bundles import launch_compiled, pupil_hexapolar
 from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
 from lensdesign.system import Lens
-from lensdesign.trace import trace_compiled
+from lensdesign.tracing import trace_compiled
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -18,7 +18,7 @@ from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
 from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.system import Lens
-from lensdesign.trace import trace_compiled
+from lensdesign.tracing import trace_compiled
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def launch(
     pupil_points
         Points on the stop as shares of its semi-diameter, shape (points, 2).
     wavelength_um, pose, surface_perturbations
-        As in :func:`lensdesign.trace.trace`; the stop moves with its surface.
+        As in :func:`lensdesign.tracing.trace`; the stop moves with its surface.
 
     Returns
     -------

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lensdesign.bundles import launch_pairs
 from lensdesign.compiled import CompiledSystem
 from lensdesign.system import Lens
-from lensdesign.trace import RayTrace, trace_compiled
+from lensdesign.tracing import RayTrace, trace_compiled
 
 Array = NDArray[np.float64]
 Metric = Callable[[RayTrace], Array]

@@ -23,7 +23,7 @@ from lensdesign.matching import spread_limit_sine
 from lensdesign.ray_paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
 from lensdesign.scene3d import RenderingError, render_lens
 from lensdesign.system import Lens
-from lensdesign.trace import trace
+from lensdesign.tracing import trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from lensdesign.bundles import launch, pupil_rings
 from lensdesign.errors import InputError
 from lensdesign.status import Status
 from lensdesign.system import Lens, mechanical_semi_diameter_mm
-from lensdesign.trace import trace
+from lensdesign.tracing import trace
 
 Array = NDArray[np.float64]
 

@@ -36,7 +36,7 @@ def trace_numpy(
     Returns
     -------
     position, direction, opl, status, failed_surface, hits
-        As in :class:`lensdesign.trace.RayTrace`.
+        As in :class:`lensdesign.tracing.RayTrace`.
     """
     position, direction = np.array(origins), np.array(directions)
     opl = np.zeros(len(position), position.dtype)

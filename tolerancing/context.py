@@ -13,7 +13,7 @@ from tolerancing.perturbations import PerturbationBatch
 
 if TYPE_CHECKING:
     from lensdesign.bundles import PupilSamples
-    from lensdesign.trace import RayTrace
+    from lensdesign.tracing import RayTrace
     from wavesim import PupilSampler, ReconstructionPupil
 
 Result = TypeVar("Result")
@@ -80,7 +80,7 @@ class Context:
         def work() -> RayTrace:
             from lensdesign.bundles import launch_compiled
             from lensdesign.compiled import compile_system
-            from lensdesign.trace import trace_compiled
+            from lensdesign.tracing import trace_compiled
 
             lens = self.lens
             system = compile_system(lens, wavelength, batch.poses(), batch.surface_perturbations())

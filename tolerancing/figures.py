@@ -107,7 +107,10 @@ def _distribution(axis: Axes, summary: MeritSummary, scores: Array) -> None:
     cumulative = axis.twinx()
     ordered = np.sort(scores)
     cumulative.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), color=ORANGE, where="post")
-    cumulative.set_ylim(0.0, 1.02)
+    # Headroom for the legend
+    axis.set_ylim(top=1.3 * axis.get_ylim()[1])
+    cumulative.set_ylim(0.0, 1.3)
+    cumulative.set_yticks(np.linspace(0.0, 1.0, 6))
     cumulative.set_ylabel("cumulative", color=ORANGE)
     cumulative.grid(visible=False)
     axis.legend(loc="upper left", fontsize=7.5)

@@ -20,7 +20,7 @@ from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
 from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.system import Lens
-from lensdesign.trace import RayTrace, trace_compiled
+from lensdesign.tracing import RayTrace, trace_compiled
 from wavesim.pupil import PupilGrid, ReconstructionPupil
 
 Array = NDArray[np.float64]
@@ -295,7 +295,7 @@ class PupilSampler:
         Parameters
         ----------
         pose, surface_perturbations
-            One perturbed lens, as in :func:`lensdesign.trace.trace`; no arrays of trials.
+            One perturbed lens, as in :func:`lensdesign.tracing.trace`; no arrays of trials.
         object_shift_mm, sensor_shift_mm
             How far object and sensor are shifted (x, y, z). To shift both is to shift the lens the
             other way.

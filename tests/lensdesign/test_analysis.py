@@ -20,7 +20,7 @@ from lensdesign.analysis import (
     throughput,
 )
 from lensdesign.bundles import launch
-from lensdesign.trace import RayTrace, trace
+from lensdesign.tracing import RayTrace, trace
 
 DISTANCE, STOP, FIELD, GAP = 10.0, 3.0, 2.0, 4.0
 NOMINAL = Pose()

@@ -12,7 +12,7 @@ from lensdesign import Lens, Pose, SurfacePerturbation
 from lensdesign.bundles import Array, launch, pupil_fan, pupil_hexapolar, pupil_rings
 from lensdesign.compiled import compile_system
 from lensdesign.errors import InputError
-from lensdesign.trace import trace, trace_compiled
+from lensdesign.tracing import trace, trace_compiled
 
 
 @pytest.mark.parametrize("rings", [1, 2, 4, 7])

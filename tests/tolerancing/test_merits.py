@@ -6,7 +6,7 @@ import pytest
 from lensdesign import DesignError, Pose, SurfacePerturbation
 from lensdesign.bundles import launch, pupil_rings
 from lensdesign.errors import InputError
-from lensdesign.trace import trace
+from lensdesign.tracing import trace
 from tolerancing.context import Context, Sampling
 from tolerancing.evaluate import score_batch
 from tolerancing.merits import MERITS, merit_from_table

@@ -24,7 +24,7 @@ from lensdesign import (
 )
 from lensdesign.compiled import compile_system
 from lensdesign.status import Status
-from lensdesign.trace import RayTrace, trace, trace_compiled
+from lensdesign.tracing import RayTrace, trace, trace_compiled
 from wavesim.point_characteristic import FoldError, PupilSampler, RayAimError, point_characteristic
 from wavesim.pupil import ReconstructionPupil, refocus, rms_waves
 

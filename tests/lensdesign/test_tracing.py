@@ -19,8 +19,8 @@ from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
 from lensdesign.status import Status
 from lensdesign.surfaces import edge_radius_mm
-from lensdesign.trace import RAYS_PER_THREAD, RayTrace, trace, trace_compiled
 from lensdesign.trace_numpy import trace_numpy
+from lensdesign.tracing import RAYS_PER_THREAD, RayTrace, trace, trace_compiled
 
 SEEDS = st.integers(0, 2**32 - 1)
 
