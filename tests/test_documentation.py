@@ -1,0 +1,70 @@
+"""What the documentation shows, run: its Python, and the commands that it names."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from lensdesign.files import validate
+from lensdesign.specification import Specification
+from tolerancing.study import study_from_tables
+
+ROOT = Path(__file__).parent.parent
+BIN = Path(sys.executable).parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMANDS = ("lensdesign", "wavesim", "tolerancing")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Fenced blocks of one language."""
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+
+
+@pytest.mark.parametrize("number", range(len(blocks(ROOT / "README.md", "python"))))
+def test_python_of_the_readme_runs(number: int, tmp_path: Path) -> None:
+    code = blocks(ROOT / "README.md", "python")[number].replace('"designs/', f'"{ROOT}/designs/')
+    script = tmp_path / "tour.py"
+    script.write_text(code, encoding="utf-8")
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+def test_commands_that_pages_name_exist_with_their_options() -> None:
+    lines = [line.strip() for page in PAGES for line in page.read_text(encoding="utf-8").splitlines()]
+    named = {line.split("#")[0].strip() for line in lines if line.split(" ")[0] in COMMANDS}
+    assert len(named) > 8
+    helps: dict[tuple[str, str], str] = {}
+    for line in named:
+        words = shlex.split(line)
+        command = (words[0], words[1])
+        if command not in helps:
+            done = subprocess.run([BIN / words[0], words[1], "--help"], capture_output=True, text=True)
+            assert done.returncode == 0, line
+            helps[command] = done.stdout
+        for word in words:
+            if word.startswith("-"):
+                assert re.search(rf"(^|[\s,/]){re.escape(word)}\b", helps[command]), f"{line}: {word}"
+
+
+def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
+    (design,) = blocks(ROOT / "docs" / "design-files.md", "toml")
+    tables = tomllib.loads(design)
+    (specification,) = blocks(ROOT / "docs" / "specifications.md", "toml")
+    validate(Specification, tables | tomllib.loads(specification), "docs/specifications.md")
+    (study,) = blocks(ROOT / "docs" / "tolerancing.md", "toml")
+    assert study_from_tables(tomllib.loads(study), "docs/tolerancing.md").trials == 500
