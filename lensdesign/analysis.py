@@ -228,7 +228,7 @@ def rms_spot_diameter(
     weights = samples.weights * rays.ok
     passed = float(weights.sum())
     if passed == 0.0:
-        raise DesignError(f"no ray from the field height {field_mm:g} mm passes at {wavelength_um:g} um")
+        raise DesignError(_dark(f"from the field height {field_mm:g} mm", wavelength_um))
     points = rays.position[:, :2]
     centroid = weights @ points / passed
     square = weights @ np.sum((points - centroid) ** 2, axis=-1) / passed
@@ -337,4 +337,11 @@ def _trace(
 
 def _refuse_dark(found: Extremes, lens: Lens, wavelength_um: float) -> None:
     if math.isnan(found.value):
-        raise DesignError(f"{lens.title or 'the lens'}: no ray of the field passes at {wavelength_um:g} um")
+        raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
+
+
+def _dark(which: str, wavelength_um: float) -> str:
+    return (
+        f"no ray {which} passes at {wavelength_um:g} um; look for a semi_diameter_mm that is too small, and "
+        "for total reflection (material, radius_mm)"
+    )

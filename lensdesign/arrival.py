@@ -203,7 +203,8 @@ def _newton(
         distance = np.linalg.norm(error, axis=-1)
         if not np.any((distance > 0.1 * ARRIVAL_TOLERANCE_MM) & np.isfinite(distance)):
             break
-        columns = [(miss(cosines + delta * axis) - miss(cosines - delta * axis)) for axis in np.eye(2)]
+        with np.errstate(invalid="ignore"):  # a ray that is lost on both sides
+            columns = [(miss(cosines + delta * axis) - miss(cosines - delta * axis)) for axis in np.eye(2)]
         jacobian = np.stack(columns, axis=-1) / (2.0 * delta)
         usable = np.all(np.isfinite(jacobian), axis=(1, 2)) & np.isfinite(distance)
         jacobian[~usable] = np.eye(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.console import make_app, message_console, print_json, run_app
-from lensdesign.errors import atomic_path
+from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
     from lensdesign.check import CheckReport
@@ -59,7 +60,7 @@ def optimize(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
     as_json: Json = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
     algorithm: Annotated[
         str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
     ] = None,
@@ -76,6 +77,8 @@ def optimize(
     from lensdesign.specification import load_specification
 
     asked = _with_settings(load_specification(specification), algorithm, max_seconds)
+    if os.path.exists(output) and output.samefile(specification):
+        raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
     # Opened before the search: a place that cannot be written shows at once, not after it.
     with atomic_path(output) as temporary:
         with message_console().status("searching") as status:

@@ -36,7 +36,8 @@ class SamplingError(InputError):
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to, and rename it into place at the end.
 
-    A failure while writing leaves whatever stood at `path` as it was.
+    A failure while writing leaves whatever stood at `path` as it was. A symbolic link stays one: what it
+    points to is replaced.
 
     Parameters
     ----------
@@ -57,17 +58,23 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder; give a file name")
-        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists() and not target.is_file():
+            raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
+        place = Path(os.path.realpath(target))
+        place.parent.mkdir(parents=True, exist_ok=True)
+        # The start of the name will do: with all of a long one, the temporary name would be too long.
         with tempfile.NamedTemporaryFile(
-            dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix, delete=False
+            dir=place.parent, prefix=f".{place.stem[:32]}.", suffix=place.suffix, delete=False
         ) as handle:
             temporary = Path(handle.name)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError(f"cannot write {target}: a file stands where a folder is needed") from error
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     try:
         yield temporary
         os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
+        os.replace(temporary, place)
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
     finally:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -72,14 +74,23 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file, or a DesignError that names the file and the line."""
+    text = read_text(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers of too many digits, and deep nesting
+        raise DesignError(f"{path}: not valid TOML: {error}") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 file, without a byte order mark, or a DesignError that names the file."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DesignError(f"cannot read {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DesignError(f"cannot read {path}: not a text file in UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise DesignError(f"{path}: not valid TOML: {error}") from error
+    except ValueError as error:  # a NUL character in the path
+        raise DesignError(f"cannot read {str(path)!r}: {error}") from error
 
 
 def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Model:
@@ -97,22 +108,62 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
     try:
         return model.model_validate(data, by_alias=True, by_name=False)
     except ValidationError as error:
-        lines = sorted({_fault(fault, model) for fault in error.errors()})
+        lines = sorted(_fault_lines(error.errors(), model))
         raise DesignError("\n".join(f"{source}: {line}" for line in lines)) from None
 
 
-def _fault(fault: Any, model: type[BaseModel]) -> str:
-    where = _where(fault["loc"])
-    kind, message = fault["type"], fault["msg"].removeprefix("Value error, ")
+def unknown_key(key: str, allowed: Iterable[str]) -> str:
+    """`unknown key; allowed: ...`, with the key that was meant, as far as one can tell."""
+    allowed = list(allowed)
+    listed = f"; allowed: {', '.join(allowed)}" if allowed else ""
+    return f"unknown key{listed}{did_you_mean(key, allowed)}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`; did you mean ...?` where a known name is near, else nothing."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _fault_lines(faults: Iterable[Any], model: type[BaseModel]) -> list[str]:
+    """One line for each place: what all types that it may have say of it, and nothing of what holds it."""
+    places: dict[tuple[int | str, ...], list[str]] = {}
+    for fault in faults:
+        loc = tuple(i for i in fault["loc"] if isinstance(i, int) or not _is_union_branch(i))
+        head, message = _fault(fault, loc, model)
+        said = places.setdefault(loc, [])
+        said.append(f"or {message.removeprefix('must be ')}" if said else f"{head}: {message}".strip(": "))
+    holders = {loc[:depth] for loc in places for depth in range(1, len(loc))}
+    return [" ".join(said) for loc, said in places.items() if loc not in holders]
+
+
+def _fault(fault: Any, loc: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, str]:
+    """Where a fault is, with the value if that says something, and what is allowed."""
+    where, kind, context = _where(loc), fault["type"], fault.get("ctx", {})
     if kind == "extra_forbidden":
-        allowed = ", ".join(_allowed_keys(model, fault["loc"][:-1]))
-        return f"{where}: unknown key" + (f"; allowed: {allowed}" if allowed else "")
+        return where, unknown_key(str(loc[-1]), _allowed_keys(model, loc[:-1]))
     if kind == "missing":
-        return f"{where}: missing key"
+        return where, "missing value" if isinstance(loc[-1], int) else "missing key"
     if kind == "value_error":
-        return f"{where}: {message}" if where else message
-    message = message.replace("Input should", "must", 1)
-    return f"{where} = {_shown(fault['input'])}: {message}"
+        return where, fault["msg"].removeprefix("Value error, ")
+    plain = {
+        "tuple_type": f"must be tables, each headed [[{where}]]"
+        if isinstance(fault["input"], dict)
+        else "must be a list",
+        "model_type": "must be a table",
+        "too_short": f"must hold at least {_items(context.get('min_length'))}",
+        "too_long": f"must hold at most {_items(context.get('max_length'))}",
+        "is_instance_of": f"must be a {str(context.get('class')).lower()}",
+        "string_pattern_mismatch": f"must match the pattern {context.get('pattern')}",
+    }
+    message = plain.get(kind, fault["msg"])
+    for start in ("Input should", "Input is not"):
+        message = message.replace(start, "must" if start.endswith("should") else "must be", 1)
+    return f"{where} = {_shown(fault['input'])}", message
+
+
+def _items(count: int | None) -> str:
+    return f"{count} item" if count == 1 else f"{count} items"
 
 
 def _where(loc: tuple[int | str, ...]) -> str:
@@ -121,17 +172,18 @@ def _where(loc: tuple[int | str, ...]) -> str:
     for item in loc:
         if isinstance(item, int):
             parts[-1:] = [f"{parts[-1]} {item + 1}"] if parts else [str(item + 1)]
-        elif not _is_union_branch(item):
+        else:
             parts.append(item)
     return ", ".join(parts)
 
 
 def _is_union_branch(item: str) -> bool:
-    return item in {"str", "float", "int", "bool", "none"} or item.startswith(("constrained-", "function-"))
+    starts = ("constrained-", "function-", "literal[", "tuple[")
+    return item in {"str", "float", "int", "bool", "none"} or item.startswith(starts)
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lensdesign.system import Lens
 
@@ -41,21 +42,24 @@ class FirstOrder:
 def first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
     """Cardinal points of the whole lens; `wavelength_um` None takes the lens's first wavelength."""
     wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    indices = lens.indices(wavelength_um)
-    matrix = np.eye(2)
-    for i, surface in enumerate(lens.surfaces):
-        power = (indices[i + 1] - indices[i]) * surface.curvature
-        matrix = np.array([[1.0, 0.0], [-power, 1.0]]) @ matrix
-        if surface.thickness_mm is not None:
-            matrix = np.array([[1.0, surface.thickness_mm / indices[i + 1]], [0.0, 1.0]]) @ matrix
-    (a, _), (c, d) = matrix
-    if c == 0.0:
+    curvatures = [surface.curvature for surface in lens.surfaces]
+    return cardinal_points(curvatures, np.diff(lens.vertex_z_mm), lens.indices(wavelength_um))
+
+
+def cardinal_points(curvatures: ArrayLike, thicknesses_mm: ArrayLike, indices: ArrayLike) -> FirstOrder:
+    """The same from arrays: of n surfaces, of the n - 1 media between them, and of all n + 1 media."""
+    c, t, n = (np.asarray(values, float) for values in (curvatures, thicknesses_mm, indices))
+    matrix = np.array([[1.0, 0.0], [-(n[1] - n[0]) * c[0], 1.0]])
+    for i in range(1, len(c)):
+        matrix = np.array([[1.0, t[i - 1] / n[i]], [0.0, 1.0]]) @ matrix
+        matrix = np.array([[1.0, 0.0], [-(n[i + 1] - n[i]) * c[i], 1.0]]) @ matrix
+    (a, _), (minus_power, d) = matrix
+    if minus_power == 0.0:
         return FirstOrder(math.inf, math.inf, math.inf, math.inf, math.inf)
-    before, behind = indices[0], indices[-1]
     return FirstOrder(
-        efl_mm=float(-1.0 / c),
-        bfl_mm=float(-behind * a / c),
-        ffl_mm=float(before * d / c),
-        front_principal_z_mm=float(before * (d - 1.0) / c),
-        rear_principal_z_mm=float(lens.exit_vertex_z_mm + behind * (1.0 - a) / c),
+        efl_mm=float(-1.0 / minus_power),
+        bfl_mm=float(-n[-1] * a / minus_power),
+        ffl_mm=float(n[0] * d / minus_power),
+        front_principal_z_mm=float(n[0] * (d - 1.0) / minus_power),
+        rear_principal_z_mm=float(np.sum(t) + n[-1] * (1.0 - a) / minus_power),
     )

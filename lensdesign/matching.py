@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from lensdesign.errors import DesignError
 from lensdesign.system import Lens
 
 
@@ -80,16 +81,30 @@ def smallest_exit_beam_diameter_mm(
 
 
 def match(lens: Lens, wavelength_um: float) -> Matching:
-    """Evaluate Eqs. 1 and 2 and the etendue bound for a lens's object and sensor at one wavelength."""
+    """Evaluate Eqs. 1 and 2 and the etendue bound for a lens's object and sensor at one wavelength.
+
+    Raises
+    ------
+    DesignError
+        If the object's or the sensor's numbers are too small to compute with.
+    """
     target, sensor = lens.object, lens.sensor
-    asked = sbp_object(target.field_diameter_mm, target.numerical_aperture, wavelength_um)
-    held = sbp_sensor(min(sensor.size_mm), sensor.pixel_pitch_um)
+    try:
+        asked = sbp_object(target.field_diameter_mm, target.numerical_aperture, wavelength_um)
+        held = sbp_sensor(min(sensor.size_mm), sensor.pixel_pitch_um)
+        ratio = held / asked
+    except ArithmeticError:
+        raise DesignError(
+            f"field_diameter_mm = {target.field_diameter_mm:g}, numerical_aperture = "
+            f"{target.numerical_aperture:g}, pixel_pitch_um = {sensor.pixel_pitch_um:g} and a wavelength of "
+            f"{wavelength_um:g} um give no space-bandwidth product (Eq. 1): one of them is far too small"
+        ) from None
     sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um)
     return Matching(
         wavelength_um=wavelength_um,
         sbp_object=asked,
         sbp_sensor=held,
-        sbp_ratio=held / asked,
+        sbp_ratio=ratio,
         spread_limit_deg=math.degrees(math.asin(sine)),
         highest_frequency_lp_per_mm=highest_frequency_lp_per_mm(sensor.pixel_pitch_um),
         resolution_um=wavelength_um / (2.0 * target.numerical_aperture),

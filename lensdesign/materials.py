@@ -102,6 +102,8 @@ class Material:
                 f"{self.name} ({self.catalog}): the index at {wavelength_um:g} um is not known; "
                 f"the wavelength must be from {shortest:g} to {longest:g} um"
             )
+        if not 0.0 < wavelength_um < math.inf:
+            raise MaterialError(f"wavelength_um = {wavelength_um:g}: must be finite and above 0")
         index = float(self.dispersion(float(wavelength_um)))
         if not 1.0 <= index < math.inf:
             raise MaterialError(
@@ -335,6 +337,8 @@ def _plain(name: str) -> str:
 
 
 def _unknown_message(material: str, files: tuple[Path, ...]) -> str:
+    if _is_number(material):
+        return f"unknown material {material!r}; a constant index is a number, without quotation marks"
     maker, name = _split(material)
     entries = _all_entries(files)
     makers = {label for entry in entries for label in entry.makers}
@@ -348,6 +352,14 @@ def _unknown_message(material: str, files: tuple[Path, ...]) -> str:
         return f"unknown material {material!r}; nothing known has a similar name"
     options = ", ".join(f"{entry.name} ({entry.catalog})" for entry in similar)
     return f"unknown material {material!r}; did you mean {options}?"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _similar(name: str, entries: Sequence[_Entry], limit: int = 5) -> list[_Entry]:

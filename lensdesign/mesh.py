@@ -166,8 +166,8 @@ def _element_mesh(element: Element, chord_error_mm: float) -> LensMesh:
     r, gap = smallest_gap(front, back)
     if gap <= 0.0:
         raise InputError(
-            f"chord_error_mm = {chord_error_mm:g} is too coarse for {element.name}: facets of its surfaces "
-            f"would cross at a radial height of {r:.6g} mm; ask for less"
+            f"{_chord_error(chord_error_mm)} is too coarse for {element.name}: facets of its surfaces would "
+            f"cross at a radial height of {r:.6g} mm; ask for less"
         )
     vertices, faces = _revolve(np.concatenate([front, back[::-1]]), count)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -179,7 +179,7 @@ def _element_mesh(element: Element, chord_error_mm: float) -> LensMesh:
 
 def _refuse_size(elements: list[Element], chord_error_mm: float) -> None:
     if not (math.isfinite(chord_error_mm) and chord_error_mm > 0.0):
-        raise InputError(f"chord_error_mm = {chord_error_mm:g}: must be above 0")
+        raise InputError(f"{_chord_error(chord_error_mm)}: must be above 0")
     triangles = 0.0
     for element in elements:
         rings = sum(_ring_density(m)[1][-1] for m in (element.front, element.back))
@@ -187,9 +187,14 @@ def _refuse_size(elements: list[Element], chord_error_mm: float) -> None:
         triangles += 2.0 * rings * _azimuths(element, chord_error_mm)
     if triangles > MOST_TRIANGLES:
         raise InputError(
-            f"chord_error_mm = {chord_error_mm:g} would need {triangles:.3g} triangles; allowed: at most "
+            f"{_chord_error(chord_error_mm)} would need {triangles:.3g} triangles; allowed: at most "
             f"{MOST_TRIANGLES:.3g}, so ask for a larger chord error"
         )
+
+
+def _chord_error(chord_error_mm: float) -> str:
+    """The chord error as messages give it; the command takes it in um."""
+    return f"chord_error_mm = {chord_error_mm:g} ({1e3 * chord_error_mm:g} um)"
 
 
 def _azimuths(element: Element, chord_error_mm: float) -> int:

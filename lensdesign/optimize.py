@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import DesignError
 from lensdesign.nlopt_driver import ALGORITHMS, FEASIBLE, Evaluation, Outcome, minimize
-from lensdesign.problem import DesignProblem, Rays, sample_rays
+from lensdesign.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.requirements import KEPT, Row
 from lensdesign.specification import Specification, refuse_impossible
 from lensdesign.system import Lens
@@ -319,13 +319,9 @@ def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:
 def _result(best: _Found, found: list[_Found], evaluations: int, seconds: float) -> OptimizationResult:
     problem, point = best.problem, best.outcome.point
     specification = problem.specification
-    goals, constraints = problem.rows(point, best.rays)
+    goals, constraints = problem.rows(point, best.rays, final=True)
     lens = finished_lens(problem, point, best.rays)
-    violations = [
-        f"{row.name}: exceeds its limit by {100.0 * np.max(row.values):.3g} %"
-        for row in constraints
-        if np.max(row.values, initial=-1.0) > KEPT
-    ]
+    violations = [row.miss for row in constraints if np.max(row.values, initial=-1.0) > KEPT]
     target = best.rank[1] * 1.001
     at_best = [f for f in found if f.rank[0] == best.rank[0] and f.rank[1] <= target]
     values: dict[str, float | str | None] = {}
@@ -374,27 +370,6 @@ def _binding(problem: DesignProblem, point: Array, constraints: list[Row]) -> li
         if u < 1e-6 or u > 1.0 - 1e-6:
             names.append(f"{v.name} at its {'lower' if u < 0.5 else 'upper'} bound")
     return names
-
-
-def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
-    """The lens at a point with every semi-diameter filled in, validated.
-
-    A surface without one gets what its rays need, rounded up to 0.01 mm; the stop, where it follows the
-    numerical aperture, gets the size that this takes.
-    """
-    state = problem.state(point, rays)
-    lens = state.lens
-    surfaces = []
-    for i, surface in enumerate(lens.surfaces):
-        if i == lens.stop_index:
-            semi = state.traces[0].stop_semi_diameter_mm
-        elif surface.semi_diameter_mm is not None:
-            semi = surface.semi_diameter_mm
-        else:
-            reach = max(float(np.max(np.linalg.norm(t.heights[t.ok, i], axis=-1))) for t in state.traces)
-            semi = math.ceil(reach * 100.0) / 100.0
-        surfaces.append(surface.model_copy(update={"semi_diameter_mm": semi}))
-    return lens.replaced(surfaces=tuple(surfaces))
 
 
 def _narrator(

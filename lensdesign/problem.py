@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.compiled import CompiledSystem, compile_system
+from lensdesign.errors import DesignError
 from lensdesign.gradients import Variable, gradient_trace
 from lensdesign.nlopt_driver import Evaluation
 from lensdesign.requirements import Row, State, constraint_rows, goal_rows
@@ -141,10 +143,10 @@ class DesignProblem:
         )
         return State(lens, self.variables, rays.fields_mm, traces)
 
-    def rows(self, point: Array, rays: Rays) -> tuple[list[Row], list[Row]]:
+    def rows(self, point: Array, rays: Rays, final: bool = False) -> tuple[list[Row], list[Row]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
         state = self.state(point, rays)
-        return goal_rows(self.specification, state), constraint_rows(self.specification, state)
+        return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays) -> Evaluation:
         """Goals and constraints for nlopt, with derivatives by the unit variables."""
@@ -155,6 +157,40 @@ class DesignProblem:
             np.concatenate([np.empty(0), *(r.values for r in constraints)]),
             np.concatenate([np.empty((0, len(point))), *(r.by for r in constraints)]) * self.width,
         )
+
+
+def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
+    """The lens at a point with every semi-diameter filled in, validated.
+
+    A surface without one gets what its rays need, rounded up to 0.01 mm; the stop, where it follows the
+    numerical aperture, gets the size that this takes.
+
+    Raises
+    ------
+    DesignError
+        If that is no lens: surfaces cross, say, or no ray passes.
+    """
+    state = problem.state(point, rays)
+    lens = state.lens
+    surfaces = []
+    try:
+        for i, surface in enumerate(lens.surfaces):
+            if i == lens.stop_index:
+                semi = state.traces[0].stop_semi_diameter_mm
+            elif surface.semi_diameter_mm is not None:
+                semi = surface.semi_diameter_mm
+            else:
+                heights = np.concatenate([np.linalg.norm(t.heights[t.ok, i], axis=-1) for t in state.traces])
+                if not len(heights):
+                    raise DesignError("no ray passes it")
+                semi = math.ceil(float(np.max(heights)) * 100.0) / 100.0
+            surfaces.append(surface.replaced(semi_diameter_mm=semi))
+        return lens.replaced(surfaces=tuple(surfaces))
+    except DesignError as error:
+        raise DesignError(
+            f"no lens was found: the one that violates the constraints least cannot be made ({error}); widen "
+            "the bounds, or start elsewhere"
+        ) from None
 
 
 def _value(lens: Lens, variable: Variable) -> float:

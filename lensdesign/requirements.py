@@ -72,6 +72,16 @@ class Row:
     by: Array
     rays: NDArray[np.int64] | None = None
 
+    @property
+    def miss(self) -> str:
+        """By how much a constraint is missed, in words. Rows of rays hold squares of what is limited."""
+        worst = float(np.max(self.values))
+        if worst > 0.5 * UNTRACEABLE:
+            return f"{self.name}: not every ray gets through"
+        if self.rays is None:
+            return f"{self.name}: misses its limit by {worst:.3g} (scaled)"
+        return f"{self.name}: exceeds its limit by {100.0 * (math.sqrt(1.0 + worst) - 1.0):.3g} %"
+
 
 def goal_rows(specification: Specification, state: State) -> list[Row]:
     """What the largest value of is to be made small."""
@@ -98,12 +108,17 @@ def goal_rows(specification: Specification, state: State) -> list[Row]:
     return [Row(goal, np.array([length / reference]), by[None] / reference)]
 
 
-def constraint_rows(specification: Specification, state: State) -> list[Row]:
-    """What must not be above zero."""
+def constraint_rows(specification: Specification, state: State, final: bool = False) -> list[Row]:
+    """What must not be above zero.
+
+    A search for the smallest spread makes it small whatever its limit is; only the `final` lens is held
+    against that.
+    """
     rows: list[Row] = []
     lens = specification.lens
     for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
-        rows += _spread_rows(specification, state, wavelength, trace)
+        limited = final or specification.optimize.goal != "smallest spread"
+        rows += _spread_rows(specification, state, wavelength, trace, limited)
         for i, limit in enumerate(specification.footprint_limits()):
             if math.isfinite(limit):
                 name = _named(f"footprint on sensor plane {i + 1}", wavelength, lens)
@@ -114,12 +129,12 @@ def constraint_rows(specification: Specification, state: State) -> list[Row]:
 
 
 def _spread_rows(
-    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
 ) -> list[Row]:
     squares = _squares(trace.cosines, trace.cosines_by)
     limit = specification.spread_limit(wavelength)
     rows = []
-    if specification.optimize.goal != "smallest spread" and math.isfinite(limit):
+    if limited and math.isfinite(limit):
         rows.append(_limited(_named("spread", wavelength, specification), squares, limit**2, trace))
     for own in specification.constraints.field_spread:
         at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9

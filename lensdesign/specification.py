@@ -61,8 +61,14 @@ class VariableRange(Section):
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             raise ValueError(f"bounds = {list(self.bounds)}: the first must be less than the second")
         lengths = ("thickness_mm", "working_distance_mm")
-        if self.bounds is not None and self.parameter in lengths and self.bounds[0] <= 0.0:
-            raise ValueError(f"bounds = {list(self.bounds)}: {self.parameter} must be greater than 0")
+        if (
+            self.bounds is not None
+            and self.parameter in lengths
+            and not 0.0 < self.bounds[0] < self.bounds[1] <= 1e9
+        ):
+            raise ValueError(
+                f"bounds = {list(self.bounds)}: {self.parameter} must be greater than 0 and at most 1e9"
+            )
         return self
 
     def kind_and_term(self) -> tuple[str, int]:
@@ -192,7 +198,9 @@ class Specification(Lens):
         seen = set()
         for v in self.variables:
             if v.surface is not None and v.surface > len(self.surfaces):
-                raise ValueError(f"variable {v.name}: the lens has {len(self.surfaces)} surfaces")
+                raise ValueError(
+                    f"variable {v.name}: there is no such surface; the lens has {len(self.surfaces)} surfaces"
+                )
             if v.parameter == "thickness_mm" and v.surface == len(self.surfaces):
                 raise ValueError(f"variable {v.name}: the last surface has no thickness")
             if v.name in seen:

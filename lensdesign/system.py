@@ -8,18 +8,36 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from lensdesign import surfaces as shapes
+from lensdesign.errors import DesignError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False)]
+"""Sizes of any unit; the upper end keeps what is computed from them finite."""
 
 
 class Section(BaseModel):
     """One table of a file: frozen, and without keys that nobody asked for."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    def replaced(self, **changes: Any) -> Self:
+        """A section with some of its values replaced, and validated anew.
+
+        Raises
+        ------
+        DesignError
+            If a value is not allowed, or the values do not go together.
+        """
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        try:
+            return type(self)(**(values | changes))
+        except ValidationError as error:
+            faults = [": ".join([*map(str, fault["loc"]), fault["msg"]]) for fault in error.errors()]
+            text = "; ".join(faults).replace("Value error, ", "").replace("Input should", "must")
+            raise DesignError(text) from None
 
 
 def tuples(value: Any) -> Any:
@@ -59,7 +77,7 @@ class Sensor(Section):
     """
 
     pixel_pitch_um: Positive
-    pixels: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+    pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
     plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
 
     _lists = field_validator("pixels", "plane_distances_mm", mode="before")(tuples)
@@ -100,7 +118,7 @@ class Surface(Section):
 
     radius_mm: Finite | None = None
     conic: Finite = 0.0
-    asphere: tuple[Finite, ...] = ()
+    asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
     thickness_mm: Positive | None = None
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
@@ -163,7 +181,11 @@ class Lens(Section):
     @field_validator("glass_catalogs", mode="before")
     @classmethod
     def _paths(cls, value: Any) -> Any:
-        return tuple(Path(v) for v in value) if isinstance(value, list | tuple) else value
+        if not isinstance(value, list | tuple):
+            return value
+        if any("\0" in str(v) for v in value):
+            raise ValueError("a path cannot hold a NUL character")
+        return tuple(Path(v) if isinstance(v, str) else v for v in value)
 
     @model_validator(mode="after")
     def _sequence(self) -> Lens:
@@ -184,6 +206,7 @@ class Lens(Section):
         if self.surfaces[self.stop_index].semi_diameter_mm is None:
             raise ValueError(f"surface {self.stop_index + 1} is the stop and needs a semi_diameter_mm")
         self._refuse_crossing()
+        self._refuse_object_within()
         return self
 
     def _refuse_crossing(self) -> None:
@@ -200,6 +223,19 @@ class Lens(Section):
                     f"{where:.4g} mm (smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
                     "raise thickness_mm or lower semi_diameter_mm"
                 )
+
+    def _refuse_object_within(self) -> None:
+        front = self.surfaces[0]
+        if front.semi_diameter_mm is None:
+            return
+        sag = front.sag_mm(np.linspace(0.0, front.semi_diameter_mm, 257))
+        reach = -float(np.nanmin(sag))
+        if reach >= self.object.working_distance_mm:
+            raise ValueError(
+                f"the object plane lies within the lens: working_distance_mm = "
+                f"{self.object.working_distance_mm:g}, but surface 1 comes {reach:.4g} mm towards the object "
+                f"within its semi_diameter_mm of {front.semi_diameter_mm:g}; raise working_distance_mm"
+            )
 
     @property
     def stop_index(self) -> int:
@@ -258,15 +294,16 @@ class Lens(Section):
         )
 
     def with_surface(self, index: int, **changes: Any) -> Self:
-        """A lens with some values of one surface (counted from 0) replaced, and validated anew."""
-        surface = Surface.model_validate(self.surfaces[index].model_dump() | changes)
+        """A lens with some values of one surface (counted from 0) replaced, and validated anew.
+
+        Raises
+        ------
+        DesignError
+            If that is no lens.
+        """
+        surface = self.surfaces[index].replaced(**changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)
-
-    def replaced(self, **changes: Any) -> Self:
-        """A lens with some of its sections replaced, and validated anew."""
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self)(**(values | changes))
 
 
 def mechanical_semi_diameter_mm(lens: Lens) -> float:

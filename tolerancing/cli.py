@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,7 +33,7 @@ def run(
 
     An interrupted run goes on where it stopped.
     """
-    from lensdesign.console import message_console, progress_bar
+    from lensdesign.console import progress_bar
     from tolerancing.run import run_study
     from tolerancing.store import open_store
     from tolerancing.study import load_study
@@ -52,8 +53,8 @@ def run(
             )
     except KeyboardInterrupt:
         kept = f"what was finished is in {store}, and the same command goes on from there"
-        message_console().print(f"interrupted; {kept if store.exists() else 'nothing is stored yet'}")
-        raise typer.Exit(130) from None
+        message = f"interrupted; {kept if os.path.exists(store) else 'nothing is stored yet'}"
+        raise KeyboardInterrupt(message) from None
     with open_store(store) as opened:
         summary = summarize(opened)
     if as_json:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from lensdesign.errors import DesignError
-from lensdesign.files import validate
+from lensdesign.files import unknown_key, validate
 from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.system import Lens, Section
 from tolerancing.distributions import DISTRIBUTIONS, Distribution
@@ -128,7 +128,7 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
     allowed = [*own, "distribution", *shape.model_fields]
     unknown = [key for key in table if key not in allowed]
     if unknown:
-        lines = [f"{source}: {key}: unknown key; allowed: {', '.join(allowed)}" for key in unknown]
+        lines = [f"{source}: {key}: {unknown_key(key, allowed)}" for key in unknown]
         raise DesignError("\n".join(lines))
     distribution = validate(shape, {k: v for k, v in table.items() if k in shape.model_fields}, source)
     return validate(

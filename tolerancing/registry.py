@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from lensdesign.errors import DesignError
+from lensdesign.files import did_you_mean
 
 Entry = TypeVar("Entry")
 
@@ -34,6 +34,5 @@ def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, sour
     name = table[key]
     if isinstance(name, str) and name in registry:
         return registry[name]
-    near = difflib.get_close_matches(str(name), registry, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    hint = did_you_mean(str(name), registry)
     raise DesignError(f"{source}: {key} = {name!r}: there is no such {key}; allowed: {allowed}{hint}")

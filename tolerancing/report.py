@@ -6,6 +6,7 @@ import base64
 import io
 import os
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensdesign.errors import atomic_path
+from lensdesign.errors import InputError, atomic_path
 from tolerancing.correlation import RankCorrelation, rank_correlation
 from tolerancing.perturbations import Perturbation
 from tolerancing.results import StepResults, TrialResults
@@ -65,16 +66,18 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
     folder = Path(folder)
     results, steps = store.trials(), store.steps()
     files = ReportFiles(folder / "report.html", folder / "trials.csv", folder / "sweeps.csv")
+    for path in vars(files).values():
+        if os.path.exists(path) and path.samefile(store.path):
+            raise InputError(f"cannot write {path}: it is the store itself; give another folder")
     page = report_page(summarize(store, results), results, steps)
     tables = {
         files.trials_csv: trials_table(store.study, results),
         files.sweeps_csv: sweeps_table(store.study, steps),
     }
-    for path, table in tables.items():
-        with atomic_path(path) as temporary:
-            table.to_csv(temporary, index=False)
-    with atomic_path(files.html) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    with ExitStack() as stack:  # all are written before the first takes its place
+        for path, table in tables.items():
+            table.to_csv(stack.enter_context(atomic_path(path)), index=False)
+        stack.enter_context(atomic_path(files.html)).write_text(page, encoding="utf-8")
     return files
 
 

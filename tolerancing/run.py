@@ -16,7 +16,7 @@ from tolerancing.context import Context
 from tolerancing.evaluate import nominal_scores, score_step, score_trials
 from tolerancing.results import Results
 from tolerancing.store import Store, create_store, open_store, toolkit_version
-from tolerancing.study import LoadedStudy, Study
+from tolerancing.study import MOST_TRIALS, LoadedStudy, Study
 from tolerancing.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -102,8 +102,8 @@ def run_study(
     """
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
-    if planned < 1:
-        raise InputError(f"trials = {planned}: must be at least 1")
+    if not 1 <= planned <= MOST_TRIALS:
+        raise InputError(f"trials = {planned}: must be at least 1 and at most {MOST_TRIALS}")
     if workers is not None and workers < 1:
         raise InputError(f"workers = {workers}: must be at least 1")
     with _ready_store(Path(store_path), loaded, planned, fresh) as store:
@@ -146,7 +146,7 @@ def perform(context: Context, study: Study, task: Task) -> Results:
 
 def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> Store:
     """The store, made if need be, that holds this study and knows what is planned."""
-    if path.exists():
+    if os.path.exists(path):
         store = open_store(path)
         if not fresh:
             try:

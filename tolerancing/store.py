@@ -179,12 +179,16 @@ class Store:
     @cached_property
     def study(self) -> Study:
         """The study whose results these are."""
-        return study_from_tables(tomllib.loads(self.record().study_toml), str(self.path))
+        record = self.record()
+        with _undamaged(self.path):
+            return study_from_tables(tomllib.loads(record.study_toml), str(self.path))
 
     def record(self) -> StudyRecord:
         """The study's texts and particulars."""
-        (row,) = self._rows("SELECT * FROM study")
-        return StudyRecord(*row)
+        rows = self._rows("SELECT * FROM study")
+        with _undamaged(self.path):
+            (row,) = rows
+            return StudyRecord(*row)
 
     def nominal(self) -> dict[str, float]:
         """Scores of the nominal lens, by merit."""
@@ -221,8 +225,9 @@ class Store:
         """All trials, in order."""
         rows = self._rows("SELECT * FROM trial ORDER BY trial")
         split = 3 + len(self.study.perturbations)
-        numbers = np.array([row[3:-1] for row in rows], dtype=float)
-        numbers = numbers.reshape(len(rows), split - 3 + len(self.study.merits))
+        with _undamaged(self.path):
+            numbers = np.array([row[3:-1] for row in rows], dtype=float)
+            numbers = numbers.reshape(len(rows), split - 3 + len(self.study.merits))
         return TrialResults(
             trials=tuple(row[0] for row in rows),
             values=numbers[:, : split - 3],
@@ -237,7 +242,8 @@ class Store:
         for sweep, step, width, refocused, orientation, half_width, points, data in self._rows(
             "SELECT * FROM picture ORDER BY line_width_um, refocused"
         ):
-            intensity = np.frombuffer(data, dtype="<f4").reshape(points, points)
+            with _undamaged(self.path):
+                intensity = np.frombuffer(data, dtype="<f4").reshape(points, points)
             picture = Picture(width, orientation, bool(refocused), half_width, intensity)
             pictures.setdefault((sweep, step), []).append(picture)
         found: dict[tuple[str, int], StepResults] = {}
@@ -284,7 +290,7 @@ class Store:
         _insert(self._connection, "picture", pictures)
 
     def _rows(self, query: str) -> list[Any]:
-        with _reported(self.path, "read"):
+        with _reported(self.path, "read"), _undamaged(self.path):
             return self._connection.execute(query).fetchall()
 
     @contextmanager
@@ -313,3 +319,16 @@ def _reported(path: Path, action: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         raise InputError(f"cannot {action} the store {path}: {error}") from error
+
+
+@contextmanager
+def _undamaged(path: Path) -> Iterator[None]:
+    """What a store holds is ours: where text or numbers in it make no sense, it is damaged."""
+    try:
+        yield
+    except (InputError, sqlite3.OperationalError):
+        raise
+    except (sqlite3.DatabaseError, ValueError, TypeError) as error:
+        raise InputError(
+            f"the store {path} is damaged: {error}; take a whole copy, or run its study anew with --fresh"
+        ) from error

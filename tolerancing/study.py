@@ -12,13 +12,15 @@ from typing import Annotated, Any
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from lensdesign.errors import DesignError
-from lensdesign.files import load_design, read_toml, validate
+from lensdesign.files import load_design, read_text, read_toml, validate
 from lensdesign.system import Finite, Lens, Section
 from tolerancing.context import Sampling
 from tolerancing.merit import Merit
 from tolerancing.merits import merit_from_table
 from tolerancing.perturbations import Perturbation, PerturbedParameter, perturbation_from_table
 from tolerancing.sweep import Sweep
+
+MOST_TRIALS = 10_000_000
 
 RESERVED_COLUMNS = ("trial", "status", "message", "passed")
 
@@ -50,7 +52,7 @@ class Study(Section):
 
     title: str = ""
     design: str
-    trials: Annotated[int, Field(ge=1, le=10_000_000)]
+    trials: Annotated[int, Field(ge=1, le=MOST_TRIALS)]
     seed: Annotated[int, Field(ge=0)]
     pivot_z_mm: Finite = 0.0
     sampling: Sampling = Sampling()
@@ -140,7 +142,7 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     design = path.parent / study.design
     lens = load_design(design)
     check_against(study, lens, str(path))
-    return LoadedStudy(study, lens, path.read_text(encoding="utf-8"), design.read_text(encoding="utf-8"))
+    return LoadedStudy(study, lens, read_text(path), read_text(design))
 
 
 def study_from_tables(data: dict[str, Any], source: str) -> Study:
@@ -162,7 +164,7 @@ def study_from_tables(data: dict[str, Any], source: str) -> Study:
                 items.append(reader(table, f"{source}: {key} {number}"))
             except DesignError as error:
                 faults.append(str(error))
-        if tables:
+        if key in data:
             data[key] = tuple(items)
     if faults:
         raise DesignError("\n".join(faults))

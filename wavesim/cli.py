@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -50,6 +51,11 @@ def pupil(
     if output is not None:
         _refuse_format(output)
     lens = load_design(design)
+    if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
+        raise InputError(
+            f"--field-mm = {field_mm!r}: lies {math.hypot(*field):g} mm from the axis; allowed: up to "
+            f"{lens.half_field_mm:g} mm, half the design's field_diameter_mm"
+        )
     sampler = PupilSampler(lens, field, wavelength_um, plane_distance_mm, samples)
     registered = (to_best_focus if refocus else remove_shift)(sampler.pupil(pose))
     summary = {

@@ -169,7 +169,20 @@ def test_optimize_refuses_bad_input(command: Command, specification: Path, tmp_p
         command("optimize", specification, "-o", good, "--algorithm", "magic"), "unknown algorithm 'magic'"
     )
     refused(command("optimize", specification, "-o", good, "--max-seconds", "-1"), "max_seconds")
+    refused(command("optimize", specification, "-o", tmp_path / ("x" * 300)), "cannot write", "too long")
+    assert command("optimize", specification, "-o", good, "--seed", 10**20)[0] == 2
     assert not good.exists()
+
+
+def test_optimize_leaves_its_specification_alone(
+    command: Command, specification: Path, tmp_path: Path
+) -> None:
+    text = specification.read_text()
+    link = tmp_path / "link.toml"
+    link.symlink_to(specification)
+    for output in (specification, link):
+        refused(command("optimize", specification, "-o", output), str(output), "the specification itself")
+    assert specification.read_text() == text
 
 
 def test_draw_writes_pictures(command: Command, paper_design: Path, tmp_path: Path) -> None:
@@ -197,6 +210,8 @@ def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Pa
     assert out.startswith(f"wrote {file}: {figures['triangles']} triangles, within ")
     refused(command("export", paper_design, tmp_path / "lens.xyz"), ".stl")
     refused(command("export", paper_design, file, "--chord-error-um", 0), "above 0")
+    refused(command("export", paper_design, file, "--chord-error-um", 1e-6), "(1e-06 um) would need")
+    assert file.stat().st_size == 84 + 50 * figures["triangles"]
 
 
 def test_glass_in_words_and_as_json(command: Command) -> None:

@@ -117,10 +117,21 @@ FAULTS = [
     ),
     ("[2.0, 22.0]", "[22.0, 2.0]", "plane_distances_mm: distances must increase"),
     ("[9344, 7000]", "[9344.5, 7000]", "sensor, pixels 1 = 9344.5: must be a valid integer"),
-    ("[9344, 7000]", "[9344]", "sensor, pixels 2: missing key"),
+    ("[9344, 7000]", "[9344]", "sensor, pixels 2: missing value"),
     ('title = "A singlet"', "lens = 1", "lens: unknown key; allowed: title, wavelengths_um"),
     ("[object]\n", "[object]\n[", "not valid TOML: .*line"),
-    ("[[surface]]", "[[surfaces]]", "surfaces: unknown key; allowed: .*, surface"),
+    ("[[surface]]", "[[surfaces]]", "surfaces: unknown key; allowed: .*, surface; did you mean surface"),
+    ("radius_mm = 42.3", "raduis_mm = 42.3", "raduis_mm: unknown key; .*; did you mean radius_mm"),
+    ("wavelengths_um = [0.532]", "wavelengths_um = 0.532", "wavelengths_um = 0.532: must be a list"),
+    ("[9344, 7000]", "[9344, 7000, 1]", r"pixels = \[9344, 7000, 1\]: must hold at most 2 items"),
+    ("[9344, 7000]", "[9344, 9999999]", "pixels 2 = 9999999: must be less than or equal to 1000000"),
+    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 1e300", "pixel_pitch_um = 1e.300: must be less than or equal"),
+    ("conic = -0.9", f"asphere = {[0.0] * 21}", "surface 2, asphere = .*: must hold at most 20 items"),
+    ('title = "A singlet"', "glass_catalogs = [3]", "glass_catalogs 1 = 3: must be a path"),
+    ('title = "A singlet"', 'glass_catalogs = ["a\\u0000"]', "glass_catalogs: a path cannot hold a NUL"),
+    ('title = "A singlet"', f"title = {'[' * 3000}", "not valid TOML: .*recursion"),
+    ('title = "A singlet"', f"title = {'1' * 5000}", "not valid TOML: .*limit"),
+    ('"N-BK7"', '"1.5"', "unknown material '1.5'; a constant index is a number, without quotation marks"),
 ]
 
 
@@ -128,9 +139,29 @@ FAULTS = [
 def test_a_fault_is_named_with_its_place(design: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
     design.write_text(GOOD.replace(old, new))
-    with pytest.raises(DesignError, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         load_design(design)
     assert str(caught.value).startswith(str(design))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[0.532]", "[0]", "wavelengths_um 1 = 0: must be greater than 0"),
+        ('"N-BK7"', "0.5", "surface 1, material = 0.5: must be a valid string or greater than or equal to 1"),
+    ],
+)
+def test_one_value_is_one_fault(design: Path, old: str, new: str, message: str) -> None:
+    design.write_text(GOOD.replace(old, new))
+    with pytest.raises(DesignError) as caught:
+        load_design(design)
+    assert str(caught.value) == f"{design}: {message}"
+
+
+def test_a_byte_order_mark_is_passed_over(design: Path) -> None:
+    lens = load_design(design)
+    design.write_bytes(b"\xef\xbb\xbf" + design.read_bytes())
+    assert load_design(design) == lens
 
 
 def test_all_faults_come_at_once(design: Path) -> None:
@@ -172,8 +203,9 @@ def test_unwritable_paths_are_refused(paper_lens: Lens, tmp_path: Path) -> None:
         save_design(paper_lens, tmp_path)
     blocked = tmp_path / "file"
     blocked.write_text("x")
-    with pytest.raises(InputError, match="cannot write"):
+    with pytest.raises(InputError, match="a file stands where a folder is needed"):
         save_design(paper_lens, blocked / "lens.toml")
+    assert blocked.read_text() == "x"
 
 
 def test_folders_are_made_and_nothing_else_stays(paper_lens: Lens, tmp_path: Path) -> None:
@@ -211,3 +243,26 @@ def test_a_written_file_has_the_usual_permissions(tmp_path: Path, paper_lens: Le
     plain.write_text("x")
     save_design(paper_lens, tmp_path / "lens.toml")
     assert (tmp_path / "lens.toml").stat().st_mode == plain.stat().st_mode
+
+
+def test_a_link_stays_and_what_it_points_to_is_replaced(design: Path, paper_lens: Lens) -> None:
+    link = design.with_name("link.toml")
+    link.symlink_to(design.name)
+    save_design(paper_lens, link)
+    assert link.is_symlink()
+    assert load_design(design) == paper_lens
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path: Path, paper_lens: Lens) -> None:
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="no regular file"):
+        save_design(paper_lens, pipe)
+    assert pipe.is_fifo()
+    assert os.listdir(tmp_path) == ["pipe.toml"]
+
+
+def test_names_may_be_as_long_as_the_system_allows(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / ("x" * 250 + ".toml")
+    save_design(paper_lens, path)
+    assert load_design(path) == paper_lens

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from random_lenses import numbers
 
-from lensdesign import Lens
+from lensdesign import DesignError, Lens
 from lensdesign.matching import match, sbp_object, sbp_sensor, spread_limit_sine
 
 
@@ -44,3 +44,20 @@ def test_equation_1_is_met_with_equality_by_a_relay_at_unit_magnification(
     """A sensor as wide as the field, whose pixels just resolve the NA, has the object's product."""
     pitch = wavelength / (2.0 * na)
     assert sbp_sensor(field, pitch) == pytest.approx(sbp_object(field, na, wavelength), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("section", "change"),
+    [
+        ("object", {"field_diameter_mm": 1e-300}),
+        ("object", {"numerical_aperture": 1e-300}),
+        ("sensor", {"pixel_pitch_um": 1e-300}),
+    ],
+)
+def test_what_is_too_small_to_compute_with_is_named(
+    paper_lens: Lens, section: str, change: dict[str, float]
+) -> None:
+    lens = paper_lens.replaced(**{section: getattr(paper_lens, section).replaced(**change)})
+    ((name, _),) = change.items()
+    with pytest.raises(DesignError, match=f"{name} = 1e-300.* too small"):
+        match(lens, 0.532)

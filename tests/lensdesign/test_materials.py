@@ -262,3 +262,9 @@ def test_import_stays_light(catalogue: Path) -> None:
         cwd=Path(__file__).parents[2],
     )
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("wavelength_um", [0.0, math.inf])
+def test_a_constant_index_needs_a_wavelength_all_the_same(wavelength_um: float) -> None:
+    with pytest.raises(MaterialError, match=r"wavelength_um = .*: must be finite and above 0"):
+        refractive_index(1.5, wavelength_um)

@@ -209,3 +209,30 @@ def test_results_pickle_and_become_json(thinnest):
     data = found.as_dict()
     assert {"variables", "evaluations", "seconds", "binding", "feasible", "violations"} <= set(data)
     assert "lens" not in data
+
+
+def test_the_smallest_spread_is_held_against_its_limit(smallest_spread):
+    """What the goal makes small must still keep the limit for the result to count as feasible."""
+    wide, narrow = (Constraints(max_spread_deg=d, max_footprint_radius_mm="none") for d in (4.6, 4.4))
+    assert optimize(changed(smallest_spread, constraints=wide)).feasible
+    found = optimize(changed(smallest_spread, constraints=narrow))
+    assert found.goal_value < 4.585
+    (violation,) = found.violations
+    assert violation.startswith("spread: exceeds its limit by 4.")  # sin 4.58 deg over sin 4.4 deg
+
+
+def test_a_result_that_is_no_lens_is_an_error(thinnest):
+    """A plate of 0.1 mm cannot bend light as asked without its surfaces crossing."""
+    thin = VariableRange(parameter="thickness_mm", surface=1, bounds=(0.001, 0.1))
+    specification = changed(thinnest, variables=(*thinnest.variables[:2], thin))
+    with pytest.raises(
+        DesignError, match=r"no lens was found: .* cross inside the aperture.*widen the bounds"
+    ):
+        optimize(specification)
+
+
+def test_a_result_that_no_ray_passes_is_an_error(smallest_spread):
+    dark = smallest_spread.with_surface(0, material=4.0, radius_mm=-8.4)
+    problem = DesignProblem(dark, dark.lens)
+    with pytest.raises(DesignError, match=r"no lens was found: .*no ray passes"):
+        finished_lens(problem, problem.to_unit(dark.lens), sample_rays(1.5, 1, 2, 1))

@@ -48,6 +48,7 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
         ("bounds = [-5.0, 1.0]", "bounds = [1.0, -5.0]", r"the first must be less than the second"),
         ("bounds = [-5.0, 1.0]", "choices = [1.5]", r"conic needs bounds"),
         ("bounds = [2.0, 20.0]", "bounds = [-2.0, 20.0]", r"thickness_mm must be greater than 0"),
+        ("bounds = [2.0, 20.0]", "bounds = [2.0, 2e9]", r"and at most 1e9"),
         ("smallest_radius_mm = 10.0", "bounds = [1.0, 2.0]", r"radius_mm needs smallest_radius_mm"),
         ("smallest_radius_mm = 10.0", "smallest_radius_mm = 0.0", r"must be greater than 0"),
         ("surface = 1\n", "surface = 3\n", r"the lens has 2 surfaces"),
@@ -73,8 +74,10 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     ],
 )
 def test_faults_are_named(tmp_path, old, new, message):
-    with pytest.raises(DesignError, match=message):
+    with pytest.raises(DesignError, match=message) as caught:
         load_specification(edited(tmp_path, (old, new)))
+    assert "literal[" not in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_unknown_choice_of_glass_is_named(tmp_path):

@@ -1,8 +1,11 @@
 """The command, end to end, in processes of its own."""
 
 import json
+import signal
+import sqlite3
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -89,3 +92,42 @@ def test_import_is_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_an_interrupted_run_says_so_and_goes_on(write_study, ray_study, tmp_path):
+    path = tmp_path / "a.store"
+    start = [
+        sys.executable,
+        "-m",
+        "tolerancing.cli",
+        "run",
+        str(write_study(ray_study)),
+        "--store",
+        str(path),
+    ]
+    running = subprocess.Popen(
+        [*start, "--workers", "1", "--trials", "1000000"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until and not (path.exists() and finished(path)):
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    out, err = running.communicate(timeout=60)
+    assert (running.returncode, out) == (130, "")
+    assert err == f"interrupted; what was finished is in {path}, and the same command goes on from there\n"
+    done = len(finished(path))
+    again = command("run", tmp_path / "study.toml", "--store", path, "--workers", "1", "--trials", done + 40)
+    assert again.returncode == 0, again.stderr
+    command(
+        "run", tmp_path / "study.toml", "--store", tmp_path / "b", "--workers", "1", "--trials", done + 40
+    )
+    assert finished(path) == finished(tmp_path / "b")
+
+
+def finished(path):
+    """All trials of a store."""
+    with sqlite3.connect(path) as connection:
+        return connection.execute("SELECT * FROM trial ORDER BY trial").fetchall()

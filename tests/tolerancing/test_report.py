@@ -128,3 +128,24 @@ def test_unwritable_folder_is_an_input_error(write_study, ray_study, tmp_path):
     (tmp_path / "file").write_text("")
     with open_store(tmp_path / "store") as store, pytest.raises(InputError, match="cannot write"):
         write_report(store, tmp_path / "file" / "out")
+
+
+def test_the_store_is_never_overwritten_by_its_report(report, tmp_path):
+    _, store = report
+    path = tmp_path / "again" / "trials.csv"
+    path.parent.mkdir()
+    path.write_bytes(store.path.read_bytes())
+    with open_store(path) as copy, pytest.raises(InputError, match=r"trials\.csv: it is the store itself"):
+        write_report(copy, path.parent)
+    assert path.read_bytes() == store.path.read_bytes()
+
+
+def test_a_report_that_cannot_be_whole_changes_nothing(report, tmp_path):
+    _, store = report
+    folder = tmp_path / "blocked"
+    (folder / "report.html").mkdir(parents=True)
+    (folder / "trials.csv").write_text("mine")
+    with pytest.raises(InputError, match="it is a folder"):
+        write_report(store, folder)
+    assert (folder / "trials.csv").read_text() == "mine"
+    assert sorted(p.name for p in folder.iterdir()) == ["report.html", "trials.csv"]

@@ -131,7 +131,7 @@ def test_unwritable_place_is_an_input_error(rays, tmp_path):
         run_study(rays, tmp_path / "file" / "store", workers=1)
 
 
-@pytest.mark.parametrize("keys", [{"workers": 0}, {"trials": 0}])
+@pytest.mark.parametrize("keys", [{"workers": 0}, {"trials": 0}, {"trials": 10**20}])
 def test_counts_must_be_positive(rays, tmp_path, keys):
     with pytest.raises(InputError, match="must be at least 1"):
         run_study(rays, tmp_path / "store", **{"workers": 1} | keys)

@@ -162,3 +162,25 @@ def test_missing_store_is_not_made(tmp_path):
     with pytest.raises(InputError, match=r"cannot read .*none"):
         open_store(tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "DELETE FROM study",
+        "UPDATE study SET study_toml = 'x'",
+        "UPDATE trial SET strehl = 'high'",
+        "ALTER TABLE trial ADD COLUMN more",
+        "UPDATE picture SET points = 7",
+    ],
+)
+def test_a_store_that_makes_no_sense_is_damaged(path, damage):
+    picture = Picture(1.0, "y", True, 5.0, np.zeros((3, 3), np.float32))
+    with open_store(path) as store:
+        store.add(some_trials(0, 5))
+        store.add(StepResults("decenter", 0, 0.0, {"strehl": 1.0}, "", (picture,)))
+    with sqlite3.connect(path) as connection:
+        connection.execute(damage)
+    message = r"the store .*a\.store is damaged: .*--fresh"
+    with open_store(path) as store, pytest.raises(InputError, match=message):
+        store.trials(), store.steps()

@@ -28,7 +28,13 @@ def test_study_is_read_with_its_design(write_study, full_study):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("seed = 7", "sed = 7", r"study.toml: sed: unknown key; allowed: title, design, .*perturbation"),
+        ("seed = 7", "sed = 7", r"study.toml: sed: unknown key; allowed: title, .*; did you mean seed"),
+        (
+            "sigma = 0.02",
+            "sgma = 0.02",
+            r"perturbation 1: sgma: unknown key; allowed: .*; did you mean sigma",
+        ),
+        ('design = "design.toml"', 'design = "a\\u0000"', r"cannot read .*null byte"),
         ("trials = 40", "trials = 0", r"trials = 0: must be greater than or equal to 1"),
         ("trials = 40", "", r"trials: missing key"),
         ("sigma = 0.02", "sigma = -0.02", r"study.toml: perturbation 1: sigma = -0.02"),
@@ -95,3 +101,18 @@ def test_fingerprint_follows_study_design_and_indices(write_study, full_study):
     design = path.parent / "design.toml"
     design.write_text(design.read_text().replace("42.3", "42.4"))
     assert load_study(path).fingerprint != first
+
+
+def test_no_perturbation_is_too_few(write_study, ray_study):
+    head, _, rest = ray_study.partition("[[perturbation]]")
+    path = write_study("perturbation = []\n" + head + "[[merit]]" + rest.partition("[[merit]]")[2])
+    with pytest.raises(DesignError, match=r"perturbation = \[\]: must hold at least 1 item"):
+        load_study(path)
+
+
+def test_byte_order_marks_are_passed_over(write_study, full_study):
+    plain = load_study(write_study(full_study))
+    path = write_study("\ufeff" + full_study)
+    design = path.parent / "design.toml"
+    design.write_text("\ufeff" + design.read_text(encoding="utf-8"), encoding="utf-8")
+    assert load_study(path).fingerprint == plain.fingerprint

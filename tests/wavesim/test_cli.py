@@ -78,6 +78,10 @@ def test_table_and_picture(
     ("arguments", "message"),
     [
         ((DESIGN, "--field-mm", "1"), "--field-mm = '1': must be 2 numbers"),
+        (
+            (DESIGN, "--field-mm", "0,1.6"),
+            "--field-mm = '0,1.6': lies 1.6 mm from the axis; allowed: up to 1.5",
+        ),
         ((DESIGN, "--linewidths-um", "a"), "--linewidths-um = 'a'"),
         ((DESIGN, "--linewidths-um", "50"), "raise samples"),
         ((DESIGN, "--samples", "2"), "samples = 2"),
