@@ -1,0 +1,30 @@
+"""Run every benchmark, each in a process of its own, and say what was left out."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from benchmarks.others import HOW_TO_GET, missing_packages
+
+SCRIPTS = ("trace_speed", "monte_carlo_speed", "optimizer", "pupil_trial", "import_time")
+
+
+def main() -> None:
+    """Run them one after the other; exit with status 1 if one was void."""
+    root = Path(__file__).resolve().parents[1]
+    void = []
+    for script in SCRIPTS:
+        print(f"== {script}", flush=True)
+        if subprocess.run([sys.executable, "-m", f"benchmarks.{script}"], cwd=root).returncode:
+            void.append(script)
+    missing = missing_packages()
+    if missing:
+        print(f"left out, not installed: comparisons with {', '.join(missing)} ({HOW_TO_GET})")
+    if void:
+        raise SystemExit(f"void or failed: {', '.join(void)}")
+
+
+if __name__ == "__main__":
+    main()
