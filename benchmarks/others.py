@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Callable
 from importlib import import_module
@@ -39,7 +40,7 @@ class Tracer(Protocol):
 
 
 class OptilandTracer:
-    """Optiland with its NumPy backend, without the records of every surface that it keeps by default."""
+    """Optiland with its NumPy backend, without the records of every surface where it can leave them out."""
 
     def __init__(
         self, lens: Lens, origins: Array, directions: Array, wavelength_um: float, plane_z_mm: float
@@ -59,13 +60,16 @@ class OptilandTracer:
             surfaces.add(index=i, z=z, radius=radius, conic=surface.conic, material=medium, is_stop=i == 1)
         surfaces.add(index=len(media) + 1, z=plane_z_mm)
         self.surfaces = surfaces
+        # Releases before 0.6.3 always record.
+        can_leave_out = "record" in inspect.signature(surfaces.trace).parameters
+        self.options = {"record": False} if can_leave_out else {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba's remarks while it compiles
             self.trace()
 
     def trace(self) -> None:
         self.rays = self.make_rays(*self.columns)
-        self.surfaces.trace(self.rays, skip=1, record=False)
+        self.surfaces.trace(self.rays, skip=1, **self.options)
 
     def perturb(self, dx_mm: float, dy_mm: float, tilt_x_deg: float, tilt_y_deg: float) -> None:
         frame = self.surfaces[-2].geometry.cs
