@@ -2,6 +2,7 @@ from .check import CheckReport, check_design
 from .errors import DesignError, InputError, MaterialError, TransferLensError
 from .files import load_design, save_design
 from .poses import Pose, SurfacePerturbation
+from .scaling import scaled
 from .system import Lens, ObjectSpace, Sensor, Surface
 from .tracing import RayTrace, trace
 
@@ -21,5 +22,6 @@ __all__ = [
     "check_design",
     "load_design",
     "save_design",
+    "scaled",
     "trace",
 ]

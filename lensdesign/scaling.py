@@ -1,0 +1,54 @@
+"""The same lens at another size: a small twin, on which wave optics is cheap."""
+
+from __future__ import annotations
+
+import math
+
+from lensdesign.errors import DesignError
+from lensdesign.system import Lens, Surface
+
+
+def scaled(lens: Lens, factor: float) -> Lens:
+    """A lens with all lengths scaled, those of object space and sensor planes with it.
+
+    Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay, and with them the largest
+    spread angle and the resolution; the number of pixels and the space-bandwidth product shrink with the
+    areas.
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    factor
+        What lengths are multiplied by.
+
+    Raises
+    ------
+    DesignError
+        If the factor is not finite and above 0, or what comes out is no lens.
+    """
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise DesignError(f"scale factor = {factor!r}: must be finite and greater than 0")
+    return lens.replaced(
+        surfaces=tuple(_surface(surface, factor) for surface in lens.surfaces),
+        object=lens.object.replaced(
+            field_diameter_mm=factor * lens.object.field_diameter_mm,
+            working_distance_mm=factor * lens.object.working_distance_mm,
+        ),
+        sensor=lens.sensor.replaced(
+            plane_distances_mm=tuple(factor * distance for distance in lens.sensor.plane_distances_mm),
+            pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
+        ),
+    )
+
+
+def _surface(surface: Surface, factor: float) -> Surface:
+    def times(value: float | None) -> float | None:
+        return None if value is None else factor * value
+
+    return surface.replaced(
+        radius_mm=times(surface.radius_mm),
+        asphere=tuple(a / factor ** (2 * i + 3) for i, a in enumerate(surface.asphere)),
+        thickness_mm=times(surface.thickness_mm),
+        semi_diameter_mm=times(surface.semi_diameter_mm),
+    )
