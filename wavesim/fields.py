@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.arrays import array_module
 
 Array = NDArray[np.float64]
 
@@ -147,7 +148,8 @@ class Field:
     @property
     def energy(self) -> float:
         """Integral of |u|^2 over the grid."""
-        return float((abs(self.values) ** 2).sum()) * self.grid.cell
+        xp = array_module(self.values)
+        return float(xp.sum(abs(self.values) ** 2)) * self.grid.cell
 
     def with_values(self, values: Any) -> Field:
         """Other values at the same place."""
