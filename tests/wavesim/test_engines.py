@@ -1,0 +1,40 @@
+"""Engines by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from lensdesign import Lens
+from lensdesign.errors import InputError
+from wavesim.engine import Scene
+from wavesim.engines import ENGINES, engine_class, make_engine
+from wavesim.fields import Grid
+
+
+@pytest.fixture(scope="module")
+def scene(paper_lens: Lens) -> Scene:
+    return Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), 0.532)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_every_engine_is_made_by_its_name(scene: Scene, name: str) -> None:
+    engine = make_engine(name, scene)
+    assert type(engine) is engine_class(name)
+    assert engine.name == name
+    assert engine.scene is scene
+
+
+def test_settings_reach_the_engine(scene: Scene) -> None:
+    assert make_engine("wpm", scene, step_um=0.25).settings()["step_um"] == 0.25
+
+
+def test_an_unknown_engine_is_refused_with_a_hint(scene: Scene) -> None:
+    with pytest.raises(InputError, match=r"engine = 'slice'.*allowed: .*wpm.*slices"):
+        make_engine("slice", scene)
+
+
+def test_an_unknown_setting_is_refused_with_a_hint(scene: Scene) -> None:
+    with pytest.raises(InputError, match=r"engine wpm: step_umm = 1.0.*allowed: .*step_um"):
+        make_engine("wpm", scene, step_umm=1.0)
+    with pytest.raises(InputError, match=r"engine no-lens: pitch_mm = 1.0.*allowed: force"):
+        make_engine("no-lens", scene, pitch_mm=1.0)
