@@ -1,0 +1,102 @@
+"""What eikonal tiles take, told from sizes and from the rays of the middle tile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wavesim.engine import Cost, Scene
+from wavesim.exit_plane import ExitPlane
+from wavesim.ray_map import BLOCK, RayMap
+from wavesim.resampling import kernel_for
+from wavesim.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.tile_operator import Tile, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.tile_residual import FACTOR_ORDER
+
+MAP_SECONDS = {True: 0.03, False: 0.5}
+"""To fit the maps of one tile, on a line and on a plane."""
+
+SPREAD_PASSES = 60
+"""Complex products that take as long as one nonuniform point."""
+
+COMPLEX = 16
+
+BASE_BYTES = 500_000
+"""Rays of one tile, and matrices to fit polynomials to them."""
+
+
+@dataclass(frozen=True)
+class _Size:
+    """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane."""
+
+    modes: int
+    coarse: int
+    points: int
+    window: int
+    taps: int
+
+
+def tiles_cost(
+    scene: Scene,
+    plane: ExitPlane,
+    tiles: Sequence[Tile],
+    rank: int,
+    mapper: Callable[[tuple[float, float]], RayMap],
+    error: float,
+) -> Cost:
+    """Predict time and memory for complex128 fields, all tiles taken for equal to the middle one."""
+    middle = tiles[len(tiles) // 2]
+    carrier = mapper(middle.centre_mm)
+    size = _sizes(scene, plane, middle, carrier, error)
+    count, shape = len(tiles), plane.grid.shape
+    one = rank * (
+        fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(SPREAD_PASSES * size.points)
+    )
+    one += pass_seconds(10 * size.window)
+    if size.taps:
+        one += pass_seconds(2 * size.taps * size.window + size.coarse)
+    setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
+    setup += 40.0 * pass_seconds(size.window + size.points)
+    kept, passing = _bytes(size, rank, len(shape))
+    beyond_seconds, beyond_bytes = 0.0, 0
+    if plane.beyond is not None:
+        beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
+    result = COMPLEX * math.prod(shape)
+    return Cost(
+        count * one + beyond_seconds,
+        count * setup,
+        count * kept + max(passing, result + beyond_bytes),
+    )
+
+
+def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: float) -> _Size:
+    grid = plane.grid
+    low, high = carrier.rim_mm.min(axis=0), carrier.rim_mm.max(axis=0)
+    axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
+    ends = zip(low, high, axes, strict=True)
+    sides = [float(np.clip(min(h, a[-1]) - max(b, a[0]), 0.0, None)) for b, h, a in ends]
+    window = math.prod(math.ceil(side / grid.pitch_mm) + 1 for side in sides)
+    modes = math.prod(len(o) for o in tile.offsets_mm)
+    filled = 1.0 if grid.is_line else 0.25 * math.pi
+    steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, scene.wavenumber_per_mm)
+    if not coarse_is_used(steps, axes):
+        return _Size(modes, 0, int(filled * window), window, 0)
+    taps = kernel_for(precision_for(np.dtype(complex), error).interpolation_error).taps
+    coarse = math.prod(math.ceil(side / step) + taps + 1 for side, step in zip(sides, steps, strict=True))
+    return _Size(modes, coarse, int(filled * coarse), window, taps)
+
+
+def _bytes(size: _Size, rank: int, dimensions: int) -> tuple[int, int]:
+    """Kept by one tile, and held beside while it is made or used."""
+    kept = COMPLEX * rank * (size.modes + size.points) + size.window
+    if size.taps:
+        kept += COMPLEX * size.window + size.coarse
+    making = (2 * COMPLEX * rank + 8 * (3 * dimensions + 3)) * size.points
+    if dimensions == 1:
+        making = max(making, (5 * 8 + 3 * COMPLEX) * size.window)
+        making += min(size.points, BLOCK) * (FACTOR_ORDER[True] + 1) * (8 + COMPLEX)
+    using = COMPLEX * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
+    return kept, max(making, using) + BASE_BYTES
