@@ -12,8 +12,16 @@ from lensdesign.console import make_app, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import load_design
 from lensdesign.poses import Pose
+from wavesim.cli_compare import compare
+from wavesim.cli_engine import numbers
+from wavesim.cli_oracle import oracle
+from wavesim.cli_resolve import choose, resolve
 
 app = make_app("Waves through spatial information transfer lenses.")
+app.command()(oracle)
+app.command()(resolve)
+app.command()(choose)
+app.command()(compare)
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 
@@ -45,8 +53,8 @@ def pupil(
     from wavesim.pupil import refocus as to_best_focus
     from wavesim.pupil import remove_shift
 
-    field = _numbers(field_mm, "--field-mm", 2)
-    widths = _numbers(linewidths_um, "--linewidths-um")
+    field = numbers(field_mm, "--field-mm", 2)
+    widths = numbers(linewidths_um, "--linewidths-um")
     pose = Pose(decenter_x_mm, decenter_y_mm, despace_mm, tilt_x_deg, tilt_y_deg, pivot_z_mm)
     if output is not None:
         _refuse_format(output)
@@ -109,17 +117,6 @@ def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
             for f, x, y in zip(frequencies, transfer_x, transfer_y, strict=True)
         ],
     }
-
-
-def _numbers(text: str, option: str, count: int | None = None) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if not values or (count is not None and len(values) != count):
-        wanted = "numbers" if count is None else f"{count} numbers"
-        raise InputError(f"{option} = {text!r}: must be {wanted}, separated by commas")
-    return values
 
 
 def _refuse_format(path: Path) -> None:

@@ -1,0 +1,228 @@
+"""The commands `wavesim resolve` and `wavesim choose`."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.console import message_console, print_json
+from lensdesign.files import load_design
+from wavesim.cli_engine import (
+    Compensation,
+    Interface,
+    PitchUm,
+    Slices,
+    StepUm,
+    TileWidthMm,
+    engine_settings,
+    numbers,
+)
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
+WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
+
+
+def resolve(
+    design: Design,
+    linewidths_um: Annotated[str, typer.Option(help="Widths, separated by commas.")] = "1.55,0.775,0.532",
+    field_mm: Annotated[str, typer.Option(help="Field heights along y, separated by commas.")] = "0",
+    engine: Annotated[str, typer.Option(help="What brings the lines back.")] = "slices",
+    reference: Annotated[str, typer.Option(help="What carries them to the exit plane.")] = "eikonal",
+    slices: Slices = None,
+    compensation: Compensation = None,
+    tile_width_mm: TileWidthMm = None,
+    interface: Interface = None,
+    step_um: StepUm = None,
+    pitch_um: PitchUm = None,
+    bars: Annotated[int, typer.Option(help="Bars of each width, at least 5.")] = 5,
+    plane_distance_mm: PlaneDistanceMm = 2.0,
+    wavelength_um: WavelengthUm = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what an engine leaves of lines that a better one has carried through the lens.
+
+    Bars on a dark ground, on a meridional line at each field point, are carried to the exit plane by the
+    reference engine and brought back by the named one, then refocused and registered: what is left of their
+    contrast is what the named engine's model of the lens allows.
+    """
+    from wavesim.resolving import resolve as resolving_test
+
+    lens = load_design(design)
+    widths = numbers(linewidths_um, "--linewidths-um")
+    settings = engine_settings(
+        slices=slices,
+        compensation=compensation,
+        tile_width_mm=tile_width_mm,
+        interface=interface,
+        step_um=step_um,
+        pitch_um=pitch_um,
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        results = [
+            resolving_test(
+                lens,
+                widths,
+                height,
+                engine,
+                reference=reference,
+                wavelength_um=wavelength_um,
+                plane_distance_mm=plane_distance_mm,
+                bars=bars,
+                **settings,
+            )
+            for height in numbers(field_mm, "--field-mm")
+        ]
+    for message in dict.fromkeys(str(warning.message) for warning in caught):
+        message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)
+    if as_json:
+        print_json(_resolve_summary(results, widths, lens.title or design.stem))
+    else:
+        _print_resolved(results)
+
+
+def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dict[str, Any]:
+    def table(name: str) -> list[list[float]]:
+        return [[getattr(line, name) for line in result.lines] for result in results]
+
+    return {
+        "design": title,
+        "engine": results[0].engine,
+        "reference": results[0].reference,
+        "settings": [result.settings for result in results],
+        "field_mm": [result.field_mm for result in results],
+        "linewidths_um": widths,
+        "contrast": table("contrast"),
+        "contrast_as_is": table("contrast_as_is"),
+        "contrast_of_reference": table("contrast_of_reference"),
+        "refocus_um": table("refocus_um"),
+        "shift_um": table("shift_um"),
+        "exit_correlation": table("exit_correlation"),
+    }
+
+
+def _print_resolved(results: list[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    first = results[0]
+    settings = ", ".join(
+        f"{n} = {v:.6g}" if isinstance(v, float) else f"{n} = {v}" for n, v in first.settings.items()
+    )
+    console.print(f"lines carried by {first.reference}, brought back by {first.engine}", soft_wrap=True)
+    if settings:
+        console.print(settings, soft_wrap=True)
+    console.print()
+    table = Table(box=None, pad_edge=False)
+    for column in (
+        "field (mm)",
+        "line width (um)",
+        "contrast",
+        "as is",
+        f"{first.reference}",
+        "refocus (um)",
+        "shift (um)",
+        "exit correlation",
+    ):
+        table.add_column(column, justify="right")
+    for result in results:
+        for line in result.lines:
+            table.add_row(
+                f"{result.field_mm:g}",
+                f"{line.line_width_um:g}",
+                f"{line.contrast:.3f}",
+                f"{line.contrast_as_is:.3f}",
+                f"{line.contrast_of_reference:.3f}",
+                f"{line.refocus_um:.2f}",
+                f"{line.shift_um:.3f}",
+                f"{line.exit_correlation:.4f}",
+            )
+    console.print(table)
+
+
+def choose(
+    design: Design,
+    error: Annotated[float, typer.Option(help="Relative L2 error of the exit field that is allowed.")] = 0.1,
+    field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
+    patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.1,
+    plane_distance_mm: PlaneDistanceMm = 2.0,
+    meridional: Annotated[bool, typer.Option(help="A line in place of a plane.")] = False,
+    runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
+    memory_gb: Annotated[float, typer.Option(help="Memory that may be used.")] = 16.0,
+    hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
+    wavelength_um: WavelengthUm = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict error, time and memory of every engine, and name the cheapest that holds."""
+    from wavesim.choosing import choose as choose_engine
+    from wavesim.scenes import patch_scene
+
+    scene = patch_scene(
+        load_design(design),
+        patch_mm,
+        field_mm,
+        plane_distance_mm=plane_distance_mm,
+        wavelength_um=wavelength_um,
+        meridional=meridional,
+    )
+    choice = choose_engine(scene, error, 1e9 * memory_gb, 3600.0 * hours, runs)
+    if as_json:
+        print_json(_choice_summary(choice, runs))
+    else:
+        _print_choice(choice, runs)
+
+
+def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
+    import math
+
+    def plain(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    return {
+        "engine": choice.chosen.engine,
+        "settings": choice.chosen.settings,
+        "reason": choice.reason,
+        "runs": runs,
+        "predictions": [
+            {
+                "engine": p.engine,
+                "settings": p.settings,
+                "relative_error": plain(p.relative_error),
+                "seconds": plain(p.seconds),
+                "setup_seconds": p.setup_seconds,
+                "peak_mb": 1e-6 * p.peak_bytes,
+                "neglected": p.neglected,
+                "refused": p.refused or None,
+            }
+            for p in choice.predictions
+        ],
+    }
+
+
+def _print_choice(choice: Any, runs: int) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    table.add_column("engine")
+    for column in ("error, at most", f"seconds for {runs} run(s)", "peak memory (MB)"):
+        table.add_column(column, justify="right")
+    for p in choice.predictions:
+        mark = "*" if p is choice.chosen else ""
+        if p.refused:
+            table.add_row(mark, p.label, "refused", "", "")
+        else:
+            figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
+            table.add_row(mark, p.label, *figures)
+    console.print(table)
+    console.print()
+    for sentence in choice.reason.split(". "):
+        console.print(sentence.removesuffix("."), soft_wrap=True)

@@ -1,0 +1,256 @@
+"""The resolving test: what one engine's reconstruction leaves of lines that another has carried.
+
+Bars on a dark ground, lit along the axis, are carried from a field point through the lens by a reference
+engine, and brought back by the engine under test, on a meridional line. The model's own shift and defocus
+are not held against it: the result is refocused and registered, as a reconstruction of a real picture is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from lensdesign.errors import InputError
+from lensdesign.system import Lens
+from wavesim.engine import Engine, Scene
+from wavesim.engines import make_engine
+from wavesim.fields import Field, Grid, correlation
+from wavesim.scenes import exit_grid
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+OBJECT_PITCH_WAVES = 0.1
+"""Pitch of the object grid, in wavelengths."""
+
+MARGIN_MM = 0.06
+"""Dark ground on each side of the bars, for lines that come back displaced or blurred."""
+
+REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
+
+
+@dataclass(frozen=True)
+class LineContrast:
+    """What is left of lines of one width.
+
+    Attributes
+    ----------
+    line_width_um : float
+        Of a bar, and of a gap.
+    contrast : float
+        (bright - dark) / (bright + dark), in the middles of bars and gaps, refocused and registered;
+        negative where bright and dark trade places.
+    contrast_as_is : float
+        The same without refocus and registration.
+    contrast_of_reference : float
+        Of lines that the reference engine has brought back itself.
+    refocus_um, shift_um : float
+        Object distance and lateral displacement that the refocusing took.
+    exit_correlation : float
+        Of the exit field of the engine under test with that of the reference.
+    """
+
+    line_width_um: float
+    contrast: float
+    contrast_as_is: float
+    contrast_of_reference: float
+    refocus_um: float
+    shift_um: float
+    exit_correlation: float
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """The resolving test at one field point.
+
+    Attributes
+    ----------
+    field_mm : float
+        Field height, along y.
+    engine, reference : str
+        What brought the lines back, and what had carried them.
+    settings : dict
+        Of the engine under test.
+    lines : tuple of LineContrast
+        One for each line width.
+    """
+
+    field_mm: float
+    engine: str
+    reference: str
+    settings: dict[str, Any]
+    lines: tuple[LineContrast, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def resolve(
+    lens: Lens,
+    line_widths_um: Sequence[float],
+    field_mm: float = 0.0,
+    engine: str = "slices",
+    *,
+    reference: str = "eikonal",
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+    bars: int = 5,
+    **settings: Any,
+) -> Resolved:
+    """Carry lines through a lens by one engine, and back by another.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    line_widths_um
+        Widths of the lines.
+    field_mm
+        Height of the field point, along y.
+    engine, settings
+        The engine under test, by name, and its settings.
+    reference
+        The engine that carries the lines forward.
+    wavelength_um
+        The design's first one if left out.
+    plane_distance_mm
+        Where the field is handed over, from the exit vertex.
+    bars
+        Number of bars, at least 5, so that false contrast shows.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    SamplingError
+        If an engine cannot hold the field.
+    """
+    _refuse(lens, line_widths_um, field_mm, bars)
+    scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
+    truth, tested = make_engine(reference, scene), make_engine(engine, scene, **settings)
+    lines = tuple(_line_contrast(truth, tested, width, bars) for width in line_widths_um)
+    return Resolved(field_mm, engine, reference, tested.settings(), lines)
+
+
+def meridional_scene(
+    lens: Lens,
+    widest_line_um: float,
+    field_mm: float,
+    bars: int = 5,
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+) -> Scene:
+    """A line scene that holds the bars at a field point, and the lens's footprint on the exit plane."""
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + MARGIN_MM
+    pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
+    count = scipy.fft.next_fast_len(2 * int(np.ceil(half_object / pitch)) + 1)
+    object_grid = Grid((count,), pitch, lens.object_z_mm, (0.0, float(field_mm)))
+    return Scene(lens, object_grid, exit_grid(lens, wavelength, plane_distance_mm, 1), wavelength)
+
+
+def bars_field(grid: Grid, wavelength_um: float, line_width_um: float, bars: int = 5) -> Field:
+    """Bright bars on a dark ground in the middle of a line grid; edges are shared between samples."""
+    width = 1e-3 * line_width_um
+    y = grid.y_mm - grid.centre_mm[1]
+    starts = width * (2.0 * np.arange(bars) - (bars - 0.5))
+    low, high = y[:, None] - 0.5 * grid.pitch_mm, y[:, None] + 0.5 * grid.pitch_mm
+    covered = np.clip(np.minimum(high, starts + width) - np.maximum(low, starts), 0.0, None)
+    return Field(grid, (covered.sum(axis=1) / grid.pitch_mm).astype(complex), wavelength_um)
+
+
+def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: int) -> None:
+    if not len(line_widths_um):
+        raise InputError("line_widths_um: must hold at least one width")
+    for width in line_widths_um:
+        if not 0.01 <= width <= 1000.0:
+            raise InputError(f"line width = {width!r} um: must be from 0.01 to 1000")
+    if not abs(field_mm) <= lens.half_field_mm:
+        raise InputError(
+            f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+        )
+    if bars < 5:
+        raise InputError(f"bars = {bars}: must be at least 5, else false contrast goes unseen")
+
+
+def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: int) -> LineContrast:
+    grid, wavelength = truth.scene.object_grid, truth.scene.wavelength_um
+    lines = bars_field(grid, wavelength, line_width_um, bars)
+    exit_field = truth.forward(lines)
+    best = np.asarray(truth.adjoint(exit_field).values)
+    seen = np.asarray(tested.adjoint(exit_field).values)
+    refocus, shift, moved = register(seen, best, grid, wavelength)
+    contrast = _contrast_of(grid, line_width_um, bars)
+    return LineContrast(
+        line_width_um=float(line_width_um),
+        contrast=contrast(moved),
+        contrast_as_is=contrast(seen),
+        contrast_of_reference=contrast(best),
+        refocus_um=1e3 * refocus,
+        shift_um=1e3 * shift,
+        exit_correlation=correlation(tested.forward(lines).values, exit_field.values),
+    )
+
+
+def _contrast_of(grid: Grid, line_width_um: float, bars: int) -> Callable[[ComplexArray], float]:
+    y = grid.y_mm - grid.centre_mm[1]
+    width = 1e-3 * line_width_um
+    middles = width * (2.0 * np.arange(bars) - (bars - 1))
+    gaps = 0.5 * (middles[1:] + middles[:-1])
+
+    def contrast(values: ComplexArray) -> float:
+        intensity = np.abs(values) ** 2
+        bright = np.interp(middles, y, intensity).mean()
+        dark = np.interp(gaps, y, intensity).mean()
+        return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0
+
+    return contrast
+
+
+def register(
+    values: ComplexArray, target: ComplexArray, grid: Grid, wavelength_um: float
+) -> tuple[float, float, ComplexArray]:
+    """Refocus and shift a field on a line until it correlates best with a target.
+
+    Returns
+    -------
+    refocus_mm, shift_mm : float
+        How far along the axis the field was carried, and how far along the line it then lay displaced.
+    moved : ndarray
+        The field, carried and put back.
+    """
+    # Padding keeps what is shifted over an end from coming back at the other.
+    count = scipy.fft.next_fast_len(2 * len(values))
+    cycles = scipy.fft.fftfreq(count, grid.pitch_mm)
+    k = 2e3 * np.pi / wavelength_um
+    kz = np.sqrt(np.maximum(k * k - (2.0 * np.pi * cycles) ** 2, 0.0)) - k
+    spectrum = scipy.fft.fft(values, count)
+    product = spectrum * np.conj(scipy.fft.fft(target, count))
+
+    def overlap(distance: float) -> Array:
+        return np.abs(scipy.fft.ifft(product * np.exp(1j * kz * distance)))
+
+    distances = np.arange(-REFOCUS_RANGE_MM, REFOCUS_RANGE_MM + REFOCUS_STEP_MM, REFOCUS_STEP_MM)
+    rough = distances[int(np.argmax([overlap(d).max() for d in distances]))]
+    bounds = (rough - REFOCUS_STEP_MM, rough + REFOCUS_STEP_MM)
+    fine = minimize_scalar(lambda d: -overlap(d).max(), bounds=bounds, method="bounded")
+    distance = float(fine.x)
+    lag = _peak(overlap(distance))
+    shift = (lag - count if lag > count / 2 else lag) * grid.pitch_mm
+    turned = spectrum * np.exp(1j * (kz * distance + 2.0 * np.pi * cycles * shift))
+    return distance, float(shift), scipy.fft.ifft(turned)[: len(values)]
+
+
+def _peak(values: Array) -> float:
+    """Position of the largest value, between samples by a parabola."""
+    top = int(np.argmax(values))
+    left, middle, right = (values[(top + i) % len(values)] for i in (-1, 0, 1))
+    bend = left - 2.0 * middle + right
+    return top + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)
