@@ -23,6 +23,7 @@ def compare(
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
     field_mm: Annotated[float, typer.Option(help="Height of its middle, along y.")] = 0.0,
     scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
+    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 60.0,
     maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -55,7 +56,7 @@ def compare(
         def show(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=what[:72])
 
-        rows = measure(cases, variants(), show)
+        rows = measure(cases, variants(), show, most_seconds)
         write_csv(output / "comparison.csv", rows)
         _save(comparison_figure(rows, "Error against cost"), output / "comparison.png")
         written = [output / "comparison.png", output / "comparison.csv"]

@@ -130,7 +130,10 @@ def random_field(grid: Any, wavelength_um: float, numerical_aperture: float) -> 
 
 
 def compare(
-    cases: dict[str, OracleCase], tried: Sequence[Variant], progress: Progress | None = None
+    cases: dict[str, OracleCase],
+    tried: Sequence[Variant],
+    progress: Progress | None = None,
+    most_seconds: float = 60.0,
 ) -> list[Measured]:
     """Hold engines against truths.
 
@@ -142,7 +145,16 @@ def compare(
         Families, engines and settings.
     progress
         Called with the number done, the number in all, and what comes next.
+    most_seconds
+        What is predicted to take longer is left out, and said to be.
+
+    Raises
+    ------
+    InputError
+        If `most_seconds` is not above 0.
     """
+    if not most_seconds > 0.0:
+        raise InputError(f"most_seconds = {most_seconds!r}: must be above 0")
     results: list[Measured] = []
     total = len(cases) * len(tried)
     for name, case in cases.items():
@@ -150,15 +162,22 @@ def compare(
         for family, engine, settings in tried:
             if progress is not None:
                 progress(len(results) + len(rows), total, f"{name}: {family} {_label(settings)}")
-            rows.append(_measure(name, case, family, engine, settings))
+            rows.append(_measure(name, case, (family, engine, settings), most_seconds))
         results += with_front(rows)
     return results
 
 
-def _measure(name: str, case: OracleCase, family: str, engine: str, settings: dict[str, Any]) -> Measured:
+def _measure(name: str, case: OracleCase, variant: Variant, most_seconds: float) -> Measured:
+    family, engine, settings = variant
     label = _label(settings)
     nothing = (float("nan"),) * 7
     try:
+        cost = make_engine(engine, case.scene, **settings).cost()
+        seconds = cost.setup_seconds + cost.seconds
+        if seconds > most_seconds:
+            return Measured(
+                name, family, label, *nothing, said=f"left out: predicted to take {seconds:.3g} s"
+            )
         found = hold_against(case, engine, settings)
     except (InputError, SamplingError) as problem:
         return Measured(name, family, label, *nothing, said=str(problem))
@@ -178,7 +197,8 @@ def _measure(name: str, case: OracleCase, family: str, engine: str, settings: di
 
 
 def _label(settings: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in settings.items())
+    """The settings that are numbers; the others name the family."""
+    return ", ".join(f"{name} {value:g}" for name, value in settings.items() if not isinstance(value, str))
 
 
 def with_front(rows: list[Measured]) -> list[Measured]:

@@ -187,7 +187,15 @@ class EikonalTiles(Engine):
 
     def cost(self) -> Cost:
         rank = self.probe.rank_for(self._allowed) if self._quadratic == "low-rank" else 1
-        return tiles_cost(self.scene, self.plane, self.probe.tiles, rank, self._map, self._error)
+        return tiles_cost(
+            self.scene,
+            self.plane,
+            self.probe.tiles,
+            rank,
+            self._quadratic == "low-rank",
+            self._map,
+            self._error,
+        )
 
 
 def _usable(values: Any) -> NDArray[np.complexfloating]:

@@ -256,7 +256,7 @@ class AnnularSlices(Engine):
         size, samples = working.grid.size, _samples(working)
         into, out = self._transfers(working.heights_mm[0][0], working.heights_mm[-1][1])
         count = sum(self.slices if high > low else 1 for low, high in working.heights_mm)
-        each = 2.0 * fft_seconds(size) + 6.0 * pass_seconds(size)
+        each = 2.0 * fft_seconds(size, working.grid.is_line) + 4.0 * pass_seconds(size)
         if self.spacing != "equal":
             each += 2.0 * exponential_seconds(size)
         passing = count * each + 6.0 * len(samples) * exponential_seconds(size)
@@ -265,7 +265,7 @@ class AnnularSlices(Engine):
         setup_bytes = FIT_BYTES[working.grid.is_line] + 7 * REAL * size
         setup_bytes += 4 * REAL * sum(samples) + 15 * REAL * max(samples)
         peak = max(kept + waves, kept + into.peak_bytes + COMPLEX * size, kept + out.peak_bytes, setup_bytes)
-        setup = 0.02 + sum(40.0 * exponential_seconds(n) for n in samples) + 10.0 * pass_seconds(size)
+        setup = 0.006 + sum(40.0 * exponential_seconds(n) for n in samples) + 10.0 * pass_seconds(size)
         return Cost(into.seconds + passing + out.seconds, setup, int(peak))
 
 

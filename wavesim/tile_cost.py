@@ -16,27 +16,34 @@ from wavesim.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.tile_operator import Tile, coarse_is_used, coarse_steps_mm, precision_for
 from wavesim.tile_residual import FACTOR_ORDER
 
-MAP_SECONDS = {True: 0.03, False: 0.5}
-"""To fit the maps of one tile, on a line and on a plane."""
+PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
+"""To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""
 
 SPREAD_PASSES = 60
 """Complex products that take as long as one nonuniform point."""
 
+SPREAD_OUT = {True: 1.0, False: 2.4}
+"""What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
+
 COMPLEX = 16
 
-BASE_BYTES = 500_000
-"""Rays of one tile, and matrices to fit polynomials to them."""
+BASE_BYTES, LEAST_BYTES = 100_000, {True: 650_000, False: 18_000_000}
+"""Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
 
 
 @dataclass(frozen=True)
 class _Size:
-    """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane."""
+    """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane.
+
+    `map_terms` is that of its maps' polynomials along one axis.
+    """
 
     modes: int
     coarse: int
     points: int
     window: int
     taps: int
+    map_terms: int
 
 
 def tiles_cost(
@@ -44,6 +51,7 @@ def tiles_cost(
     plane: ExitPlane,
     tiles: Sequence[Tile],
     rank: int,
+    low_rank: bool,
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> Cost:
@@ -58,17 +66,18 @@ def tiles_cost(
     one += pass_seconds(10 * size.window)
     if size.taps:
         one += pass_seconds(2 * size.taps * size.window + size.coarse)
+    one *= SPREAD_OUT[scene.object_grid.is_line]
     setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
     setup += 40.0 * pass_seconds(size.window + size.points)
-    kept, passing = _bytes(size, rank, len(shape))
+    kept, passing = _bytes(size, rank, low_rank, len(shape))
     beyond_seconds, beyond_bytes = 0.0, 0
     if plane.beyond is not None:
         beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
     result = COMPLEX * math.prod(shape)
     return Cost(
         count * one + beyond_seconds,
-        count * setup,
-        count * kept + max(passing, result + beyond_bytes),
+        PROBE_SECONDS[scene.object_grid.is_line] + count * setup,
+        max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, result + beyond_bytes)),
     )
 
 
@@ -81,15 +90,16 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
     window = math.prod(math.ceil(side / grid.pitch_mm) + 1 for side in sides)
     modes = math.prod(len(o) for o in tile.offsets_mm)
     filled = 1.0 if grid.is_line else 0.25 * math.pi
+    terms = int(carrier.maps.coefficients.shape[1])
     steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, scene.wavenumber_per_mm)
     if not coarse_is_used(steps, axes):
-        return _Size(modes, 0, int(filled * window), window, 0)
+        return _Size(modes, 0, int(filled * window), window, 0, terms)
     taps = kernel_for(precision_for(np.dtype(complex), error).interpolation_error).taps
     coarse = math.prod(math.ceil(side / step) + taps + 1 for side, step in zip(sides, steps, strict=True))
-    return _Size(modes, coarse, int(filled * coarse), window, taps)
+    return _Size(modes, coarse, int(filled * coarse), window, taps, terms)
 
 
-def _bytes(size: _Size, rank: int, dimensions: int) -> tuple[int, int]:
+def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int) -> tuple[int, int]:
     """Kept by one tile, and held beside while it is made or used."""
     kept = COMPLEX * rank * (size.modes + size.points) + size.window
     if size.taps:
@@ -97,6 +107,9 @@ def _bytes(size: _Size, rank: int, dimensions: int) -> tuple[int, int]:
     making = (2 * COMPLEX * rank + 8 * (3 * dimensions + 3)) * size.points
     if dimensions == 1:
         making = max(making, (5 * 8 + 3 * COMPLEX) * size.window)
-        making += min(size.points, BLOCK) * (FACTOR_ORDER[True] + 1) * (8 + COMPLEX)
+        terms = size.map_terms * 8
+        if low_rank:
+            terms = max(terms, (FACTOR_ORDER[True] + 1) * (8 + COMPLEX))
+        making += min(size.points, BLOCK) * terms
     using = COMPLEX * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
     return kept, max(making, using) + BASE_BYTES

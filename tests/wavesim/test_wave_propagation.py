@@ -367,4 +367,4 @@ def test_says_what_it_neglects(cylinder: OracleCase) -> None:
     assert any("reflected" in n.what for n in found)
     assert all(0.0 <= e < 0.1 for e in errors)
     stairs = WavePropagation(cylinder.scene, interface="staircase").neglected()[0]
-    assert stairs.relative_error == pytest.approx(0.24, rel=0.5)
+    assert 0.5 < stairs.relative_error < 0.7
