@@ -14,12 +14,20 @@ from typing import Any
 import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from wavesim.engine import Scene
 from wavesim.ray_bundles import RayBundle
 from wavesim.ray_map import RayMap
-from wavesim.resampling import OVERSAMPLING, Kernel, coarse_axis, interpolation, kernel_for
+from wavesim.resampling import (
+    OVERSAMPLING,
+    Kernel,
+    Weights,
+    add_interpolated,
+    coarse_axis,
+    gathered,
+    interpolation,
+    kernel_for,
+)
 from wavesim.tile_residual import Separable
 
 Array = NDArray[np.float64]
@@ -84,8 +92,8 @@ class Precision:
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
     """Well below the error allowed, and no finer than the type of number holds."""
     single = dtype == np.complex64
-    transform = float(np.clip(1e-2 * error, 1e-5, 1e-4)) if single else 1e-12
-    return Precision(dtype, transform, max(1e-2 * error, 1e-7))
+    transform = float(np.clip(1e-2 * error, 1e-5, 1e-3)) if single else 1e-12
+    return Precision(dtype, transform, max(3e-2 * error, 1e-7))
 
 
 def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float) -> Array:
@@ -152,7 +160,8 @@ class TileOperator:
         if not np.any(carried):
             return
         steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, k)
-        self._ways: tuple[csr_array, ...] | None = None
+        self._ways: tuple[Weights, Weights] | None = None
+        self._carried: NDArray = carried
         if coarse_is_used(steps, axes):
             kernel = kernel_for(precision.interpolation_error)
             coarse = tuple(coarse_axis(a, h, kernel) for a, h in zip(fine, steps, strict=True))
@@ -166,22 +175,19 @@ class TileOperator:
         if self._ways is None:
             weight = carried[self._needed][None]
             self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
-            self._carried = None
         else:
             self._weights = None if sensor is None else sensor.astype(self._dtype)
-            self._carried = carried
         self._plans = _plans(cosines * (k * tile.pitch_mm), self._tile_factors.shape, precision)
 
     def _prepare_coarse(
         self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
     ) -> None:
-        ways = [interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True)]
-        touched = [(abs(way) > 0.0).astype(np.float32) for way in ways]
+        along_y, along_x = (interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True))
+        touched = [(abs(way.matrix()) > 0.0).astype(np.float32) for way in (along_y, along_x)]
         lit = (carried != 0.0).astype(np.float32)
         self._needed = (touched[1].T @ (touched[0].T @ lit).T).T > 0.0
         real = np.float32 if self._dtype == np.complex64 else np.float64
-        self._ways = tuple(csr_array(w.astype(real)) for w in ways)
-        self._ways_back = tuple(csr_array(w.T.tocsr()) for w in self._ways)
+        self._ways = along_y.astype(real), along_x.astype(real)
 
     def add_forward(self, values: NDArray, result: NDArray) -> None:
         """Add the tile's field to the field on the plane."""
@@ -194,10 +200,10 @@ class TileOperator:
             spectrum = np.einsum("rn,rn->n", self._weights, spectrum)
         field = np.zeros(self._needed.shape, self._dtype)
         field[self._needed] = spectrum.ravel()
-        if self._ways is not None:
-            field = (self._ways[1] @ np.ascontiguousarray((self._ways[0] @ field).T)).T
-            field *= self._carried
-        result[self.window] += field
+        if self._ways is None:
+            result[self.window] += field
+        else:
+            add_interpolated(field, self._ways, self._carried, result[self.window], THREADS)
 
     def adjoint(self, values: NDArray) -> NDArray:
         """Conjugate transpose of what :meth:`add_forward` adds: values on the tile's part of the object."""
@@ -205,10 +211,7 @@ class TileOperator:
             return np.zeros((), self._dtype)
         field = values[self.window]
         if self._ways is not None:
-            assert self._carried is not None
-            field = field * self._carried.conj()
-            across = np.ascontiguousarray((self._ways_back[0] @ field).T)
-            field = (self._ways_back[1] @ across).T
+            field = gathered(field, self._ways, self._carried, THREADS)
         strength = field[self._needed]
         count = len(self._tile_factors)
         if self._weights is not None:

@@ -19,7 +19,7 @@ from wavesim.ray_map import RayMap, RayMapError
 from wavesim.tile_operator import Tile
 from wavesim.tile_residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
 
-RANK_SOUGHT = 10
+RANK_SOUGHT = 5
 """Terms that a tile may take before narrower tiles are cheaper."""
 
 REFUSED = 3.0
