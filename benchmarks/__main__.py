@@ -8,7 +8,15 @@ from pathlib import Path
 
 from benchmarks.others import HOW_TO_GET, missing_packages
 
-SCRIPTS = ("trace_speed", "monte_carlo_speed", "optimizer", "pupil_trial", "import_time")
+SCRIPTS = (
+    "trace_speed",
+    "monte_carlo_speed",
+    "optimizer",
+    "pupil_trial",
+    "eikonal_speed",
+    "chooser",
+    "import_time",
+)
 
 
 def main() -> None:

@@ -28,9 +28,12 @@ def blocks(page: Path, language: str) -> list[str]:
     )
 
 
-@pytest.mark.parametrize("number", range(len(blocks(ROOT / "README.md", "python"))))
-def test_python_of_the_readme_runs(number: int, tmp_path: Path) -> None:
-    code = blocks(ROOT / "README.md", "python")[number].replace('"designs/', f'"{ROOT}/designs/')
+SNIPPETS = [(page, number) for page in PAGES for number in range(len(blocks(page, "python")))]
+
+
+@pytest.mark.parametrize(("page", "number"), SNIPPETS, ids=[f"{p.name}-{n}" for p, n in SNIPPETS])
+def test_python_of_the_pages_runs(page: Path, number: int, tmp_path: Path) -> None:
+    code = blocks(page, "python")[number].replace('"designs/', f'"{ROOT}/designs/')
     script = tmp_path / "tour.py"
     script.write_text(code, encoding="utf-8")
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300)

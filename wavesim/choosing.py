@@ -65,7 +65,8 @@ class Prediction:
     def label(self) -> str:
         """Engine and settings in a few words."""
         inside = ", ".join(
-            f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in self.settings.items()
+            f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in self.settings.items()
         )
         return f"{self.engine} ({inside})" if inside else self.engine
 

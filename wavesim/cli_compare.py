@@ -42,6 +42,10 @@ def compare(
     lens = scaled(load_design(design), scale)
     if output.exists() and not output.is_dir():
         raise InputError(f"--output = {str(output)!r}: is no folder")
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {output}: {error.strerror}") from None
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=message_console(), transient=True) as bar:
         task = bar.add_task("exact solution and true field", total=None)

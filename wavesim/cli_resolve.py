@@ -212,8 +212,8 @@ def _print_choice(choice: Any, runs: int) -> None:
     console = Console(highlight=False, markup=False)
     table = Table(box=None, pad_edge=False)
     table.add_column("")
-    table.add_column("engine")
-    for column in ("error, at most", f"seconds for {runs} run(s)", "peak memory (MB)"):
+    table.add_column("engine", no_wrap=True)
+    for column in ("error, at most", f"seconds, {runs} run(s)", "memory (MB)"):
         table.add_column(column, justify="right")
     for p in choice.predictions:
         mark = "*" if p is choice.chosen else ""

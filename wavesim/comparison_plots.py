@@ -101,12 +101,16 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
         Written on top.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     columns = 2
     lines = math.ceil(len(maps) / columns)
     figure = Figure(figsize=(14.0, 4.6 * lines + 0.8), layout="constrained")
     figure.suptitle(title, fontsize=14)
     axes = figure.subplots(lines, columns, squeeze=False).ravel()
+    handles = [Line2D([], [], color="black", ls=style, lw=2) for style in ("--", "-")]
+    words = ["from here on the guard warns", "from here on it refuses"]
+    figure.legend(handles, words, loc="outside lower center", ncols=2, frameon=False)
     picture: Any = None
     for place, found in zip(axes, maps, strict=False):
         picture = _draw_map(place, found)
@@ -117,8 +121,6 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
 
 
 def _draw_map(axes: Any, found: FailureMap) -> Any:
-    from matplotlib.lines import Line2D
-
     shown = np.log10(np.maximum(found.error, 10.0 ** DECADES[0]))
     picture = axes.imshow(
         np.ma.masked_invalid(shown),
@@ -139,17 +141,8 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
     axes.set_xticks(range(len(found.x)), [f"{v:g}" for v in found.x])
     axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
     axes.set(xlabel=found.x_label, ylabel=found.y_label)
-    axes.set_title(found.method, loc="left")
-    handles = [Line2D([], [], color="black", ls=s, lw=2) for s in ("--", "-")]
-    axes.legend(
-        handles,
-        ["guard warns", "guard refuses"],
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=2,
-        frameon=False,
-        fontsize=8,
-    )
+    always = ", warns everywhere" if np.all(found.guard >= WARNED) else ""
+    axes.set_title(found.method + always, loc="left")
     return picture
 
 

@@ -200,7 +200,4 @@ class EikonalTiles(Engine):
 
 def _usable(values: Any) -> NDArray[np.complexfloating]:
     field = np.asarray(values)
-    field = field if field.dtype == np.complex64 else field.astype(np.complex128, copy=False)
-    if not np.isfinite(field.sum()):
-        raise InputError("the field holds values that are not finite")
-    return field
+    return field if field.dtype == np.complex64 else field.astype(np.complex128, copy=False)

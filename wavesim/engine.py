@@ -177,7 +177,7 @@ class Engine(ABC):
         Raises
         ------
         InputError
-            If the field does not lie on the object grid, or has another wavelength.
+            If the field does not lie on the object grid, has another wavelength, or is not finite.
         SamplingError
             If the grids cannot hold the field on its way.
         """
@@ -205,3 +205,5 @@ class Engine(ABC):
                 f"the field's wavelength of {field.wavelength_um:g} um is not the scene's "
                 f"{self.scene.wavelength_um:g} um"
             )
+        if not math.isfinite(abs(complex(field.values.sum()))):
+            raise InputError("the field holds values that are not finite")

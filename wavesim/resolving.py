@@ -21,7 +21,7 @@ from lensdesign.system import Lens
 from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid, correlation
-from wavesim.scenes import exit_grid
+from wavesim.scenes import exit_grid, wavelength_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -148,7 +148,7 @@ def meridional_scene(
     plane_distance_mm: float = 0.0,
 ) -> Scene:
     """A line scene that holds the bars at a field point, and the lens's footprint on the exit plane."""
-    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    wavelength = wavelength_of(lens, wavelength_um)
     half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + MARGIN_MM
     pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
     count = scipy.fft.next_fast_len(2 * int(np.ceil(half_object / pitch)) + 1)
@@ -159,11 +159,12 @@ def meridional_scene(
 def bars_field(grid: Grid, wavelength_um: float, line_width_um: float, bars: int = 5) -> Field:
     """Bright bars on a dark ground in the middle of a line grid; edges are shared between samples."""
     width = 1e-3 * line_width_um
-    y = grid.y_mm - grid.centre_mm[1]
-    starts = width * (2.0 * np.arange(bars) - (bars - 0.5))
-    low, high = y[:, None] - 0.5 * grid.pitch_mm, y[:, None] + 0.5 * grid.pitch_mm
-    covered = np.clip(np.minimum(high, starts + width) - np.maximum(low, starts), 0.0, None)
-    return Field(grid, (covered.sum(axis=1) / grid.pitch_mm).astype(complex), wavelength_um)
+    borders = grid.centre_mm[1] + grid.pitch_mm * (np.arange(grid.size + 1) - 0.5 * grid.size)
+    place = (borders - grid.centre_mm[1]) / (2.0 * width) + 0.5 * (bars - 0.5)
+    place = np.clip(place, 0.0, bars)
+    whole = np.floor(place)
+    covered = np.diff(width * (whole + np.minimum(2.0 * (place - whole), 1.0)))
+    return Field(grid, (covered / grid.pitch_mm).astype(complex), wavelength_um)
 
 
 def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: int) -> None:
@@ -175,6 +176,12 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
             f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+        )
+    widest = 1e-3 * (2 * bars - 1) * max(line_widths_um)
+    if widest > lens.object.field_diameter_mm:
+        raise InputError(
+            f"{bars} bars of {max(line_widths_um):g} um extend over {widest:.3g} mm: must be within the field "
+            f"diameter of {lens.object.field_diameter_mm:g} mm"
         )
     if bars < 5:
         raise InputError(f"bars = {bars}: must be at least 5, else false contrast goes unseen")

@@ -7,7 +7,7 @@ import math
 import scipy.fft
 
 from lensdesign.analysis import footprint, largest_spread
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.system import Lens
 from wavesim.engine import Scene
 from wavesim.fields import Grid
@@ -16,6 +16,9 @@ OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
 """Pitch of a patch's grids, as shares of half the period of the finest fringes there."""
 
 MARGIN = 1.02
+
+MOST_SAMPLES = 400_000_000
+"""Of one grid; more would not fit a workstation's memory."""
 
 
 def patch_scene(
@@ -52,7 +55,7 @@ def patch_scene(
     InputError
         If the patch is wider than the field, or lies outside, or no light arrives.
     """
-    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    wavelength = wavelength_of(lens, wavelength_um)
     _refuse(lens, patch_mm, field_mm)
     pitch = object_pitch_mm
     if pitch is None:
@@ -83,12 +86,33 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     ------
     InputError
         If no light arrives.
+    SamplingError
+        If the light is so wide that it needs more than `MOST_SAMPLES`.
     """
     half = MARGIN * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
     sine = math.sin(math.radians(largest_spread(lens, wavelength_um).spread_deg))
     pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
+    if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
+        raise SamplingError(
+            f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide, "
+            f"and needs samples of {1e3 * pitch:.3g} um; more than {MOST_SAMPLES:.3g} are not held"
+        )
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
+
+
+def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
+    """The wavelength asked for, or the design's first one.
+
+    Raises
+    ------
+    InputError
+        If it is not finite and above 0.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    if not (math.isfinite(wavelength) and wavelength > 0.0):
+        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and greater than 0")
+    return wavelength
 
 
 def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:

@@ -170,4 +170,4 @@ def test_command_refuses(
         main()
     assert stopped.value.code == 2
     assert "error: " in capsys.readouterr().err
-    assert not out.exists()
+    assert not (out / "comparison.csv").exists()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from lensdesign import Lens
+from lensdesign import Lens, load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.engine import Scene
 from wavesim.engines import ENGINES, engine_class, make_engine
-from wavesim.fields import Grid
+from wavesim.fields import Field, Grid
+from wavesim.scenes import patch_scene
 
 
 @pytest.fixture(scope="module")
@@ -38,3 +40,17 @@ def test_an_unknown_setting_is_refused_with_a_hint(scene: Scene) -> None:
         make_engine("wpm", scene, step_umm=1.0)
     with pytest.raises(InputError, match=r"engine no-lens: pitch_mm = 1.0.*allowed: force"):
         make_engine("no-lens", scene, pitch_mm=1.0)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_no_engine_takes_or_gives_what_is_not_finite(name: str, value: float) -> None:
+    twin = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    scene = patch_scene(twin, 0.01, plane_distance_mm=0.1, meridional=True)
+    engine = make_engine(name, scene)
+    for grid, carry in ((scene.object_grid, engine.forward), (scene.exit_grid, engine.adjoint)):
+        values = np.ones(grid.shape, complex)
+        assert np.all(np.isfinite(carry(Field(grid, values, 0.532)).values))
+        values[3] = value
+        with pytest.raises(InputError, match="not finite"):
+            carry(Field(grid, values, 0.532))
