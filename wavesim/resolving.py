@@ -180,7 +180,7 @@ def _refuse(lens: Lens, line_widths_um: Sequence[float], field_mm: float, bars: 
     widest = 1e-3 * (2 * bars - 1) * max(line_widths_um)
     if widest > lens.object.field_diameter_mm:
         raise InputError(
-            f"{bars} bars of {max(line_widths_um):g} um extend over {widest:.3g} mm: must be within the field "
+            f"{bars} bars of {max(line_widths_um):g} um take {widest:.3g} mm: must be within the field "
             f"diameter of {lens.object.field_diameter_mm:g} mm"
         )
     if bars < 5:
