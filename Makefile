@@ -20,6 +20,8 @@ demo: $(READY)
 	$(BIN)/lensdesign export designs/paper_singlet.toml $(OUT)/paper_singlet/paper_singlet.stl
 	$(BIN)/lensdesign export $(OUT)/feasible_singlet.toml $(OUT)/feasible_singlet/feasible_singlet.stl
 	$(BIN)/wavesim pupil designs/paper_singlet.toml --decenter-y-mm 0.03 -o $(OUT)/paper_singlet/decentered_30um.png
+	$(BIN)/wavesim resolve designs/paper_singlet.toml --field-mm 0,1.4 --slices 200 --compensation vertical
+	$(BIN)/wavesim resolve designs/paper_singlet.toml --field-mm 0,1.4 --slices 30 --compensation oblique
 	$(BIN)/tolerancing run designs/paper_tolerances.toml --store $(OUT)/paper_tolerances.db --fresh
 	$(BIN)/tolerancing report $(OUT)/paper_tolerances.db -o $(OUT)/report
 	@echo

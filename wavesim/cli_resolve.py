@@ -121,14 +121,14 @@ def _print_resolved(results: list[Any]) -> None:
     console.print()
     table = Table(box=None, pad_edge=False)
     for column in (
-        "field (mm)",
-        "line width (um)",
+        "field\n(mm)",
+        "line\n(um)",
         "contrast",
         "as is",
         f"{first.reference}",
-        "refocus (um)",
-        "shift (um)",
-        "exit correlation",
+        "refocus\n(um)",
+        "shift\n(um)",
+        "exit\ncorrelation",
     ):
         table.add_column(column, justify="right")
     for result in results:
