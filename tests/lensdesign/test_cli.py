@@ -291,3 +291,28 @@ def test_importing_is_light(module: str) -> None:
         env=os.environ | {"PYTHONPATH": ""},
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_scale_writes_a_twin(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.toml"
+    code, out, _ = command("scale", paper_design, 0.125, "-o", twin)
+    assert code == 0
+    assert "0.375 mm" in out
+    lens, small = load_design(paper_design), load_design(twin)
+    assert small.object.numerical_aperture == lens.object.numerical_aperture
+    assert small.surfaces[1].radius_mm == pytest.approx(-1.5)
+    assert small.sensor.plane_distances_mm == pytest.approx((0.25, 2.75))
+    assert small.title.endswith("scaled by 0.125")
+    code, out, _ = command("scale", paper_design, 2, "-o", twin, "--json")
+    assert json.loads(out)["factor"] == 2
+
+
+def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.toml"
+    refused(command("scale", paper_design, 0, "-o", twin), "scale factor = 0.0")
+    refused(command("scale", paper_design, "nan", "-o", twin), "scale factor = nan")
+    refused(command("scale", tmp_path / "no.toml", 2, "-o", twin), "no.toml")
+    assert not twin.exists()
+    same = tmp_path / "same.toml"
+    same.write_text(paper_design.read_text(encoding="utf-8"), encoding="utf-8")
+    refused(command("scale", same, 2, "-o", same), "it is the design itself")
