@@ -1,0 +1,270 @@
+"""The paper's dual-plane phase retrieval: a field from intensities alone (Appendix A).
+
+In every iteration the field at the exit vertex is carried to all planes (A1), takes the amplitudes that were
+recorded there (A2), is carried back (A3), smoothed along the gradient of its total variation (A4), averaged
+over the planes, and pushed on by a weighted feedback (A5). The correlation of amplitudes at the first plane
+(A6) tells how well the data are met. It does not tell that the field is right: near 1 it may belong to
+another field with almost the same intensities. A plane that was held out tells more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.fields import Field, Grid
+from wavesim.free_space import transfer_function
+
+Array = NDArray[np.floating[Any]]
+Start = Field | Literal["uniform", "random"]
+
+FEEDBACK = (0.7, 0.5)
+"""Weights a and b of A5."""
+
+TV_STEP = 0.05
+"""Step t of A4, for amplitudes whose square is in grey levels of 12 bits."""
+
+WATCHED, LEAST_GAIN = 50, 1e-3
+"""Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
+
+FLOOR = 1e-6
+"""Of the root mean square: smallest modulus that is divided by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """An amplitude recorded on one plane.
+
+    Attributes
+    ----------
+    distance_mm : float
+        From the plane in which the field is sought.
+    amplitude : ndarray
+        Root of the intensity, of the grid's shape. Two planes are in the same units.
+    """
+
+    distance_mm: float
+    amplitude: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """A retrieved field, and what speaks for it.
+
+    Attributes
+    ----------
+    field : Field
+        At the plane sought.
+    correlation : tuple of float
+        A6 at the first plane, for every iteration.
+    residuals : tuple of float
+        For each plane, the L2 norm of the difference of amplitudes over that of the recorded one.
+    held_out_residual : float or None
+        The same for the plane that was not used.
+    stagnated_at : int or None
+        Iteration from which on nothing more was gained; None while it still gained.
+    """
+
+    field: Field
+    correlation: tuple[float, ...]
+    residuals: tuple[float, ...]
+    held_out_residual: float | None
+    stagnated_at: int | None
+
+
+def retrieve(
+    grid: Grid,
+    wavelength_um: float,
+    recorded: Sequence[Recorded],
+    start: Start = "uniform",
+    *,
+    iterations: int = 500,
+    feedback: tuple[float, float] = FEEDBACK,
+    tv_step: float = TV_STEP,
+    held_out: Recorded | None = None,
+    seed: int = 0,
+    progress: Callable[[int, float], None] | None = None,
+) -> Retrieved:
+    """Find the field whose amplitudes were recorded.
+
+    Parameters
+    ----------
+    grid
+        Of the field sought; amplitudes lie on the same samples of their planes.
+    wavelength_um
+        Vacuum wavelength.
+    recorded
+        Two planes or more.
+    start
+        A field on the grid (that of the forward model, amplitude and phase), or an even or a random phase
+        with the first plane's amplitude.
+    iterations
+        Number of iterations.
+    feedback
+        Weights a and b of A5.
+    tv_step
+        Step t of A4; 0 leaves it out. It adds up to about t to the field, whatever the field's scale, so
+        that amplitudes scaled to a peak of 1 are destroyed by the paper's 0.05.
+    held_out
+        A plane that is not used, to judge the result.
+    seed
+        Of a random start.
+    progress
+        Called after every iteration with its number and correlation.
+
+    Raises
+    ------
+    InputError
+        If shapes, distances or weights are not usable, or there are fewer than two planes.
+    """
+    _refuse(grid, recorded, iterations, feedback, tv_step)
+    now = _start(grid, start, recorded[0].amplitude, seed)
+    planes = [(_carrier(grid, wavelength_um, p.distance_mm).astype(now.dtype), p.amplitude) for p in recorded]
+    before = now
+    correlation: list[float] = []
+    a, b = feedback
+    for k in range(iterations):
+        mean = np.zeros_like(now)
+        spectrum = scipy.fft.fftn(now, workers=-1)
+        for number, (carrier, amplitude) in enumerate(planes):
+            there = scipy.fft.ifftn(spectrum * carrier, workers=-1, overwrite_x=True)
+            if number == 0:
+                correlation.append(amplitude_correlation(np.abs(there), amplitude))
+            replace_amplitude(there, amplitude)
+            back = scipy.fft.fftn(there, workers=-1, overwrite_x=True)
+            back *= carrier.conj()
+            mean += _smoothed(scipy.fft.ifftn(back, workers=-1, overwrite_x=True), tv_step)
+        mean /= len(planes)
+        after = mean if k < 2 else (1.0 + a + b) * mean - a * now - b * before
+        before, now = now, after.astype(now.dtype, copy=False)
+        if progress is not None:
+            progress(k, correlation[-1])
+    found = Field(grid, now, wavelength_um)
+    return Retrieved(
+        found,
+        tuple(correlation),
+        tuple(residual(found, plane) for plane in recorded),
+        None if held_out is None else residual(found, held_out),
+        stagnation(correlation),
+    )
+
+
+def amplitude_correlation(a: Array, b: Array) -> float:
+    """Correlation of two amplitudes (A6)."""
+    x, y = a - a.mean(dtype=float), b - b.mean(dtype=float)
+    norm = math.sqrt(float(np.sum(x * x, dtype=float)) * float(np.sum(y * y, dtype=float)))
+    return float(np.sum(x * y, dtype=float)) / norm if norm > 0.0 else 0.0
+
+
+def residual(field: Field, plane: Recorded) -> float:
+    """Relative L2 difference of a field's amplitude on a plane and the recorded one."""
+    carrier = _carrier(field.grid, field.wavelength_um, plane.distance_mm)
+    there = np.abs(scipy.fft.ifftn(scipy.fft.fftn(field.values, workers=-1) * carrier, workers=-1))
+    size = float(np.linalg.norm(plane.amplitude))
+    return float(np.linalg.norm(there - plane.amplitude)) / size if size > 0.0 else math.inf
+
+
+def stagnation(correlation: Sequence[float]) -> int | None:
+    """First iteration from which on hardly anything was gained to the end; None if something was."""
+    missing = 1.0 - np.asarray(correlation, float)
+    found = None
+    for k in reversed(range(max(len(missing) - WATCHED, 0))):
+        if missing[k + WATCHED] <= (1.0 - LEAST_GAIN) * missing[k]:
+            break
+        found = k
+    return found
+
+
+def agreement(fields: Sequence[Field]) -> float:
+    """Smallest correlation of any two fields, those of several starts; 1 where they differ by a factor.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two.
+    """
+    if len(fields) < 2:
+        raise InputError(f"agreement of {len(fields)} field(s): must be of two at least")
+    values = [np.ravel(f.values) / np.linalg.norm(f.values) for f in fields]
+    return min(float(abs(np.vdot(u, v))) for i, u in enumerate(values) for v in values[:i])
+
+
+def _carrier(grid: Grid, wavelength_um: float, distance_mm: float) -> NDArray[np.complexfloating]:
+    factor = transfer_function(grid.shape, grid.pitch_mm, wavelength_um, 1.0, distance_mm, band_limit=False)
+    return np.asarray(factor)
+
+
+def _start(grid: Grid, start: Start, amplitude: Array, seed: int) -> NDArray[np.complexfloating]:
+    dtype = np.complex64 if amplitude.dtype == np.float32 else np.complex128
+    if isinstance(start, Field):
+        if start.grid != grid:
+            raise InputError(f"start: its grid {start.grid} is not that of the field sought, {grid}")
+        return np.asarray(start.values).astype(dtype)
+    if start == "uniform":
+        return amplitude.astype(dtype)
+    if start == "random":
+        phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, grid.shape)
+        return np.asarray(amplitude * np.exp(1j * phase), dtype)
+    raise InputError(f"start = {start!r}: must be a field, 'uniform' or 'random'")
+
+
+def replace_amplitude(field: NDArray[np.complexfloating], amplitude: Array) -> None:
+    """A2, in place; where the field vanishes it takes the phase 0."""
+    modulus = np.abs(field)
+    dark = modulus == 0.0
+    modulus[dark] = 1.0
+    field *= amplitude / modulus
+    if np.any(dark):
+        field[dark] = amplitude[dark]
+
+
+def _smoothed(field: NDArray[np.complexfloating], step: float) -> NDArray[np.complexfloating]:
+    """A4: a step along the divergence of the gradient over the modulus; even borders."""
+    if step == 0.0:
+        return field
+    modulus = np.abs(field)
+    modulus += FLOOR * math.sqrt(float(np.mean(modulus * modulus))) + np.finfo(modulus.dtype).tiny
+    result = field.copy()
+    for axis in range(field.ndim):
+        flow = np.diff(field, axis=axis)
+        inner = [slice(None)] * field.ndim
+        inner[axis] = slice(0, -1)
+        upper = [slice(None)] * field.ndim
+        upper[axis] = slice(1, None)
+        flow *= (0.5 * step) / modulus[tuple(inner)]
+        result[tuple(inner)] += flow
+        result[tuple(upper)] -= flow
+    return result
+
+
+def _refuse(
+    grid: Grid, recorded: Sequence[Recorded], iterations: int, feedback: tuple[float, float], tv_step: float
+) -> None:
+    if len(recorded) < 2:
+        raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
+    for number, plane in enumerate(recorded, start=1):
+        if plane.amplitude.shape != grid.shape:
+            raise InputError(
+                f"plane {number}: its shape {plane.amplitude.shape} is not the grid's {grid.shape}"
+            )
+        if not math.isfinite(plane.distance_mm):
+            raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
+        if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
+            raise InputError(f"plane {number}: amplitudes must be finite and not negative")
+        if not np.any(plane.amplitude > 0.0):
+            raise InputError(f"plane {number}: is all dark")
+    if len({plane.distance_mm for plane in recorded}) < len(recorded):
+        raise InputError("two planes have the same distance_mm: they must differ")
+    if iterations < 1:
+        raise InputError(f"iterations = {iterations}: must be at least 1")
+    if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
+        raise InputError(
+            f"feedback = {feedback}, tv_step = {tv_step!r}: must be finite, the step not negative"
+        )
