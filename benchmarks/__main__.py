@@ -15,6 +15,7 @@ SCRIPTS = (
     "pupil_trial",
     "eikonal_speed",
     "chooser",
+    "reconstruction",
     "import_time",
 )
 

@@ -29,7 +29,10 @@ FEEDBACK = (0.7, 0.5)
 """Weights a and b of A5."""
 
 TV_STEP = 0.05
-"""Step t of A4, for amplitudes whose square is in grey levels of 12 bits."""
+"""Step t of A4."""
+
+LIT, LARGEST_TV_SHARE = 1e-4, 2e-2
+"""Amplitudes above this share of the largest are lit; the step may be this share of their median at most."""
 
 WATCHED, LEAST_GAIN = 50, 1e-3
 """Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
@@ -110,8 +113,9 @@ def retrieve(
     feedback
         Weights a and b of A5.
     tv_step
-        Step t of A4; 0 leaves it out. It adds up to about t to the field, whatever the field's scale, so
-        that amplitudes scaled to a peak of 1 are destroyed by the paper's 0.05.
+        Step t of A4; 0 leaves it out. It adds up to about t to the field, whatever the field's scale. A
+        bright field spans five decades of intensity: scaled to a peak of 1 it is destroyed by the paper's
+        0.05, scaled to a median of 64 where it is lit it is not.
     held_out
         A plane that is not used, to judge the result.
     seed
@@ -122,7 +126,8 @@ def retrieve(
     Raises
     ------
     InputError
-        If shapes, distances or weights are not usable, or there are fewer than two planes.
+        If shapes, distances or weights are not usable, there are fewer than two planes, or the step of the
+        total variation is too large for these amplitudes.
     """
     _refuse(grid, recorded, iterations, feedback, tv_step)
     now = _start(grid, start, recorded[0].amplitude, seed)
@@ -267,4 +272,11 @@ def _refuse(
     if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
         raise InputError(
             f"feedback = {feedback}, tv_step = {tv_step!r}: must be finite, the step not negative"
+        )
+    first = recorded[0].amplitude
+    typical = float(np.median(first[first > LIT * first.max()]))
+    if tv_step > LARGEST_TV_SHARE * typical:
+        raise InputError(
+            f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} where "
+            f"it is lit; scale all planes (and the start) by {64.0 / typical:.3g}, or take a smaller step"
         )

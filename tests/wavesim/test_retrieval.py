@@ -160,6 +160,10 @@ def test_progress_is_told() -> None:
         ({"iterations": 0}, "iterations = 0"),
         ({"tv_step": -1.0}, "tv_step = -1.0"),
         ({"feedback": (np.nan, 0.0)}, "feedback"),
+        (
+            {"recorded": [Recorded(p.distance_mm, 0.01 * p.amplitude) for p in recorded(truth())]},
+            "destroy plane 1",
+        ),
         ({"start": "guess"}, "start = 'guess'"),
         ({"start": Field(GRID.at(1.0), np.ones(GRID.shape, complex), 0.532)}, "start: its grid"),
     ],
