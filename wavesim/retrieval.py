@@ -277,6 +277,6 @@ def _refuse(
     typical = float(np.median(first[first > LIT * first.max()]))
     if tv_step > LARGEST_TV_SHARE * typical:
         raise InputError(
-            f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} where "
-            f"it is lit; scale all planes (and the start) by {64.0 / typical:.3g}, or take a smaller step"
+            f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} "
+            f"where it is lit; scale all planes (and the start) by {64.0 / typical:.3g}, or take a smaller step"
         )
