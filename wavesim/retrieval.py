@@ -278,5 +278,5 @@ def _refuse(
     if tv_step > LARGEST_TV_SHARE * typical:
         raise InputError(
             f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} "
-            f"where it is lit; scale all planes (and the start) by {64.0 / typical:.3g}, or take a smaller step"
+            f"where it is lit; scale planes and start by {64.0 / typical:.3g}, or take a smaller step"
         )
