@@ -61,7 +61,7 @@ def compare(
             bar.update(task, completed=done, total=total, description=what[:72])
 
         rows = measure(cases, variants(), show, most_seconds)
-        write_csv(output / "comparison.csv", rows)
+        write_csv(output / "comparison.csv", [vars(row) for row in rows])
         _save(comparison_figure(rows, "Error against cost"), output / "comparison.png")
         written = [output / "comparison.png", output / "comparison.csv"]
         if maps:
@@ -77,6 +77,7 @@ def compare(
 
 def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     from lensdesign.scaling import scaled
+    from wavesim.comparison import write_csv
     from wavesim.comparison_plots import failure_figure
     from wavesim.failure_maps import failure_maps, map_rows
 
@@ -87,7 +88,7 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
         bar.update(task, description=f"failure maps: {one.method}")
         found.append(one)
         path = output / f"failure_{one.name}.csv"
-        _write_map(path, map_rows(one))
+        write_csv(path, map_rows(one))
         written.append(path)
     picture = output / "failure_maps.png"
     _save(failure_figure(found, "Where methods fail, and where their guards speak"), picture)
@@ -97,15 +98,6 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
 def _plain(value: Any) -> Any:
     """JSON knows no infinity, and nothing that is not a number."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _write_map(path: Path, rows: list[dict[str, Any]]) -> None:
-    import csv
-
-    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _save(figure: Any, path: Path) -> None:

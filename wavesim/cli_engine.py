@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import typer
 
+from lensdesign.console import message_console
 from lensdesign.errors import InputError
 
 Slices = Annotated[int | None, typer.Option(help="slices: number of slices.")]
@@ -60,3 +62,17 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
         wanted = "numbers" if count is None else f"{count} numbers"
         raise InputError(f"{option} = {text!r}: must be {wanted}, separated by commas")
     return values
+
+
+def settings_text(settings: dict[str, Any]) -> str:
+    """Settings of an engine in one line."""
+    return ", ".join(
+        f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
+        for name, value in settings.items()
+    )
+
+
+def print_warnings(messages: Iterable[str]) -> None:
+    """Tell on standard error what engines warned of."""
+    for message in messages:
+        message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lensdesign.console import message_console, print_json
+from lensdesign.console import print_json
 from wavesim.cli_engine import (
     Compensation,
     Interface,
@@ -16,6 +16,8 @@ from wavesim.cli_engine import (
     StepUm,
     TileWidthMm,
     engine_settings,
+    print_warnings,
+    settings_text,
 )
 
 
@@ -59,8 +61,7 @@ def oracle(
             pitch_um=pitch_um,
         ),
     )
-    for warning in result.warnings:
-        message_console().print(f"warning: {warning}", soft_wrap=True, markup=False, highlight=False)
+    print_warnings(result.warnings)
     if as_json:
         print_json(_summary(result))
     else:
@@ -109,9 +110,4 @@ def _print_table(result: Any) -> None:
     cost.add_row("peak memory (MB)", f"{result.peak_mb:.3g}", f"{1e-6 * predicted.peak_bytes:.3g}")
     console.print(cost)
     if result.settings:
-        shown = (f"{name} = {_shown(value)}" for name, value in result.settings.items())
-        console.print(f"\nsettings: {', '.join(shown)}", soft_wrap=True)
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+        console.print(f"\nsettings: {settings_text(result.settings)}", soft_wrap=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lensdesign.console import message_console, print_json
+from lensdesign.console import print_json
 from lensdesign.files import load_design
 from wavesim.cli_engine import (
     Compensation,
@@ -19,6 +19,8 @@ from wavesim.cli_engine import (
     TileWidthMm,
     engine_settings,
     numbers,
+    print_warnings,
+    settings_text,
 )
 
 Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
@@ -78,8 +80,7 @@ def resolve(
             )
             for height in numbers(field_mm, "--field-mm")
         ]
-    for message in dict.fromkeys(str(warning.message) for warning in caught):
-        message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)
+    print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
     if as_json:
         print_json(_resolve_summary(results, widths, lens.title or design.stem))
     else:
@@ -112,9 +113,7 @@ def _print_resolved(results: list[Any]) -> None:
 
     console = Console(highlight=False, markup=False)
     first = results[0]
-    settings = ", ".join(
-        f"{n} = {v:.6g}" if isinstance(v, float) else f"{n} = {v}" for n, v in first.settings.items()
-    )
+    settings = settings_text(first.settings)
     console.print(f"lines carried by {first.reference}, brought back by {first.engine}", soft_wrap=True)
     if settings:
         console.print(settings, soft_wrap=True)

@@ -7,7 +7,7 @@ steps stands for the truth. Nothing is fitted.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -219,14 +219,12 @@ def exact_case(radius_mm: float) -> OracleCase:
     return oracle_case("cylinder", radius_mm=radius_mm)
 
 
-def write_csv(path: Path, rows: Sequence[Any]) -> None:
-    """A table of dataclasses, one column for each attribute."""
-    names = list(rows[0].__dataclass_fields__)
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A table with the first row's keys as its columns."""
     with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        for row in rows:
-            writer.writerow([getattr(row, name) for name in names])
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:

@@ -30,7 +30,7 @@ from lensdesign.errors import InputError
 from wavesim.engine import Engine
 from wavesim.fields import Field
 from wavesim.free_space import transfer_function
-from wavesim.retrieval import Recorded, replace_amplitude
+from wavesim.retrieval import Recorded, refuse_planes, replace_amplitude
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Kind = Literal["complex", "amplitude"]
@@ -265,18 +265,7 @@ def _refuse(
         raise InputError("illumination: is all dark")
     if not recorded:
         raise InputError("recorded: must be one plane at least")
-    shape = engine.scene.exit_grid.shape
-    for number, plane in enumerate(recorded, start=1):
-        if plane.amplitude.shape != shape:
-            raise InputError(
-                f"plane {number}: its shape {plane.amplitude.shape} is not the exit grid's {shape}"
-            )
-        if not math.isfinite(plane.distance_mm):
-            raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
-        if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
-            raise InputError(f"plane {number}: amplitudes must be finite and not negative")
-        if not np.any(plane.amplitude > 0.0):
-            raise InputError(f"plane {number}: is all dark")
+    refuse_planes(recorded, engine.scene.exit_grid.shape, "the exit grid's")
     if kind not in ("complex", "amplitude"):
         raise InputError(f"kind = {kind!r}: allowed: complex, amplitude")
     if not (math.isfinite(tv_weight) and tv_weight >= 0.0):

@@ -249,22 +249,31 @@ def _smoothed(field: NDArray[np.complexfloating], step: float) -> NDArray[np.com
     return result
 
 
-def _refuse(
-    grid: Grid, recorded: Sequence[Recorded], iterations: int, feedback: tuple[float, float], tv_step: float
-) -> None:
-    if len(recorded) < 2:
-        raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
+def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: str) -> None:
+    """Refuse amplitudes that cannot be those of a field; `whose` names the grid that has the shape.
+
+    Raises
+    ------
+    InputError
+        If a shape or a distance does not fit, or amplitudes are not finite, negative, or all dark.
+    """
     for number, plane in enumerate(recorded, start=1):
-        if plane.amplitude.shape != grid.shape:
-            raise InputError(
-                f"plane {number}: its shape {plane.amplitude.shape} is not the grid's {grid.shape}"
-            )
+        if plane.amplitude.shape != shape:
+            raise InputError(f"plane {number}: its shape {plane.amplitude.shape} is not {whose} {shape}")
         if not math.isfinite(plane.distance_mm):
             raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
         if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
             raise InputError(f"plane {number}: amplitudes must be finite and not negative")
         if not np.any(plane.amplitude > 0.0):
             raise InputError(f"plane {number}: is all dark")
+
+
+def _refuse(
+    grid: Grid, recorded: Sequence[Recorded], iterations: int, feedback: tuple[float, float], tv_step: float
+) -> None:
+    if len(recorded) < 2:
+        raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
+    refuse_planes(recorded, grid.shape, "the grid's")
     if len({plane.distance_mm for plane in recorded}) < len(recorded):
         raise InputError("two planes have the same distance_mm: they must differ")
     if iterations < 1:

@@ -253,7 +253,7 @@ class AnnularSlices(Engine):
 
     def cost(self) -> Cost:
         working = self.working
-        size, samples = working.grid.size, _samples(working)
+        size, samples = working.grid.size, working.samples_on_surfaces
         into, out = self._transfers(working.heights_mm[0][0], working.heights_mm[-1][1])
         count = sum(self.slices if high > low else 1 for low, high in working.heights_mm)
         each = 2.0 * fft_seconds(size, working.grid.is_line) + 4.0 * pass_seconds(size)
@@ -272,14 +272,6 @@ class AnnularSlices(Engine):
 def _misfit(phases: Sequence[Array]) -> float:
     """Relative error of a field whose rays are off by these phases at the surfaces."""
     return math.sqrt(float(np.mean(np.abs(np.exp(1j * np.sum(phases, axis=0)) - 1.0) ** 2)))
-
-
-def _samples(working: WorkingGrid) -> list[int]:
-    """Of the grid on each surface."""
-    grid = working.grid
-    if grid.is_line:
-        return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in working.reach_mm]
-    return [min(grid.size, math.ceil(math.pi * (r / grid.pitch_mm) ** 2)) for r in working.reach_mm]
 
 
 class _Through:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from wavesim.curved_surface import planes_across
@@ -22,7 +21,7 @@ def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str
     """Seconds of one passage through all surfaces, and most bytes at one time, what is kept included."""
     if interface == "staircase":
         return _staircase_cost(working, steps_mm[0])
-    grid, line, samples = working.grid, working.grid.is_line, _samples(working)
+    grid, line, samples = working.grid, working.grid.is_line, working.samples_on_surfaces
     seconds, largest = 0.0, 0.0
     for i, (low, high) in enumerate(working.heights_mm):
         slopes = len(grid.shape) if high > low else 0
@@ -39,27 +38,19 @@ def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str
 
 def setup_cost(working: WorkingGrid) -> tuple[float, int]:
     """Seconds and most bytes of making the samples of all surfaces."""
-    size, samples = working.grid.size, max(_samples(working))
+    size, samples = working.grid.size, max(working.samples_on_surfaces)
     seconds = 0.01 if working.grid.is_line else 0.02
-    for count in _samples(working):
+    for count in working.samples_on_surfaces:
         seconds += 40.0 * pass_seconds(count) + 6.0 * pass_seconds(size)
         if not working.grid.is_line:
             seconds += POLYNOMIAL_PASSES * pass_seconds(count)
     return seconds, 3 * REAL * size + 25 * REAL * samples + _kept_bytes(working)
 
 
-def _samples(working: WorkingGrid) -> list[int]:
-    """Of the grid on each surface."""
-    grid = working.grid
-    if len(grid.shape) == 1:
-        return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in working.reach_mm]
-    return [min(grid.size, math.ceil(math.pi * (r / grid.pitch_mm) ** 2)) for r in working.reach_mm]
-
-
 def _kept_bytes(working: WorkingGrid) -> int:
     """Axial wave numbers of the media, samples of the surfaces, and rays."""
     media = (REAL + 1) * working.grid.size * len(working.media)
-    return RAY_BYTES + media + REAL * (3 + len(working.grid.shape)) * sum(_samples(working))
+    return RAY_BYTES + media + REAL * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
 
 
 def _staircase_cost(working: WorkingGrid, step_mm: float) -> tuple[float, int]:

@@ -65,6 +65,14 @@ class WorkingGrid:
     heights_mm: tuple[tuple[float, float], ...]
     reflected: float
 
+    @property
+    def samples_on_surfaces(self) -> list[int]:
+        """Of each surface, the number of the grid's samples within reach."""
+        grid = self.grid
+        if grid.is_line:
+            return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in self.reach_mm]
+        return [min(grid.size, math.ceil(math.pi * (r / grid.pitch_mm) ** 2)) for r in self.reach_mm]
+
 
 @dataclass(frozen=True)
 class _Bundle:

@@ -68,7 +68,7 @@ def test_measured_beside_predicted(tmp_path: Path) -> None:
     assert best.fastest
     assert all(r.seconds > 0 for r in rows if np.isfinite(r.relative_error))
     assert all(r.said for r in rows if np.isnan(r.relative_error))
-    write_csv(tmp_path / "rows.csv", rows)
+    write_csv(tmp_path / "rows.csv", [vars(r) for r in rows])
     with (tmp_path / "rows.csv").open() as file:
         back = list(csv.DictReader(file))
     assert [float(b["relative_error"]) for b in back] == pytest.approx(
