@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import timeit
-import tracemalloc
 
 import numpy as np
 import pytest
+from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
 
 from lensdesign import Lens
 from lensdesign.errors import SamplingError
@@ -47,10 +46,7 @@ def test_adjoint(paper_lens: Lens, shape: tuple[int, ...]) -> None:
     small = Scene(
         paper_lens, Grid(shape, 1e-3, -0.2), Grid(tuple(n + 6 for n in shape), 2e-3, 9.8), WAVELENGTH_UM
     )
-    engine, u, v = NoLens(small), noise(small.object_grid, 1), noise(small.exit_grid, 2)
-    there = small.exit_grid.cell * np.vdot(v.values, engine.forward(u).values)
-    back = small.object_grid.cell * np.vdot(engine.adjoint(v).values, u.values)
-    assert abs(there - back) <= 1e-10 * abs(there)
+    assert dot_product_mismatch(NoLens(small)) <= 1e-10
 
 
 def test_says_that_the_lens_is_left_out(scene: Scene) -> None:
@@ -72,14 +68,9 @@ def test_predicts_its_memory_and_time(paper_lens: Lens, shape: tuple[int, ...]) 
     engine = NoLens(Scene(paper_lens, Grid(shape, 5e-4, -0.3), Grid(shape, 1e-3, 9.8), WAVELENGTH_UM))
     cost, field = engine.cost(), noise(engine.scene.object_grid, 5)
     engine.forward(field)
-    tracemalloc.start()
-    try:
-        engine.forward(field)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    peak = peak_bytes(lambda: engine.forward(field))
     assert cost.peak_bytes == pytest.approx(peak, rel=0.3)
-    seconds = min(timeit.repeat(lambda: engine.forward(field), number=1, repeat=20))
+    seconds = best_seconds(lambda: engine.forward(field), 20)
     # Within a factor 3 on an idle machine (benchmarks.chooser); tests share theirs.
     assert seconds / 10.0 < cost.seconds < 10.0 * seconds
 

@@ -159,7 +159,8 @@ def test_a_sensor_in_the_dark_is_refused(off_um: float) -> None:
 def test_well_placed_light_is_recorded_without_a_word() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR, 3.0, Electronics(), 0)
+        frame = record(gaussian(sensor_grid(SENSOR, Z_MM, 2)), SENSOR, 3.0, Electronics(), 0)
+    assert not np.any(frame.saturated)
 
 
 @pytest.mark.parametrize("mean", [3.0, 400.0, 9000.0])

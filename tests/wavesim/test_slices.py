@@ -1,14 +1,13 @@
 """Annular slices: the paper's lens, the dielectric cylinder, tilted surfaces, and what is refused."""
 
 import math
-import time
-import tracemalloc
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -115,18 +114,6 @@ def spot(grid: Grid, width_mm: float) -> Field:
 def error(case: OracleCase, **settings: object) -> float:
     engine = AnnularSlices(case.scene, **settings)  # type: ignore[arg-type]
     return relative_error(engine.forward(case.object_field).values, case.exact.values)
-
-
-def dot_product_mismatch(engine: AnnularSlices) -> float:
-    rng = np.random.default_rng(5)
-    start, end = engine.scene.object_grid, engine.scene.exit_grid
-    u, v = (
-        Field(g, rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape), WAVELENGTH_UM)
-        for g in (start, end)
-    )
-    there = end.cell * np.vdot(v.values, engine.forward(u).values)
-    back = start.cell * np.vdot(engine.adjoint(v).values, u.values)
-    return float(abs(there - back) / abs(there))
 
 
 def test_oblique_slices_of_the_papers_lens(paper_line: Scene) -> None:
@@ -361,12 +348,7 @@ def test_predicts_its_memory(where: str) -> None:
     source = spot(scene.object_grid, 0.003)
     engine = AnnularSlices(scene, 3, "oblique")
     cost = engine.cost()
-    tracemalloc.start()
-    try:
-        engine.forward(source)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    peak = peak_bytes(lambda: engine.forward(source))
     assert cost.peak_bytes == pytest.approx(peak, rel=0.3)
 
 
@@ -375,14 +357,9 @@ def test_predicts_its_time(paper_line: Scene, spacing: str) -> None:
     engine = AnnularSlices(paper_line, 20, "oblique", spacing)  # type: ignore[arg-type]
     source = line_source(paper_line.object_grid)
     engine.forward(source)
-    taken = []
-    for _ in range(3):
-        start = time.perf_counter()
-        engine.forward(source)
-        taken.append(time.perf_counter() - start)
-    # Twice the factor that is promised, since the machine may be busy.
+    seconds = best_seconds(lambda: engine.forward(source), 3)
     # Within a factor 3 on an idle machine (benchmarks.chooser); tests share theirs.
-    assert min(taken) / 10.0 < engine.cost().seconds < 10.0 * min(taken)
+    assert seconds / 10.0 < engine.cost().seconds < 10.0 * seconds
 
 
 def test_settings(paper_line: Scene) -> None:

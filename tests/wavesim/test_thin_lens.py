@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import timeit
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
 from numpy.typing import NDArray
 
 from lensdesign import Lens, Pose
@@ -86,14 +85,7 @@ def test_adjoint(shape: tuple[int, ...]) -> None:
     end = tuple(n + 10 for n in shape)
     pose = Pose(decenter_y_mm=0.01, tilt_x_deg=1.0)
     scene = Scene(weak_lens(), Grid(shape, 2e-3, -1.5), Grid(end, 2e-3, 1.0), WAVELENGTH_UM, pose=pose)
-    engine, rng = ThinLens(scene), np.random.default_rng(7)
-    u, v = (
-        Field(g, rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape), WAVELENGTH_UM)
-        for g in (scene.object_grid, scene.exit_grid)
-    )
-    there = scene.exit_grid.cell * np.vdot(v.values, engine.forward(u).values)
-    back = scene.object_grid.cell * np.vdot(engine.adjoint(v).values, u.values)
-    assert abs(there - back) <= 1e-10 * abs(there)
+    assert dot_product_mismatch(ThinLens(scene)) <= 1e-10
 
 
 def test_plane_is_the_product_of_lines_for_small_angles() -> None:
@@ -177,14 +169,9 @@ def plane_scene() -> Scene:
 def test_predicts_its_memory_and_time(make: Callable[[], Scene]) -> None:
     engine = ThinLens(make())
     cost, field = engine.cost(), beam(engine.scene.object_grid)
-    tracemalloc.start()
-    try:
-        engine.forward(field)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    peak = peak_bytes(lambda: engine.forward(field))
     assert cost.peak_bytes == pytest.approx(peak, rel=0.3)
-    seconds = min(timeit.repeat(lambda: engine.forward(field), number=1, repeat=20))
+    seconds = best_seconds(lambda: engine.forward(field), 20)
     # Within a factor 3 on an idle machine (benchmarks.chooser); tests share theirs.
     assert seconds / 10.0 < cost.seconds < 10.0 * seconds
 

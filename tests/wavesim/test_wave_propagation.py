@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import timeit
-import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError, SamplingError
@@ -89,18 +88,6 @@ def behind_planes(
         phase = np.outer(exit_grid.y_mm, ky[part]) + kz[part] * exit_grid.z_mm
         result += np.exp(1j * phase) @ amplitude[part]
     return result
-
-
-def dot_product_mismatch(engine: WavePropagation, seed: int = 5) -> float:
-    rng = np.random.default_rng(seed)
-    start, end = engine.scene.object_grid, engine.scene.exit_grid
-    u, v = (
-        Field(g, rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape), WAVELENGTH_UM)
-        for g in (start, end)
-    )
-    there = end.cell * np.vdot(v.values, engine.forward(u).values)
-    back = start.cell * np.vdot(engine.adjoint(v).values, u.values)
-    return float(abs(there - back) / abs(there))
 
 
 def error(case: OracleCase, **settings: object) -> float:
@@ -279,14 +266,9 @@ def test_predicts_its_memory_and_time(interface: str, make: Callable[[], Scene])
     engine = WavePropagation(scene, interface=interface)  # type: ignore[arg-type]
     cost = engine.cost()
     field = Field(scene.object_grid, np.ones(scene.object_grid.shape, complex), WAVELENGTH_UM)
-    tracemalloc.start()
-    try:
-        engine.forward(field)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    peak = peak_bytes(lambda: engine.forward(field))
     assert cost.peak_bytes == pytest.approx(peak, rel=0.3)
-    seconds = min(timeit.repeat(lambda: engine.forward(field), number=1, repeat=4))
+    seconds = best_seconds(lambda: engine.forward(field), 4)
     # Within a factor 3 on an idle machine (benchmarks.chooser); tests share theirs.
     assert seconds / 10.0 < cost.seconds < 10.0 * seconds
 
