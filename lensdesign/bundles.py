@@ -159,6 +159,8 @@ def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
     r2 = np.sum(xy * xy, axis=-1)
     curvature, conic = np.broadcast_arrays(system.curvature[:, stop], system.conic[:, stop])
     sag = shapes.sag(r2[None], curvature[:, None], conic[:, None], asphere)
+    for figure in system.figures[stop]:
+        sag = sag + figure.sag(xy[:, 0], xy[:, 1])
     local = np.concatenate([np.broadcast_to(xy, (*sag.shape, 2)), sag[..., None]], axis=-1)
     return local @ np.swapaxes(system.rotation[:, stop], -1, -2) + system.vertex[:, None, stop]
 
@@ -176,6 +178,7 @@ def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, x
         index=np.ascontiguousarray(system.index[:, : stop + 2]),
         semi_diameter=system.semi_diameter[part],
         tilted=system.tilted[part],
+        figures=system.figures[part],
     )
     trials = 1 if system.trials is None else system.trials
     cosines = np.array(np.broadcast_to(directions, (trials, *directions.shape[1:]))[..., :2])

@@ -20,6 +20,7 @@ from lensdesign.analysis import (
 )
 from lensdesign.bundles import launch
 from lensdesign.first_order import first_order
+from lensdesign.form_error import FormError, form_errors
 from lensdesign.matching import Matching, match, smallest_exit_beam_diameter_mm
 from lensdesign.system import Lens, mechanical_semi_diameter_mm
 
@@ -132,8 +133,8 @@ class CheckReport:
     etendue_share
         FOV NA / (exit beam diameter x sine of the spread), the share of its beam's phase space that the lens
         fills; the bound is 1. At the wavelength of `worst_ray`.
-    wavelengths
-        A row for each wavelength.
+    wavelengths, figures
+        A row for each wavelength; form error of each measured surface.
     """
 
     title: str
@@ -163,6 +164,7 @@ class CheckReport:
     smallest_exit_beam_diameter_mm: float
     etendue_share: float
     wavelengths: tuple[WavelengthCheck, ...]
+    figures: tuple[FormError, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; figures that are not finite become None."""
@@ -235,6 +237,7 @@ def check_design(lens: Lens) -> CheckReport:
         smallest_exit_beam_diameter_mm=max(r.smallest_exit_beam_diameter_mm for r in rows),
         etendue_share=worst.row.etendue_share,
         wavelengths=rows,
+        figures=form_errors(lens),
     )
 
 
@@ -393,6 +396,4 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -101,7 +101,7 @@ def draw(
     ] = [PictureFormat.PNG],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Draw the layout, spots, arrival angles and the lens in 3D.
+    """Draw the layout, spots, arrival angles, measured figures and the lens in 3D.
 
     The 3D view is left out, with a note, where nothing can be rendered off-screen.
     """
@@ -121,17 +121,22 @@ def export(
     ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Write the lens's glass as a closed mesh."""
+    """Write the lens's glass as a closed mesh.
+
+    Surfaces have their nominal shape; a note names those whose measured figure is left out.
+    """
     from lensdesign.files import load_design
     from lensdesign.mesh import export_mesh
 
-    mesh = export_mesh(load_design(design), file, 1e-3 * chord_error_um)
+    lens = load_design(design)
+    mesh = export_mesh(lens, file, 1e-3 * chord_error_um, report=lambda note: typer.echo(note, err=True))
     figures = {
         "file": str(file),
         "triangles": mesh.triangles,
         "chord_error_um": 1e3 * mesh.chord_error_mm,
         "volume_mm3": mesh.volume_mm3,
         "exact_volume_mm3": mesh.exact_volume_mm3,
+        "surfaces_without_their_figure": [i for i, s in enumerate(lens.surfaces, start=1) if s.figure],
     }
     if as_json:
         print_json(figures)
@@ -271,6 +276,12 @@ def _print_check(report: CheckReport) -> None:
     for row in rows:
         figures.add_row(*row)
     _print_tables(table, figures)
+    for f in report.figures:
+        typer.echo(
+            f"surface {f.surface} as measured: PV {f.pv_waves:.3f}, RMS {f.rms_waves:.3f} waves at "
+            f"{1e3 * f.wavelength_um:.1f} nm without tilt; PV {f.pv_without_power_waves:.3f}, "
+            f"RMS {f.rms_without_power_waves:.3f} without power"
+        )
     if report.feasible:
         typer.echo("every constraint is met")
     for sentence in report.violations:

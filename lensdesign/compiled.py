@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign import surfaces as shapes
 from lensdesign.errors import InputError
+from lensdesign.figure import PackedFigures, SurfaceFigure, packed_figures
+from lensdesign.figure_files import surface_figure
 from lensdesign.poses import Pose, SurfacePerturbation, trial_count
 from lensdesign.surfaces import edge_radius_mm
 from lensdesign.system import Lens
@@ -40,6 +44,8 @@ class CompiledSystem:
         Clear semi-diameters in mm; inf where a surface clips nothing.
     tilted : ndarray of bool, shape (surfaces,)
         Whether any trial turns this surface.
+    figures : tuple of tuple of SurfaceFigure, one for each surface
+        Sag errors that add to the surface's shape; each one for all trials, or one for each.
     """
 
     trials: int | None
@@ -51,11 +57,45 @@ class CompiledSystem:
     index: Array
     semi_diameter: Array
     tilted: NDArray[np.bool_]
+    figures: tuple[tuple[SurfaceFigure, ...], ...]
 
     @property
     def surfaces(self) -> int:
         """Number of surfaces."""
         return len(self.semi_diameter)
+
+    @cached_property
+    def packed_figures(self) -> PackedFigures:
+        """All figures as flat arrays, for the kernel."""
+        return packed_figures(self.figures)
+
+    def figure(self, surface: int) -> shapes.Figure | None:
+        """Sag error and slopes of a surface over (x, y) in its own frame, first trial; None without any."""
+        parts = [figure.trial(0) for figure in self.figures[surface]]
+        if not parts:
+            return None
+
+        def total(x: Array, y: Array) -> tuple[Array, Array, Array]:
+            z, dx, dy = (sum(a) for a in zip(*(p.sag_and_slopes(x, y) for p in parts), strict=True))
+            return z, dx, dy
+
+        return total
+
+    def sag(self, surface: int, x: Array, y: Array) -> Array:
+        """Height of a surface in mm over (x, y) in its own frame, figure included, first trial."""
+        nominal = shapes.sag(x * x + y * y, *self._shape(surface))
+        return sum((figure.trial(0).sag(x, y) for figure in self.figures[surface]), nominal)
+
+    def sag_and_slopes(self, surface: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """As :meth:`sag`, with the slopes along x and y."""
+        return shapes.sag_and_slopes(x, y, *self._shape(surface), self.figure(surface))
+
+    def _shape(self, surface: int) -> tuple[float, float, tuple[float, ...]]:
+        return (
+            float(self.curvature[0, surface]),
+            float(self.conic[0, surface]),
+            tuple(self.asphere[surface]),
+        )
 
 
 def compile_system(
@@ -81,7 +121,7 @@ def compile_system(
     ------
     InputError
         If a surface does not exist, a perturbed radius is 0, a perturbed surface ends inside its
-        aperture, or trial arrays differ in length.
+        aperture, trial arrays differ in length, or a measured figure cannot be read.
     MaterialError
         If a glass is not known at the wavelength.
     """
@@ -107,7 +147,19 @@ def compile_system(
         index=index,
         semi_diameter=semi,
         tilted=np.any(rotation != np.eye(3), axis=(0, 2, 3)),
+        figures=tuple(_figures(lens, i, changes.get(i)) for i in range(count)),
     )
+
+
+def _figures(lens: Lens, i: int, change: SurfacePerturbation | None) -> tuple[SurfaceFigure, ...]:
+    """The measured figure of a surface, and that of its perturbation."""
+    surface, added = lens.surfaces[i], None if change is None else change.figure
+    if added is not None and added.semi_diameter_mm < (surface.semi_diameter_mm or 0.0):
+        raise InputError(
+            f"surface {i + 1}: the perturbation's figure is known over a semi-diameter of "
+            f"{added.semi_diameter_mm:g} mm, less than the surface's of {surface.semi_diameter_mm:g} mm"
+        )
+    return tuple(f for f in (surface_figure(surface), added) if f is not None)
 
 
 def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, offset: int = 0) -> Array:

@@ -13,7 +13,7 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from lensdesign.errors import DesignError, InputError, atomic_path
-from lensdesign.system import Lens
+from lensdesign.system import Lens, Surface
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -24,7 +24,7 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     Parameters
     ----------
     path
-        A TOML file. Paths of glass catalogues in it are relative to its own folder.
+        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder.
 
     Returns
     -------
@@ -35,24 +35,40 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     DesignError
         If the file cannot be read or does not describe a lens; the message names file, key, value and
         what is allowed.
+    InputError
+        If a measured figure cannot be read, or does not cover its surface's clear aperture.
     MaterialError
         If a glass is unknown, or not known at one of the wavelengths.
     """
+    from lensdesign.figure_files import check_figures
+
     path = Path(path)
     data = read_toml(path)
     lens = validate(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
-    lens = lens.model_copy(update={"glass_catalogs": catalogs})
-    for wavelength in lens.wavelengths_um:
-        try:
+    surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
+    lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
+    try:
+        check_figures(lens)
+        for wavelength in lens.wavelengths_um:
             lens.indices(wavelength)
-        except InputError as error:
-            raise type(error)(f"{path}: {error}") from error
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from error
     return lens
+
+
+def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:
+    """A surface whose figure's file, if it has one, is known from anywhere."""
+    if surface.figure is None or surface.figure.file is None:
+        return surface
+    figure = surface.figure.model_copy(update={"file": (folder / surface.figure.file).resolve()})
+    return surface.model_copy(update={"figure": figure})
 
 
 def save_design(lens: Lens, path: str | os.PathLike[str]) -> None:
     """Write a lens to a design file; reading it back gives an equal lens.
+
+    Glass catalogues and measured figures stay where they are; the file holds the way to them from its folder.
 
     Raises
     ------
@@ -69,6 +85,9 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
     data = lens.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude_none=True)
     if lens.glass_catalogs:
         data["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
+    for surface, table in zip(lens.surfaces, data["surface"], strict=True):
+        if surface.figure is not None and surface.figure.file is not None:
+            table["figure"]["file"] = os.path.relpath(surface.figure.file, folder.resolve())
     return tomli_w.dumps(data)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lensdesign.bundles import launch_compiled
 from lensdesign.compiled import CompiledSystem
+from lensdesign.errors import InputError
 from lensdesign.status import Status
 
 Array = NDArray[np.float64]
@@ -97,7 +98,14 @@ def gradient_trace(
         Shape (n, 2) each: object point and stop point (as a share of the semi-diameter) of each ray.
     variables
         What to differentiate by.
+
+    Raises
+    ------
+    InputError
+        If a surface has a measured figure, of which no derivatives are known here.
     """
+    if any(system.figures):
+        raise InputError("derivatives of rays are those of nominal surfaces: leave the measured figures out")
     semi, semi_by, reached = _stop_size(
         system, object_z_mm, stop_index, stop_semi_diameter_mm, numerical_aperture, variables
     )

@@ -31,6 +31,8 @@ def trace_kernel(
     curvature,
     conic,
     asphere,
+    figures,
+    first_trial,
     index,
     semi_diameter,
     tilted,
@@ -46,6 +48,8 @@ def trace_kernel(
 ):
     """Trace all rays of all trials; origins and directions have shape (trials or 1, rays, 3).
 
+    `figures` are the arrays of :class:`lensdesign.figure.PackedFigures`, in which these trials begin at
+    `first_trial`.
     The last six arrays are filled; `hits` may have no rays, and is then left alone. Returns the number
     of directions that are not finite unit vectors.
     """
@@ -71,9 +75,13 @@ def trace_kernel(
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
                 c, k = curvature[tc, s], conic[tk, s]
-                if _is_asphere(asphere[s]):
-                    _intersect_asphere(ray, state, s, c, k, asphere[s], n1, limit, count)
-                    _refract_asphere(ray, state, s, c, k, asphere[s], n1 / n2, count)
+                if figures[0][s + 1] > figures[0][s]:
+                    trial = first_trial + t
+                    _intersect_general(ray, state, s, c, k, asphere[s], n1, limit, count, figures, trial)
+                    _refract_general(ray, state, s, c, k, asphere[s], n1 / n2, count, figures, trial)
+                elif _is_asphere(asphere[s]):
+                    _intersect_general(ray, state, s, c, k, asphere[s], n1, limit, count, None, 0)
+                    _refract_general(ray, state, s, c, k, asphere[s], n1 / n2, count, None, 0)
                 else:
                     _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
                 if tilted[s]:
@@ -224,9 +232,68 @@ def _sag_and_gradient(r2, c, k, terms):
     return sag, gradient
 
 
+@_inline
+def _basis(at, nodes, per_mm):
+    """Cell of a coordinate, the four B-splines there, and their slopes; the edge goes on outside."""
+    u = at * per_mm + 0.5 * (nodes - 1)
+    if u >= 0.0 and u <= nodes - 1:
+        scale = per_mm
+    else:
+        scale = 0.0
+        u = nodes - 1.0 if u > 0.0 else 0.0
+    cell = min(int(u), nodes - 2)
+    t = u - cell
+    v = 1.0 - t
+    values = (
+        v * v * v / 6.0,
+        (4.0 + t * t * (3.0 * t - 6.0)) / 6.0,
+        (1.0 + t * (3.0 + t * (3.0 - 3.0 * t))) / 6.0,
+        t * t * t / 6.0,
+    )
+    slopes = (
+        -0.5 * scale * v * v,
+        0.5 * scale * t * (3.0 * t - 4.0),
+        0.5 * scale * (1.0 + t * (2.0 - 3.0 * t)),
+        0.5 * scale * t * t,
+    )
+    return cell, values, slopes
+
+
 @_jit
-def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
-    """Move rays to an even asphere by Newton's method from its conic."""
+def _sag_error(x, y, surface, figures, trial):
+    """Sag error of a surface, and its slopes along x and y."""
+    first, layout, per_mm, coefficients = figures
+    sag, by_x, by_y = 0.0, 0.0, 0.0
+    for f in range(first[surface], first[surface + 1]):
+        columns = layout[f, 3]
+        i, vx, sx = _basis(x, columns - 2, per_mm[f])
+        j, vy, sy = _basis(y, layout[f, 2] - 2, per_mm[f])
+        at = layout[f, 0] + trial * layout[f, 1] + j * columns + i
+        for row in range(4):
+            c0, c1 = coefficients[at], coefficients[at + 1]
+            c2, c3 = coefficients[at + 2], coefficients[at + 3]
+            along = vx[0] * c0 + vx[1] * c1 + vx[2] * c2 + vx[3] * c3
+            sag += vy[row] * along
+            by_y += sy[row] * along
+            by_x += vy[row] * (sx[0] * c0 + sx[1] * c1 + sx[2] * c2 + sx[3] * c3)
+            at += columns
+    return sag, by_x, by_y
+
+
+@_inline
+def _sag_and_slopes(x, y, c, k, terms, surface, figures, trial):
+    """Sag of an even asphere, and its slopes along x and y; with its figure unless `figures` is None."""
+    sag, gradient = _sag_and_gradient(x * x + y * y, c, k, terms)
+    by_x, by_y = 2.0 * gradient * x, 2.0 * gradient * y
+    if figures is not None:
+        error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
+        sag, by_x, by_y = sag + error, by_x + error_x, by_y + error_y
+    return sag, by_x, by_y
+
+
+@_jit
+def _intersect_general(ray, state, surface, c, k, terms, n1, limit, count, figures, trial):
+    """Move rays to an even asphere, or a surface with a figure, by Newton's method from its conic."""
     q = 1.0 + k
     for i in range(count):
         if state[i] != OK:
@@ -244,7 +311,7 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
             denominator = qb + root if stable else qa
             t = (qc if stable else qb - root) / denominator
             if denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0:
-                t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms)
+                t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms, surface, figures, trial)
         if why == OK:
             x, y = x + t * dx, y + t * dy
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
@@ -257,12 +324,12 @@ def _intersect_asphere(ray, state, surface, c, k, terms, n1, limit, count):
 
 
 @_jit
-def _newton(x, y, z, dx, dy, dz, t, c, k, terms):
+def _newton(x, y, z, dx, dy, dz, t, c, k, terms, surface=-1, figures=None, trial=0):
     settled_before = False
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
-        sag, gradient = _sag_and_gradient(px * px + py * py, c, k, terms)
-        slope = dz - 2.0 * gradient * (px * dx + py * dy)
+        sag, by_x, by_y = _sag_and_slopes(px, py, c, k, terms, surface, figures, trial)
+        slope = dz - (by_x * dx + by_y * dy)
         step = (z + t * dz - sag) / slope
         if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
             return t, MISSED
@@ -277,12 +344,12 @@ def _newton(x, y, z, dx, dy, dz, t, c, k, terms):
 
 
 @_jit
-def _refract_asphere(ray, state, surface, c, k, terms, ratio, count):
+def _refract_general(ray, state, surface, c, k, terms, ratio, count, figures, trial):
     for i in range(count):
         x, y = ray[X + i], ray[Y + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        _, gradient = _sag_and_gradient(x * x + y * y, c, k, terms)
-        nx, ny = -2.0 * gradient * x, -2.0 * gradient * y
+        _, by_x, by_y = _sag_and_slopes(x, y, c, k, terms, surface, figures, trial)
+        nx, ny = -by_x, -by_y
         norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
         cos_in = (dz + nx * dx + ny * dy) * norm
         square = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)

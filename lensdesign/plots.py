@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lensdesign.analysis import ArrivalAngles, arrival_angles, rms_spot_diameter
 from lensdesign.bundles import launch, pupil_fan, pupil_hexapolar
 from lensdesign.errors import InputError, atomic_path
+from lensdesign.figure_plots import figure_map
 from lensdesign.lens_solid import glass_elements
 from lensdesign.matching import spread_limit_sine
 from lensdesign.ray_paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
@@ -44,7 +45,7 @@ def draw_all(
     formats: Sequence[str] = ("png",),
     report: Callable[[str], None] = warnings.warn,
 ) -> list[Path]:
-    """Write every picture of a lens: layout, spots, incidence, and the 3D view where it can be rendered.
+    """Write every picture of a lens: layout, spots, incidence, measured figures, and the 3D view if possible.
 
     Parameters
     ----------
@@ -75,6 +76,9 @@ def draw_all(
         "spots": spot_figure(lens),
         "incidence": incidence_figure(lens),
     }
+    for i, surface in enumerate(lens.surfaces):
+        if surface.figure is not None:
+            figures[f"surface_{i + 1}_figure"] = figure_map(lens, i)
     paths = []
     for name, figure in figures.items():
         for form in formats:

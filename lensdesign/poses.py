@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+
+if TYPE_CHECKING:
+    from lensdesign.figure import SurfaceFigure
 
 Value = float | NDArray[np.float64]
 
@@ -64,7 +68,8 @@ class SurfacePerturbation:
     """Deltas of one surface from nominal; each a number or an array of shape (trials,).
 
     The first five move this surface alone about its own vertex. A change of thickness moves every
-    surface behind it; the index is that of the medium behind the surface.
+    surface behind it; the index is that of the medium behind the surface. The figure, a sag error that adds
+    to the surface's own, holds either one figure or one for each trial.
     """
 
     decenter_x_mm: Value = 0.0
@@ -76,6 +81,7 @@ class SurfacePerturbation:
     conic: Value = 0.0
     thickness_mm: Value = 0.0
     index: Value = 0.0
+    figure: SurfaceFigure | None = None
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -83,6 +89,10 @@ class SurfacePerturbation:
     def pose(self) -> Pose:
         """The rigid part."""
         return Pose(self.decenter_x_mm, self.decenter_y_mm, self.despace_mm, self.tilt_x_deg, self.tilt_y_deg)
+
+
+SURFACE_DELTAS = tuple(f.name for f in fields(SurfacePerturbation) if f.name != "figure")
+"""Deltas of a surface that are numbers."""
 
 
 def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,11 +112,15 @@ def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
         If arrays of different lengths meet.
     """
     lengths = {
-        f"{type(part).__name__}.{f.name}": np.size(getattr(part, f.name))
+        f"{type(part).__name__}.{name}": np.size(getattr(part, name))
         for part in parts
-        for f in fields(part)
-        if np.ndim(getattr(part, f.name)) == 1
+        for name in _numbers(part)
+        if np.ndim(getattr(part, name)) == 1
     }
+    for part in parts:
+        figure = part.figure if isinstance(part, SurfacePerturbation) else None
+        if figure is not None and figure.trials is not None:
+            lengths["SurfacePerturbation.figure"] = figure.trials
     if len(set(lengths.values())) > 1:
         raise InputError(f"perturbation arrays must have one length, the number of trials; got {lengths}")
     return next(iter(lengths.values()), None)
@@ -114,11 +128,16 @@ def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
 
 def check_values(part: Pose | SurfacePerturbation) -> None:
     """Refuse values that are not finite numbers or one-dimensional arrays of them."""
-    for f in fields(part):
-        value = getattr(part, f.name)
+    for name in _numbers(part):
+        value = getattr(part, name)
         array = np.asarray(value)
         if array.ndim > 1 or array.dtype.kind not in "fiu" or not np.all(np.isfinite(array)):
             raise InputError(
-                f"{type(part).__name__}.{f.name} = {value!r}: must be a finite number or a 1-D array of them"
+                f"{type(part).__name__}.{name} = {value!r}: must be a finite number or a 1-D array of them"
             )
     trial_count(part)
+
+
+def _numbers(part: Pose | SurfacePerturbation) -> tuple[str, ...]:
+    """Names of the values that are numbers or arrays of them."""
+    return SURFACE_DELTAS if isinstance(part, SurfacePerturbation) else tuple(f.name for f in fields(part))

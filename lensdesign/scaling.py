@@ -13,7 +13,7 @@ def scaled(lens: Lens, factor: float) -> Lens:
 
     Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay, and with them the largest
     spread angle and the resolution; the number of pixels and the space-bandwidth product shrink with the
-    areas.
+    areas. A figure given by Zernike coefficients scales in size and in sag error; one in a grid file cannot.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ def scaled(lens: Lens, factor: float) -> Lens:
     Raises
     ------
     DesignError
-        If the factor is not finite and above 0, or what comes out is no lens.
+        If the factor is not finite and above 0, a surface's figure stands in a grid file, or what comes out
+        is no lens.
     """
     if not (math.isfinite(factor) and factor > 0.0):
         raise DesignError(f"scale factor = {factor!r}: must be finite and greater than 0")
@@ -46,9 +47,22 @@ def _surface(surface: Surface, factor: float) -> Surface:
     def times(value: float | None) -> float | None:
         return None if value is None else factor * value
 
+    figure = surface.figure
+    if figure is not None:
+        if figure.file is not None:
+            raise DesignError(
+                f"the measured figure in {figure.file} cannot be scaled: give it as Zernike coefficients, or "
+                "leave it out"
+            )
+        figure = figure.replaced(
+            semi_diameter_mm=times(figure.semi_diameter_mm),
+            zernike_um=tuple((j, factor * a) for j, a in figure.zernike_um),
+            zernike_waves_633nm=tuple((j, factor * a) for j, a in figure.zernike_waves_633nm),
+        )
     return surface.replaced(
         radius_mm=times(surface.radius_mm),
         asphere=tuple(a / factor ** (2 * i + 3) for i, a in enumerate(surface.asphere)),
         thickness_mm=times(surface.thickness_mm),
         semi_diameter_mm=times(surface.semi_diameter_mm),
+        figure=figure,
     )

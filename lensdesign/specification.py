@@ -195,6 +195,9 @@ class Specification(Lens):
 
     @model_validator(mode="after")
     def _consistent(self) -> Specification:
+        for number, surface in enumerate(self.surfaces, start=1):
+            if surface.figure is not None:
+                raise ValueError(f"surface {number}: optimize the nominal lens, without a measured figure")
         seen = set()
         for v in self.variables:
             if v.surface is not None and v.surface > len(self.surfaces):

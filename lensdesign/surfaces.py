@@ -1,23 +1,26 @@
-"""Rotationally symmetric surfaces: plane, sphere, conic, even asphere.
+"""Rotationally symmetric surfaces: plane, sphere, conic, even asphere; and any of them with a figure.
 
 One formula covers all four (ISO 10110-12)::
 
     z(r) = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + a4 r^4 + a6 r^6 + ...
 
 with curvature c = 1/radius (0 for a plane), conic constant k, and asphere terms from r^4 on. All
-functions take arrays, work for real and complex input, and give NaN (real input) beyond the edge.
+functions take arrays, work for real and complex input, and give NaN (real input) beyond the edge. Where a
+figure is taken, it adds to this; it is a function of x and y in mm that gives the sag error and its slopes
+along x and y.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[Any]
+Figure = Callable[[Array, Array], tuple[Array, Array, Array]]
 
 
 def surface_kind(curvature: float, conic: float, asphere: Sequence[float]) -> str:
@@ -78,23 +81,53 @@ def sag_slope(r: ArrayLike, curvature: Any, conic: Any, asphere: Sequence[Any] =
     return np.asarray(2.0 * r * sag_gradient(r * r, curvature, conic, asphere))
 
 
-def normal(x: Array, y: Array, curvature: Any, conic: Any, asphere: Sequence[Any] = ()) -> Array:
+def sag_and_slopes(
+    x: Array,
+    y: Array,
+    curvature: Any,
+    conic: Any,
+    asphere: Sequence[Any] = (),
+    figure: Figure | None = None,
+) -> tuple[Array, Array, Array]:
+    """Sag above (x, y) in mm, and its slopes along x and y."""
+    r2 = x * x + y * y
+    gradient = 2.0 * sag_gradient(r2, curvature, conic, asphere)
+    nominal = sag(r2, curvature, conic, asphere), gradient * x, gradient * y
+    if figure is None:
+        return nominal
+    z, dx, dy = (a + b for a, b in zip(nominal, figure(x, y), strict=True))
+    return z, dx, dy
+
+
+def normal(
+    x: Array,
+    y: Array,
+    curvature: Any,
+    conic: Any,
+    asphere: Sequence[Any] = (),
+    figure: Figure | None = None,
+) -> Array:
     """Unit normal, pointing along +z, at the surface point above (x, y); shape (..., 3)."""
-    gradient = 2.0 * sag_gradient(x * x + y * y, curvature, conic, asphere)
-    vector = np.stack([-x * gradient, -y * gradient, np.ones_like(gradient)], axis=-1)
+    _, dx, dy = sag_and_slopes(x, y, curvature, conic, asphere, figure)
+    vector = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
     return np.asarray(vector / np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True)))
 
 
 def intersect(
-    position: Array, direction: Array, curvature: Any, conic: Any, asphere: Sequence[Any] = ()
+    position: Array,
+    direction: Array,
+    curvature: Any,
+    conic: Any,
+    asphere: Sequence[Any] = (),
+    figure: Figure | None = None,
 ) -> tuple[Array, Array, Array]:
     """Distance along each ray to the surface, in the surface's own frame (vertex at the origin).
 
     The conic's root is C / (B + sqrt(B^2 - A C)), which stays exact as the curvature goes to zero and
     picks the hit at which a ray crosses from the front to the back; where B is negative (a ray that
     starts beyond the centre of curvature) the same root is had without cancellation as
-    (B - sqrt(B^2 - A C)) / A. An even asphere goes on from there by Newton's method. A ray that could
-    only cross from the back to the front misses.
+    (B - sqrt(B^2 - A C)) / A. An even asphere, or a surface with a figure, goes on from there by Newton's
+    method. A ray that could only cross from the back to the front misses.
 
     Parameters
     ----------
@@ -124,9 +157,9 @@ def intersect(
     distance = np.where(stable, c, b - root) / np.where(hit, denominator, 1.0)
     hit &= np.real(1.0 - (1.0 + conic) * curvature * (z + distance * dz)) > 0.0
     converged = np.ones_like(hit)
-    if len(asphere):
+    if len(asphere) or figure is not None:
         distance, hit, converged = _newton(
-            position, direction, distance, hit, (curvature, conic, asphere), tolerance_mm=1e-14
+            position, direction, distance, hit, (curvature, conic, asphere, figure), tolerance_mm=1e-14
         )
     return distance, hit, converged
 
@@ -137,10 +170,9 @@ def _newton(
     converged = np.zeros_like(hit)
     for _ in range(NEWTON_STEPS):
         x, y, z = np.moveaxis(position + distance[..., None] * direction, -1, 0)
-        r2 = x * x + y * y
-        residual = z - sag(r2, *shape)
-        gradient = 2.0 * sag_gradient(r2, *shape)
-        slope = direction[..., 2] - gradient * (x * direction[..., 0] + y * direction[..., 1])
+        height, by_x, by_y = sag_and_slopes(x, y, *shape)
+        residual = z - height
+        slope = direction[..., 2] - (by_x * direction[..., 0] + by_y * direction[..., 1])
         hit = hit & np.isfinite(np.real(residual)) & (np.abs(slope) > 1e-12)
         step = np.where(hit, residual, 0.0) / np.where(hit, slope, 1.0)
         distance = distance - step
@@ -156,4 +188,4 @@ RIM_TOLERANCE = 1e-9
 """Relative; a ray launched through the very rim of its stop must not be lost to rounding."""
 
 NEWTON_STEPS = 20
-"""Most steps that an even asphere may take from its conic; rays that need more are reported."""
+"""Most steps that a ray may take to a surface from its conic; rays that need more are reported."""

@@ -8,41 +8,11 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from lensdesign import surfaces as shapes
-from lensdesign.errors import DesignError
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False)]
-"""Sizes of any unit; the upper end keeps what is computed from them finite."""
-
-
-class Section(BaseModel):
-    """One table of a file: frozen, and without keys that nobody asked for."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
-
-    def replaced(self, **changes: Any) -> Self:
-        """A section with some of its values replaced, and validated anew.
-
-        Raises
-        ------
-        DesignError
-            If a value is not allowed, or the values do not go together.
-        """
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        try:
-            return type(self)(**(values | changes))
-        except ValidationError as error:
-            faults = [": ".join([*map(str, fault["loc"]), fault["msg"]]) for fault in error.errors()]
-            text = "; ".join(faults).replace("Value error, ", "").replace("Input should", "must")
-            raise DesignError(text) from None
-
-
-def tuples(value: Any) -> Any:
-    """TOML arrays are lists; frozen models hold tuples."""
-    return tuple(value) if isinstance(value, list) else value
+from lensdesign.figure_source import FigureSource
+from lensdesign.section import Finite, Positive, Section, as_path, tuples
 
 
 class ObjectSpace(Section):
@@ -114,6 +84,8 @@ class Surface(Section):
         Clear semi-diameter; rays beyond it are clipped. None clips nothing.
     stop
         Whether this surface is the aperture stop.
+    figure
+        Where the made surface was measured to depart from this shape; None is no departure.
     """
 
     radius_mm: Finite | None = None
@@ -123,6 +95,7 @@ class Surface(Section):
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
     stop: bool = False
+    figure: FigureSource | None = None
 
     _lists = field_validator("asphere", mode="before")(tuples)
 
@@ -143,6 +116,20 @@ class Surface(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _within_figure(self) -> Surface:
+        if self.figure is None:
+            return self
+        if self.semi_diameter_mm is None:
+            raise ValueError("a surface with a figure needs a semi_diameter_mm")
+        known = self.figure.semi_diameter_mm
+        if known is not None and known < self.semi_diameter_mm:
+            raise ValueError(
+                f"the figure's semi_diameter_mm of {known:g} is less than the surface's of "
+                f"{self.semi_diameter_mm:g}; the figure must be known over the whole clear aperture"
+            )
+        return self
+
     @property
     def curvature(self) -> float:
         """1/radius in 1/mm; 0 for a plane."""
@@ -154,11 +141,11 @@ class Surface(Section):
         return shapes.surface_kind(self.curvature, self.conic, self.asphere)
 
     def sag_mm(self, r_mm: Any) -> NDArray[np.float64]:
-        """Sag at radial heights, NaN beyond the conic's edge."""
+        """Sag at radial heights without the figure, NaN beyond the conic's edge."""
         return shapes.sag(np.square(r_mm), self.curvature, self.conic, self.asphere)
 
     def slope(self, r_mm: Any) -> NDArray[np.float64]:
-        """Slope dz/dr at radial heights."""
+        """Slope dz/dr at radial heights without the figure."""
         return shapes.sag_slope(r_mm, self.curvature, self.conic, self.asphere)
 
 
@@ -183,9 +170,7 @@ class Lens(Section):
     def _paths(cls, value: Any) -> Any:
         if not isinstance(value, list | tuple):
             return value
-        if any("\0" in str(v) for v in value):
-            raise ValueError("a path cannot hold a NUL character")
-        return tuple(Path(v) if isinstance(v, str) else v for v in value)
+        return tuple(as_path(v) for v in value)
 
     @model_validator(mode="after")
     def _sequence(self) -> Lens:

@@ -70,9 +70,10 @@ def _refract_at(
     shape = (system.curvature[0, i], system.conic[0, i], tuple(system.asphere[i]))
     if not any(shape[2]):
         shape = (*shape[:2], ())
+    figure = system.figure(i)
     alive = status == Status.OK
     local, ray = (position - vertex) @ rotation, direction @ rotation
-    distance, hit, converged = shapes.intersect(local, ray, *shape)
+    distance, hit, converged = shapes.intersect(local, ray, *shape, figure)
     _fail(status, failed, alive & ~hit, Status.MISSED, i)
     _fail(status, failed, alive & hit & ~converged, Status.NOT_CONVERGED, i)
     reached = alive & hit & converged
@@ -86,7 +87,7 @@ def _refract_at(
     _fail(status, failed, reached & ~inside, Status.CLIPPED, i)
     reached &= inside
 
-    normal = shapes.normal(point[:, 0], point[:, 1], *shape)
+    normal = shapes.normal(point[:, 0], point[:, 1], *shape, figure)
     ratio = system.index[0, i] / system.index[0, i + 1]
     cos_in = np.sum(normal * ray, axis=-1)
     square = 1.0 - ratio**2 * (1.0 - cos_in**2)

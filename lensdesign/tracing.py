@@ -196,6 +196,9 @@ def _run(
         for a in (result.position, result.direction, result.opl, result.status, result.failed_surface, hits)
     ]
 
+    figures = system.packed_figures
+    packed = (figures.first, figures.layout, figures.per_mm, figures.coefficients)
+
     def work(part: tuple[slice, slice]) -> int:
         t, r = part
 
@@ -210,6 +213,8 @@ def _run(
             own(system.curvature),
             own(system.conic),
             system.asphere,
+            packed,
+            t.start or 0,
             own(system.index),
             system.semi_diameter,
             system.tilted,

@@ -13,7 +13,7 @@ from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from lensdesign.errors import DesignError
 from lensdesign.files import unknown_key, validate
-from lensdesign.poses import Pose, SurfacePerturbation
+from lensdesign.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from lensdesign.system import Lens, Section
 from tolerancing.distributions import DISTRIBUTIONS, Distribution
 from tolerancing.registry import pick
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 """What can be perturbed of the whole lens: the values of a pose."""
 
-SURFACE_PARAMETERS = tuple(f.name for f in fields(SurfacePerturbation))
+SURFACE_PARAMETERS = SURFACE_DELTAS
 """What can be perturbed of one surface."""
 
 UNITS = ("mm", "um", "deg")

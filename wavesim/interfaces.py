@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign import surfaces as shapes
 from lensdesign.bundles import launch_compiled
 from lensdesign.compiled import CompiledSystem
 from lensdesign.errors import InputError
-from lensdesign.tracing import trace_compiled
+from lensdesign.tracing import RayTrace, trace_compiled
 from wavesim.engine import Coating, Scene
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ class Crossings:
 
 
 def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) -> SurfaceMap:
-    """Height and aperture of a surface, tilted and decentered as it is.
+    """Height and aperture of a surface, tilted and decentered as it is, its figure included.
 
     Parameters
     ----------
@@ -76,21 +75,18 @@ def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) 
         Transverse points; broadcast together.
     """
     vertex, rotation = system.vertex[0, surface], system.rotation[0, surface]
-    curvature, conic = float(system.curvature[0, surface]), float(system.conic[0, surface])
-    terms = tuple(system.asphere[surface])
     dx, dy = np.broadcast_arrays(x_mm - vertex[0], y_mm - vertex[1])
     dz = np.zeros(dx.shape)
     r2 = dx * dx + dy * dy
     if not system.tilted[surface]:
-        dz = shapes.sag(r2, curvature, conic, terms)
+        dz = system.sag(surface, dx, dy)
     else:
         for _ in range(20):
             local = [dx * rotation[0, i] + dy * rotation[1, i] + dz * rotation[2, i] for i in range(3)]
             r2 = local[0] ** 2 + local[1] ** 2
-            miss = local[2] - shapes.sag(r2, curvature, conic, terms)
-            slope = 2.0 * shapes.sag_gradient(r2, curvature, conic, terms)
-            rise = rotation[2, 2] - slope * (local[0] * rotation[2, 0] + local[1] * rotation[2, 1])
-            step = miss / rise
+            height, by_x, by_y = system.sag_and_slopes(surface, local[0], local[1])
+            rise = rotation[2, 2] - by_x * rotation[2, 0] - by_y * rotation[2, 1]
+            step = (local[2] - height) / rise
             dz = dz - step
             if not np.any(np.abs(step) > HEIGHT_TOLERANCE_MM):
                 break
@@ -135,6 +131,16 @@ def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, .
         _crossing(system, i, points[:, i + 1], headings[:, i], headings[:, i + 1])
         for i in range(system.surfaces)
     )
+
+
+def refuse_skew(scene: Scene, rays: RayTrace) -> None:
+    """InputError if rays of a meridional line do not stay in its plane."""
+    aside = np.abs(np.stack([rays.position[rays.ok, 0], rays.direction[rays.ok, 0]]))
+    if scene.object_grid.is_line and np.any(aside > 1e-9):
+        raise InputError(
+            "the rays of the meridional line leave the plane x = 0: the lens is not symmetric about it; use "
+            "planes in place of lines, or only decenter_y_mm, despace_mm and tilt_x_deg"
+        )
 
 
 def _crossing(system: CompiledSystem, surface: int, points: Array, before: Array, after: Array) -> Crossings:

@@ -20,7 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.status import Status
 from lensdesign.tracing import RayTrace, trace_compiled
 from wavesim.engine import Scene
-from wavesim.interfaces import transmission
+from wavesim.interfaces import refuse_skew, transmission
 
 Array = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     axes = [1] if scene.object_grid.is_line else [1, 0]
     points = np.broadcast_to(np.asarray(points_mm, float), pupil.shape)
     rays = shoot(scene, points, pupil, plane_z_mm, clip=False)
-    _refuse_skew(scene, rays)
+    refuse_skew(scene, rays)
     first = _first_headings(scene, points, rays)
     ok = rays.ok.copy()
     steps = []
@@ -248,14 +248,6 @@ def _first_headings(scene: Scene, points: Array, rays: RayTrace) -> Array:
     assert rays.hits is not None
     way = rays.hits[:, 0] - np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
     return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
-
-
-def _refuse_skew(scene: Scene, rays: RayTrace) -> None:
-    if scene.object_grid.is_line and np.any(np.abs(rays.position[rays.ok, 0]) > 1e-9):
-        raise InputError(
-            "the rays of the meridional line leave the plane x = 0: the lens is not symmetric about it; use "
-            "planes in place of lines, or only decenter_y_mm, despace_mm and tilt_x_deg"
-        )
 
 
 def _losses(scene: Scene, first: Array, rays: RayTrace) -> Array:

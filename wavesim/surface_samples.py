@@ -9,7 +9,6 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval2d, chebvander2d
 from numpy.typing import NDArray
 
-from lensdesign import surfaces as shapes
 from lensdesign.compiled import CompiledSystem
 from lensdesign.errors import InputError, SamplingError
 from wavesim.engine import Scene
@@ -88,14 +87,8 @@ def surface_slopes(
     rotation = system.rotation[0, surface]
     offset = np.stack(np.broadcast_arrays(x_mm, y_mm, z_mm), axis=-1) - system.vertex[0, surface]
     local = offset @ rotation
-    normal = shapes.normal(
-        local[..., 0],
-        local[..., 1],
-        float(system.curvature[0, surface]),
-        float(system.conic[0, surface]),
-        tuple(system.asphere[surface]),
-    )
-    fixed = normal @ rotation.T
+    _, by_x, by_y = system.sag_and_slopes(surface, local[..., 0], local[..., 1])
+    fixed = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1) @ rotation.T
     return -fixed[..., 1] / fixed[..., 2], -fixed[..., 0] / fixed[..., 2]
 
 

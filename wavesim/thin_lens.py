@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from lensdesign.bundles import launch_compiled, pupil_fan
 from lensdesign.compiled import compile_system
 from lensdesign.errors import InputError, SamplingError
+from lensdesign.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.first_order import cardinal_points
+from lensdesign.form_error import pv_rms_waves
 from lensdesign.tracing import trace_compiled
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.fields import Grid
@@ -101,7 +103,7 @@ class ThinLens(Engine):
     ----------
     scene
         What is carried where. A displaced or tilted lens takes its principal points along; of surfaces that
-        are perturbed alone, only radius, thickness and index count.
+        are perturbed alone, only radius, thickness and index count; figures do not.
     pitch_mm
         In the principal planes; chosen if left out.
     force
@@ -214,7 +216,23 @@ class ThinLens(Engine):
     def neglected(self) -> tuple[Neglected, ...]:
         waves, error = self._misfit()
         what = f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
-        return (Neglected(what, error),)
+        found = [Neglected(what, error), *self._figures()]
+        return tuple(sorted(found, key=lambda part: -part.relative_error))
+
+    def _figures(self) -> list[Neglected]:
+        """The figure of each surface, as the phase that it adds to light along the axis."""
+        scene, found = self.scene, []
+        for i, figures in enumerate(scene.system.figures):
+            semi = scene.lens.surfaces[i].semi_diameter_mm or min(
+                (f.semi_diameter_mm for f in figures), default=0.0
+            )
+            for figure in figures:
+                _, rms = pv_rms_waves(figure, semi)
+                step = abs(float(scene.system.index[0, i + 1] - scene.system.index[0, i]))
+                waves = rms * step * TEST_WAVELENGTH_UM / scene.wavelength_um
+                error = min(2.0 * math.pi * waves, math.sqrt(2.0))
+                found.append(Neglected(f"figure of surface {i + 1}: {waves:.3g} waves rms", error))
+        return found
 
     def _misfit(self) -> tuple[float, float]:
         """Difference of optical path, rms waves with its mean removed, and relative error of the field.

@@ -22,7 +22,7 @@ from lensdesign.tracing import trace_compiled
 from wavesim.curved_surface import Medium
 from wavesim.engine import Cost, Scene
 from wavesim.fields import Grid
-from wavesim.interfaces import surface_map
+from wavesim.interfaces import refuse_skew, surface_map
 from wavesim.surface_samples import surface_slopes
 
 Array = NDArray[np.float64]
@@ -127,7 +127,8 @@ def working_grid(
     Raises
     ------
     InputError
-        If hardly a ray gets through the lens, or it does not stand behind the object.
+        If hardly a ray gets through the lens, it does not stand behind the object, or a figure turns rays out
+        of the plane of a line.
     SamplingError
         If the pitch or the width asked for cannot hold the field, or light runs along the planes.
 
@@ -195,6 +196,8 @@ def _bundle(scene: Scene, middle: Array) -> _Bundle:
         raise InputError(
             f"fewer than three rays from the object grid at {grid.centre_mm} mm get through{why}"
         )
+    if any(scene.system.figures):
+        refuse_skew(scene, rays)
     assert rays.hits is not None
     hits = rays.hits[rays.ok]
     legs = np.diff(np.concatenate([origins[rays.ok, None], hits], axis=1), axis=1)

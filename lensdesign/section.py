@@ -1,0 +1,48 @@
+"""Tables of design and study files: what all of them have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from lensdesign.errors import DesignError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False)]
+"""Sizes of any unit; the upper end keeps what is computed from them finite."""
+
+
+class Section(BaseModel):
+    """One table of a file: frozen, and without keys that nobody asked for."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    def replaced(self, **changes: Any) -> Self:
+        """A section with some of its values replaced, and validated anew.
+
+        Raises
+        ------
+        DesignError
+            If a value is not allowed, or the values do not go together.
+        """
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        try:
+            return type(self)(**(values | changes))
+        except ValidationError as error:
+            faults = [": ".join([*map(str, fault["loc"]), fault["msg"]]) for fault in error.errors()]
+            text = "; ".join(faults).replace("Value error, ", "").replace("Input should", "must")
+            raise DesignError(text) from None
+
+
+def tuples(value: Any) -> Any:
+    """TOML arrays are lists; frozen models hold tuples."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def as_path(value: Any) -> Any:
+    """A path in a file is a string."""
+    if "\0" in str(value):
+        raise ValueError("a path cannot hold a NUL character")
+    return Path(value) if isinstance(value, str) else value
