@@ -10,9 +10,8 @@ engine and free space are nearly unitary, the unit step is safe. The proximal ma
 edges and takes noise out; steps are accelerated (FISTA). Where the illumination is dark, so is the object:
 a field stop is a support.
 
-Sources: A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
-problems", SIAM J. Imaging Sci. 2, 183 (2009); A. Chambolle, "An algorithm for total variation minimization
-and applications", J. Math. Imaging Vis. 20, 89 (2004).
+Source: A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
+problems", SIAM J. Imaging Sci. 2, 183 (2009).
 """
 
 from __future__ import annotations
@@ -23,23 +22,30 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.engine import Engine
 from wavesim.fields import Field
-from wavesim.free_space import transfer_function
-from wavesim.retrieval import Recorded, refuse_planes, replace_amplitude
+from wavesim.recording_model import RecordingModel
+from wavesim.retrieval import Recorded, refuse_planes
+from wavesim.total_variation import prox_tv
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Kind = Literal["complex", "amplitude"]
 
-PROX_ITERATIONS = 12
-PROX_STEP = 0.248
-
 SCALE_ITERATIONS = 4
 """In which an unknown scale is fitted; longer, it and the transmission would drift against each other."""
+
+AMPLITUDE_START = 12
+"""Iterations in which an amplitude object is sought where that is the start."""
+
+TV_PER_NOISE = 2.0
+"""Weight of the total variation over the standard deviation of the noise of a step."""
+
+LEAST_TV = 0.02
+"""Smallest weight by the noise. Objects on a dark ground, to which the start is far, and complex ones, which
+have as many unknowns as two planes have amplitudes, need it to be found even without noise."""
 
 EARLY, EARLY_GAIN = 5, 1e-3
 """Early stop: over so many iterations the misfit falls by less than this share."""
@@ -76,10 +82,11 @@ def reconstruct(
     recorded: Sequence[Recorded],
     *,
     kind: Kind = "complex",
-    tv_weight: float = 0.0,
+    tv_weight: float | Literal["auto"] = 0.0,
     iterations: int = 30,
     scale: float | None = None,
-    start: Field | None = None,
+    start: Field | Literal["amplitude"] | None = None,
+    active_width: float = 0.0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
@@ -91,18 +98,24 @@ def reconstruct(
     illumination
         On the engine's object grid, field stop included; in complex64 all is computed so.
     recorded
-        One plane or more, with distances from the engine's exit grid.
+        One plane or more, with distances from the engine's exit grid. Pixels count by their `sigma`; where it
+        is infinite, nothing is replaced.
     kind
         "complex", or "amplitude" for a transmission that is real and between 0 and 1.
     tv_weight
-        Of the total variation, for transmissions of order 1; 0 leaves it out.
+        Of the total variation, for transmissions of order 1; 0 leaves it out. "auto": `TV_PER_NOISE` times
+        the noise of a step, which all planes' `sigma` tell, or `LEAST_TV` if that is more.
     iterations
         At most.
     scale
         Recorded amplitude for a unit of the model's, where a picture without object has told it. Left out,
         it is fitted in the first iterations: then the transmission is known but for a factor.
     start
-        Transmission to start from; 1 if left out.
+        Transmission to start from; 1 if left out. "amplitude": the first `AMPLITUDE_START` iterations seek an
+        amplitude object, so that a complex one on a dark ground is found, to which 1 is too far.
+    active_width
+        Side of a pixel's photosensitive square as a share of the pitch, over which the model takes means; 0
+        for amplitudes at points, such as those of a simulated field.
     progress
         Called after every iteration with its number and misfit.
 
@@ -112,142 +125,68 @@ def reconstruct(
         If a value or a shape is not usable.
     """
     _refuse(engine, illumination, recorded, kind, tv_weight, iterations, scale)
-    model = _Model(engine, illumination, recorded, scale)
-    now = model.lit.astype(illumination.values.dtype) if start is None else start.values * model.lit
-    ahead, momentum = now, 1.0
+    if not (start is None or start == "amplitude" or isinstance(start, Field)):
+        raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
+    if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
+        raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
+    if not 0.0 <= active_width <= 1.0:
+        raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
+    model = RecordingModel(engine, illumination, recorded, scale, active_width)
+    now: ComplexArray = model.lit.astype(illumination.values.dtype)
     misfits: list[float] = []
+    weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
+    descent = _Descent(model, misfits, weight, noise, scale is None, progress)
     stopped = False
-    for k in range(iterations):
-        model.fits_scale = scale is None and k < SCALE_ITERATIONS
-        change, misfit = model.step(ahead)
-        after = prox_tv(ahead + change, tv_weight)
-        if kind == "amplitude":
-            after = np.clip(after.real, 0.0, 1.0).astype(after.dtype)
-        after *= model.lit
-        next_momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum**2))
-        ahead = after + ((momentum - 1.0) / next_momentum) * (after - now)
-        now, momentum = after, next_momentum
-        misfits.append(misfit)
-        if progress is not None:
-            progress(k, misfit)
-        if (
-            k >= EARLY
-            and misfits[-1 - EARLY] - misfit < EARLY_GAIN * misfit
-            and misfits[-1 - EARLY] >= misfit
-        ):
-            stopped = True
-            break
-    maps = model.residual_maps(now)
+    if start == "amplitude":
+        now, _ = descent.run(now, "amplitude", min(AMPLITUDE_START, iterations))
+    elif isinstance(start, Field):
+        now = start.values * model.lit
+    if len(misfits) < iterations:
+        now, stopped = descent.run(now, kind, iterations - len(misfits))
+    maps = tuple(a - p.amplitude for a, p in zip(model.amplitudes(now), recorded, strict=True))
     found = Field(engine.scene.object_grid, now, illumination.wavelength_um)
     return Reconstructed(found, tuple(misfits), maps, model.scale, stopped)
 
 
-class _Model:
-    """The engine, the way to each plane, and what was recorded there."""
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """Accelerated proximal steps; `misfits` grows by one with each."""
 
-    def __init__(
-        self, engine: Engine, illumination: Field, recorded: Sequence[Recorded], scale: float | None
-    ) -> None:
-        self.engine, self.illumination, self.recorded = engine, illumination, recorded
-        power = np.abs(illumination.values) ** 2
-        self.brightest = float(power.max())
-        self.lit = (power > 1e-6 * self.brightest).astype(power.dtype)
-        grid, dtype = engine.scene.exit_grid, illumination.values.dtype
-        self.ways = [
-            np.asarray(
-                transfer_function(
-                    grid.shape,
-                    grid.pitch_mm,
-                    illumination.wavelength_um,
-                    1.0,
-                    p.distance_mm,
-                    band_limit=False,
-                )
-            ).astype(dtype)
-            for p in recorded
-        ]
-        self.size = math.sqrt(sum(float(np.sum(p.amplitude**2, dtype=float)) for p in recorded))
-        self.scale, self.fits_scale = scale or 1.0, False
+    model: RecordingModel
+    misfits: list[float]
+    tv_weight: float
+    noise_at_scale_1: float | None
+    fits_scale: bool
+    progress: Callable[[int, float], None] | None
 
-    def _fields(self, transmission: ComplexArray) -> list[ComplexArray]:
-        lit = self.illumination.with_values(transmission * self.illumination.values)
-        spectrum = scipy.fft.fftn(self.engine.forward(lit).values, workers=-1)
-        fields = [scipy.fft.ifftn(spectrum * way, workers=-1, overwrite_x=True) for way in self.ways]
-        if not self.fits_scale:
-            return fields
-        moduli = [np.abs(field) for field in fields]
-        met = sum(float(np.vdot(m, p.amplitude)) for m, p in zip(moduli, self.recorded, strict=True))
-        own = sum(float(np.vdot(m, m)) for m in moduli)
-        self.scale = met / own if met > 0.0 < own else 1.0
-        return fields
+    def run(self, now: ComplexArray, kind: Kind, iterations: int) -> tuple[ComplexArray, bool]:
+        """The last transmission, and whether the misfit fell no more before the iterations were used up."""
+        ahead, momentum = now, 1.0
+        misfits, first = self.misfits, len(self.misfits)
+        for k in range(first, first + iterations):
+            self.model.fits_scale = self.fits_scale and k < SCALE_ITERATIONS
+            change, misfit = self.model.step(ahead)
+            weight = self._tv_weight()
+            after = ahead + change
+            if kind == "amplitude":
+                after = np.clip(prox_tv(after.real, weight), 0.0, 1.0).astype(after.dtype)
+            else:
+                after = np.asarray(prox_tv(after, weight))
+            after *= self.model.lit
+            next_momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum**2))
+            ahead = after + ((momentum - 1.0) / next_momentum) * (after - now)
+            now, momentum = after, next_momentum
+            misfits.append(misfit)
+            if self.progress is not None:
+                self.progress(k, misfit)
+            if k - first >= EARLY and 0.0 <= misfits[-1 - EARLY] - misfit < EARLY_GAIN * misfit:
+                return now, True
+        return now, False
 
-    def step(self, transmission: ComplexArray) -> tuple[ComplexArray, float]:
-        """The change of the transmission, and the misfit before it."""
-        spectrum: ComplexArray | None = None
-        missed = 0.0
-        for field, way, plane in zip(self._fields(transmission), self.ways, self.recorded, strict=True):
-            wanted = field.copy()
-            replace_amplitude(wanted, (plane.amplitude / self.scale).astype(wanted.real.dtype))
-            wanted -= field
-            missed += self.scale**2 * float(np.sum(np.abs(wanted) ** 2, dtype=float))
-            part = scipy.fft.fftn(wanted, workers=-1, overwrite_x=True)
-            part *= way.conj()
-            spectrum = part if spectrum is None else spectrum + part
-        assert spectrum is not None
-        back = scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True) / len(self.ways)
-        exit_field = Field(self.engine.scene.exit_grid, back, self.illumination.wavelength_um)
-        change = self.engine.adjoint(exit_field).values * self.illumination.values.conj() / self.brightest
-        return change, math.sqrt(missed) / self.size
-
-    def residual_maps(self, transmission: ComplexArray) -> tuple[NDArray[np.floating[Any]], ...]:
-        """Amplitudes of the model less the recorded ones."""
-        fields = self._fields(transmission)
-        return tuple(self.scale * np.abs(f) - p.amplitude for f, p in zip(fields, self.recorded, strict=True))
-
-
-def prox_tv(values: ComplexArray, weight: float, iterations: int = PROX_ITERATIONS) -> ComplexArray:
-    """Minimize half the squared distance to values, plus a weight times the isotropic total variation.
-
-    Parameters
-    ----------
-    values
-        Complex, on a line or a plane; real and imaginary part are taken together.
-    weight
-        0 leaves the values as they are.
-    iterations
-        Of Chambolle's dual projection.
-    """
-    if weight == 0.0:
-        return values
-    flow = np.zeros((values.ndim, *values.shape), values.dtype)
-    step = PROX_STEP * (2.0 / values.ndim) / 2.0
-    for _ in range(iterations):
-        slope = _gradient(_divergence(flow) - values / weight)
-        modulus = np.sqrt(np.sum(np.abs(slope) ** 2, axis=0))
-        flow = (flow + step * slope) / (1.0 + step * modulus)
-    return np.asarray(values - weight * _divergence(flow))
-
-
-def _gradient(values: ComplexArray) -> ComplexArray:
-    result = np.zeros((values.ndim, *values.shape), values.dtype)
-    for axis in range(values.ndim):
-        result[axis][_part(values.ndim, axis, slice(0, -1))] = np.diff(values, axis=axis)
-    return result
-
-
-def _divergence(flow: ComplexArray) -> ComplexArray:
-    """Negative adjoint of the gradient."""
-    dimensions = len(flow)
-    result = np.zeros(flow.shape[1:], flow.dtype)
-    for axis in range(dimensions):
-        inner = flow[axis][_part(dimensions, axis, slice(0, -1))]
-        result[_part(dimensions, axis, slice(0, -1))] += inner
-        result[_part(dimensions, axis, slice(1, None))] -= inner
-    return result
-
-
-def _part(dimensions: int, axis: int, part: slice) -> tuple[slice, ...]:
-    return tuple(part if i == axis else slice(None) for i in range(dimensions))
+    def _tv_weight(self) -> float:
+        if self.noise_at_scale_1 is None:
+            return self.tv_weight
+        return max(TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale, LEAST_TV)
 
 
 def _refuse(
@@ -255,7 +194,7 @@ def _refuse(
     illumination: Field,
     recorded: Sequence[Recorded],
     kind: str,
-    tv_weight: float,
+    tv_weight: float | str,
     iterations: int,
     scale: float | None,
 ) -> None:
@@ -268,8 +207,10 @@ def _refuse(
     refuse_planes(recorded, engine.scene.exit_grid.shape, "the exit grid's")
     if kind not in ("complex", "amplitude"):
         raise InputError(f"kind = {kind!r}: allowed: complex, amplitude")
-    if not (math.isfinite(tv_weight) and tv_weight >= 0.0):
-        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative")
+    if tv_weight != "auto" and (
+        isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
+    ):
+        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
     if iterations < 1:
         raise InputError(f"iterations = {iterations}: must be at least 1")
     if scale is not None and not (math.isfinite(scale) and scale > 0.0):

@@ -51,10 +51,62 @@ class Recorded:
         From the plane in which the field is sought.
     amplitude : ndarray
         Root of the intensity, of the grid's shape. Two planes are in the same units.
+    sigma : ndarray, optional
+        Standard deviation of each amplitude, in its units; infinite in pixels of which nothing is known, such
+        as saturated or dead ones. Left out: all pixels are alike.
     """
 
     distance_mm: float
     amplitude: Array
+    sigma: Array | None = None
+
+    @property
+    def known(self) -> NDArray[np.bool_] | None:
+        """Pixels that tell something; None where all do."""
+        if self.sigma is None or np.all(np.isfinite(self.sigma)):
+            return None
+        return np.asarray(np.isfinite(self.sigma))
+
+
+def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) -> Recorded:
+    """Amplitude and its standard deviation from an estimated intensity, as of `estimate_intensity`.
+
+    The amplitude is the root of the intensity, 0 where that is negative; its standard deviation is that of
+    the intensity over twice the amplitude. Where it is dark, that ends at the root mean square of the root of
+    normal noise, clipped at 0: 0.63 times the root of the intensity's standard deviation.
+
+    Parameters
+    ----------
+    distance_mm
+        As of :class:`Recorded`.
+    intensity, variance
+        Of one shape; a pixel of infinite variance tells nothing.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, or a variance is not above 0.
+    """
+    if intensity.shape != variance.shape or not np.all(variance > 0.0):
+        raise InputError(
+            f"recorded intensity of shape {intensity.shape}, variance of shape {variance.shape}: must have "
+            "one shape, and variances above 0"
+        )
+    known = np.isfinite(variance)
+    deviation = np.sqrt(np.where(known, variance, 1.0))
+    lowest = 0.25 * math.sqrt(2.0 * math.pi) * deviation
+    sigma = np.where(known, deviation / (2.0 * np.sqrt(np.maximum(intensity, lowest))), np.inf)
+    return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
+
+
+def weights_of(recorded: Sequence[Recorded]) -> list[Array | None]:
+    """Weights of all planes' pixels: (smallest standard deviation / standard deviation) squared.
+
+    None for a plane without standard deviations, whose pixels all weigh 1.
+    """
+    stated = [p.sigma for p in recorded if p.sigma is not None]
+    least = min((float(np.min(sigma)) for sigma in stated), default=1.0)
+    return [None if p.sigma is None else np.asarray((least / p.sigma) ** 2) for p in recorded]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +125,8 @@ class Retrieved:
         The same for the plane that was not used.
     stagnated_at : int or None
         Iteration from which on nothing more was gained; None while it still gained.
+    residual_curve : tuple of float
+        For every iteration, the relative L2 difference of amplitudes at the first plane.
     """
 
     field: Field
@@ -80,6 +134,7 @@ class Retrieved:
     residuals: tuple[float, ...]
     held_out_residual: float | None
     stagnated_at: int | None
+    residual_curve: tuple[float, ...] = ()
 
 
 def retrieve(
@@ -131,18 +186,25 @@ def retrieve(
     """
     _refuse(grid, recorded, iterations, feedback, tv_step)
     now = _start(grid, start, recorded[0].amplitude, seed)
-    planes = [(_carrier(grid, wavelength_um, p.distance_mm).astype(now.dtype), p.amplitude) for p in recorded]
+    planes = [
+        (_carrier(grid, wavelength_um, p.distance_mm).astype(now.dtype), p.amplitude, p.known)
+        for p in recorded
+    ]
     before = now
     correlation: list[float] = []
+    left: list[float] = []
     a, b = feedback
     for k in range(iterations):
         mean = np.zeros_like(now)
         spectrum = scipy.fft.fftn(now, workers=-1)
-        for number, (carrier, amplitude) in enumerate(planes):
+        for number, (carrier, amplitude, known) in enumerate(planes):
             there = scipy.fft.ifftn(spectrum * carrier, workers=-1, overwrite_x=True)
             if number == 0:
-                correlation.append(amplitude_correlation(np.abs(there), amplitude))
-            replace_amplitude(there, amplitude)
+                chosen = slice(None) if known is None else known
+                seen, wanted = np.abs(there)[chosen], amplitude[chosen]
+                correlation.append(amplitude_correlation(seen, wanted))
+                left.append(_relative(seen, wanted))
+            replace_amplitude(there, amplitude, known)
             back = scipy.fft.fftn(there, workers=-1, overwrite_x=True)
             back *= carrier.conj()
             mean += _smoothed(scipy.fft.ifftn(back, workers=-1, overwrite_x=True), tv_step)
@@ -158,6 +220,7 @@ def retrieve(
         tuple(residual(found, plane) for plane in recorded),
         None if held_out is None else residual(found, held_out),
         stagnation(correlation),
+        tuple(left),
     )
 
 
@@ -169,11 +232,16 @@ def amplitude_correlation(a: Array, b: Array) -> float:
 
 
 def residual(field: Field, plane: Recorded) -> float:
-    """Relative L2 difference of a field's amplitude on a plane and the recorded one."""
+    """Relative L2 difference of a field's amplitude on a plane and the recorded one, in known pixels."""
     carrier = _carrier(field.grid, field.wavelength_um, plane.distance_mm)
     there = np.abs(scipy.fft.ifftn(scipy.fft.fftn(field.values, workers=-1) * carrier, workers=-1))
-    size = float(np.linalg.norm(plane.amplitude))
-    return float(np.linalg.norm(there - plane.amplitude)) / size if size > 0.0 else math.inf
+    known = slice(None) if plane.known is None else plane.known
+    return _relative(there[known], plane.amplitude[known])
+
+
+def _relative(found: Array, recorded: Array) -> float:
+    size = float(np.linalg.norm(recorded))
+    return float(np.linalg.norm(found - recorded)) / size if size > 0.0 else math.inf
 
 
 def stagnation(correlation: Sequence[float]) -> int | None:
@@ -220,9 +288,13 @@ def _start(grid: Grid, start: Start, amplitude: Array, seed: int) -> NDArray[np.
     raise InputError(f"start = {start!r}: must be a field, 'uniform' or 'random'")
 
 
-def replace_amplitude(field: NDArray[np.complexfloating], amplitude: Array) -> None:
-    """A2, in place; where the field vanishes it takes the phase 0."""
+def replace_amplitude(
+    field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
+) -> None:
+    """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
     modulus = np.abs(field)
+    if known is not None:
+        amplitude = np.where(known, amplitude, modulus)
     dark = modulus == 0.0
     modulus[dark] = 1.0
     field *= amplitude / modulus
@@ -266,6 +338,11 @@ def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: s
             raise InputError(f"plane {number}: amplitudes must be finite and not negative")
         if not np.any(plane.amplitude > 0.0):
             raise InputError(f"plane {number}: is all dark")
+        if plane.sigma is not None:
+            if plane.sigma.shape != shape or not np.all(plane.sigma > 0.0):
+                raise InputError(f"plane {number}: sigma must be above 0, of the shape {shape}")
+            if not np.any(np.isfinite(plane.sigma) & (plane.amplitude > 0.0)):
+                raise InputError(f"plane {number}: is dark or not known (infinite sigma) in all pixels")
 
 
 def _refuse(

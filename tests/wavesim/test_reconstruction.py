@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
@@ -15,8 +13,9 @@ from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid, correlation
 from wavesim.free_space import transfer_function
-from wavesim.reconstruction import prox_tv, reconstruct
-from wavesim.retrieval import Recorded
+from wavesim.reconstruction import LEAST_TV, reconstruct
+from wavesim.recording_model import RecordingModel
+from wavesim.retrieval import Recorded, recorded_intensity
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,33 +142,127 @@ def test_progress_and_early_stop(case: Case) -> None:
     assert found.stopped_early == (len(found.misfit) < 60)
 
 
-@settings(max_examples=20)
-@given(st.integers(0, 1000), st.floats(0.01, 2.0))
-def test_proximal_map_of_the_total_variation(seed: int, weight: float) -> None:
-    rng = np.random.default_rng(seed)
-    values = rng.standard_normal((12, 9)) + 1j * rng.standard_normal((12, 9))
-
-    def variation(v: np.ndarray) -> float:
-        dy, dx = np.diff(v, axis=0, append=v[-1:]), np.diff(v, axis=1, append=v[:, -1:])
-        return float(np.sum(np.sqrt(np.abs(dy) ** 2 + np.abs(dx) ** 2)))
-
-    def cost(v: np.ndarray) -> float:
-        return 0.5 * float(np.sum(np.abs(v - values) ** 2)) + weight * variation(v)
-
-    found = prox_tv(values, weight, 400)
-    assert found.mean() == pytest.approx(values.mean(), abs=1e-9)
-    best = cost(found)
-    assert best <= cost(values)
-    for _ in range(5):
-        other = found + 0.05 * (rng.standard_normal((12, 9)) + 1j * rng.standard_normal((12, 9)))
-        assert best <= cost(other) + 1e-6
+def noisy(case: Case, electrons: float, seed: int = 4) -> list[Recorded]:
+    """Point samples with shot noise, and their standard deviations."""
+    random = np.random.default_rng(seed)
+    gain = electrons / max(float(p.amplitude.max()) ** 2 for p in case.recorded)
+    planes = []
+    for plane in case.recorded:
+        counts = random.poisson(gain * plane.amplitude.astype(float) ** 2)
+        made = recorded_intensity(plane.distance_mm, counts / gain, np.maximum(counts, 1.0) / gain**2)
+        assert made.sigma is not None
+        planes.append(
+            replace(made, amplitude=made.amplitude.astype(np.float32), sigma=made.sigma.astype(np.float32))
+        )
+    return planes
 
 
-def test_proximal_map_of_a_step_is_known() -> None:
-    """Two levels, n samples each: both move towards each other by weight / n."""
-    values = np.concatenate([np.zeros(10), np.ones(10)]).astype(complex)
-    found = prox_tv(values, 0.5, 3000)
-    np.testing.assert_allclose(found, np.concatenate([np.full(10, 0.05), np.full(10, 0.95)]), atol=1e-3)
+def test_pixels_that_are_not_known_do_not_count(case: Case) -> None:
+    """A block of saturated pixels and scattered dead ones spoil the result, unless they are left out."""
+    dead = np.random.default_rng(3).random(case.recorded[0].amplitude.shape) < 0.03
+    dead[100:112, 90:104] = True
+    spoiled, masked = [], []
+    for plane in case.recorded:
+        wrong = np.where(dead, 3.0 * plane.amplitude.max(), plane.amplitude).astype(np.float32)
+        spoiled.append(replace(plane, amplitude=wrong))
+        masked.append(replace(spoiled[-1], sigma=np.where(dead, np.inf, 1.0).astype(np.float32)))
+    scores = [
+        score(
+            case,
+            reconstruct(
+                case.engine,
+                case.illumination,
+                planes,
+                kind="amplitude",
+                tv_weight=0.02,
+                iterations=20,
+                scale=1.0,
+            ).transmission,
+        )
+        for planes in (spoiled, masked)
+    ]
+    assert scores[0] < 0.7
+    assert scores[1] > 0.95
+
+
+def test_even_standard_deviations_change_nothing(case: Case) -> None:
+    even = [replace(p, sigma=np.full(p.amplitude.shape, 0.3, np.float32)) for p in case.recorded]
+    found = [
+        reconstruct(case.engine, case.illumination, planes, kind="amplitude", iterations=3, scale=1.0)
+        for planes in (case.recorded, even)
+    ]
+    np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-5)
+    np.testing.assert_allclose(found[0].misfit, found[1].misfit, rtol=1e-5)
+
+
+@pytest.mark.parametrize("electrons", [1e4, 2e4, 4e4])
+def test_the_total_variation_weight_by_the_noise_is_near_the_best(case: Case, electrons: float) -> None:
+    recorded = noisy(case, electrons)
+    noise = RecordingModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+
+    def reached(weight: float | str) -> float:
+        return score(
+            case,
+            reconstruct(
+                case.engine,
+                case.illumination,
+                recorded,
+                kind="amplitude",
+                tv_weight=weight,
+                iterations=10,
+                scale=1.0,
+            ).transmission,
+        )
+
+    best = max(reached(factor * noise) for factor in (0.25, 1.0, 4.0))
+    assert 1.0 - reached("auto") < 1.6 * (1.0 - best)
+
+
+def test_the_weight_by_the_noise_is_told_in_the_models_scale(case: Case) -> None:
+    """Seven times the amplitudes with seven times the noise are the same object."""
+    recorded = noisy(case, 1e5)
+    louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in recorded]
+    found = [
+        reconstruct(
+            case.engine,
+            case.illumination,
+            planes,
+            kind="amplitude",
+            tv_weight="auto",
+            iterations=4,
+            scale=scale,
+        )
+        for planes, scale in ((recorded, 1.0), (louder, 7.0))
+    ]
+    np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-3)
+
+
+def test_without_noise_the_least_weight_remains(case: Case) -> None:
+    quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-9, np.float32)) for p in case.recorded]
+    found = [
+        reconstruct(
+            case.engine, case.illumination, quiet, tv_weight=weight, iterations=3, scale=1.0
+        ).transmission.values
+        for weight in ("auto", LEAST_TV)
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
+    told: list[int] = []
+    found = reconstruct(
+        case.engine,
+        case.illumination,
+        case.recorded,
+        tv_weight=0.02,
+        iterations=16,
+        scale=1.0,
+        start="amplitude",
+        progress=lambda k, _: told.append(k),
+    )
+    assert told == list(range(16))
+    assert score(case, found.transmission) > 0.9
+    assert np.any(found.transmission.values.imag != 0.0)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +277,14 @@ def test_proximal_map_of_a_step_is_known() -> None:
         ({"tv_weight": -1.0}, "tv_weight"),
         ({"iterations": 0}, "iterations = 0"),
         ({"scale": 0.0}, "scale = 0.0"),
+        ({"active_width": 1.5}, "active_width = 1.5"),
+        ({"tv_weight": "auto"}, "needs sigma"),
+        ({"tv_weight": "strong"}, "tv_weight = 'strong'"),
+        ({"start": "random"}, "start = 'random'"),
+        ({"start": Field(Grid((3, 3), 1.0, 0.0), np.ones((3, 3)), 0.532)}, "start: its shape"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.zeros((216, 216)))]}, "sigma must be above 0"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.ones(3))]}, "sigma must be above 0"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.full((216, 216), np.inf))]}, "not known"),
     ],
 )
 def test_refused(case: Case, change: dict, message: str) -> None:

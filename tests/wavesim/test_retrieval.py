@@ -13,9 +13,11 @@ from wavesim.retrieval import (
     Retrieved,
     agreement,
     amplitude_correlation,
+    recorded_intensity,
     residual,
     retrieve,
     stagnation,
+    weights_of,
 )
 
 GRID = Grid((96, 96), 4e-3, 0.0)
@@ -172,3 +174,62 @@ def test_refused(change: dict, message: str) -> None:
     arguments = {"recorded": recorded(truth()), "iterations": 1} | change
     with pytest.raises(InputError, match=message):
         retrieve(GRID, WAVELENGTH, **arguments)
+
+
+def test_pixels_that_are_not_known_are_left_as_they_are() -> None:
+    """Saturated pixels spoil the field, unless their sigma says that they are not known."""
+    field = truth()
+    dead = np.random.default_rng(5).random(GRID.shape) < 0.05
+    spoiled, masked = [], []
+    for plane in recorded(field):
+        wrong = np.where(dead, 4.0 * plane.amplitude.max(), plane.amplitude)
+        spoiled.append(Recorded(plane.distance_mm, wrong))
+        masked.append(Recorded(plane.distance_mm, wrong, np.where(dead, np.inf, 1.0)))
+    found = [
+        retrieve(GRID, WAVELENGTH, planes, off(field), iterations=150, tv_step=0.0)
+        for planes in (spoiled, masked)
+    ]
+    reached = [correlation(one.field.values, field.values) for one in found]
+    assert reached[0] < 0.8
+    assert reached[1] > 0.98
+    assert found[1].residuals[0] == pytest.approx(found[1].residual_curve[-1], rel=0.2)
+    assert found[1].correlation[-1] > 0.99
+    assert len(found[1].residual_curve) == 150
+
+
+def test_amplitudes_of_an_estimated_intensity() -> None:
+    """Bright pixels: half the intensity's deviation over the amplitude. Dark ones: what noise leaves."""
+    rng = np.random.default_rng(6)
+    for intensity, deviation in ((400.0, 3.0), (0.0, 2.0)):
+        drawn = intensity + deviation * rng.standard_normal(200_000)
+        made = recorded_intensity(0.5, drawn, np.full(drawn.shape, deviation**2))
+        error = np.sqrt(np.mean((made.amplitude - np.sqrt(intensity)) ** 2))
+        at_truth = recorded_intensity(0.5, np.array([intensity]), np.array([deviation**2]))
+        assert at_truth.sigma is not None
+        assert at_truth.sigma[0] == pytest.approx(error, rel=0.03)
+    saturated = recorded_intensity(0.5, np.array([4.0, 9.0]), np.array([1.0, np.inf]))
+    assert saturated.sigma is not None
+    assert saturated.known is not None
+    np.testing.assert_array_equal(saturated.known, [True, False])
+    np.testing.assert_allclose(saturated.amplitude, [2.0, 3.0])
+    assert saturated.sigma[0] == pytest.approx(0.25)
+
+
+def test_weights_are_relative_to_the_best_pixel_of_all_planes() -> None:
+    planes = [
+        Recorded(0.0, np.ones(2), np.array([0.5, 1.0])),
+        Recorded(1.0, np.ones(2), np.array([2.0, np.inf])),
+        Recorded(2.0, np.ones(2)),
+    ]
+    first, second, third = weights_of(planes)
+    assert first is not None
+    assert second is not None
+    assert third is None
+    np.testing.assert_allclose(first, [1.0, 0.25])
+    np.testing.assert_allclose(second, [0.0625, 0.0])
+
+
+def test_an_intensity_without_a_usable_variance_is_refused() -> None:
+    for variance in (np.zeros(3), np.ones(4), np.full(3, np.nan)):
+        with pytest.raises(InputError, match="variance"):
+            recorded_intensity(0.0, np.ones(3), variance)
