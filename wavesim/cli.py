@@ -14,7 +14,9 @@ from lensdesign.files import load_design
 from lensdesign.poses import Pose
 from wavesim.cli_compare import compare
 from wavesim.cli_engine import numbers
+from wavesim.cli_image import image
 from wavesim.cli_oracle import oracle
+from wavesim.cli_reconstruct import reconstruct
 from wavesim.cli_resolve import choose, resolve
 
 app = make_app("Waves through spatial information transfer lenses.")
@@ -22,6 +24,8 @@ app.command()(oracle)
 app.command()(resolve)
 app.command()(choose)
 app.command()(compare)
+app.command()(image)
+app.command()(reconstruct)
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 

@@ -1,0 +1,142 @@
+"""The command `wavesim image`, end to end on a small twin."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, save_design, scaled
+from wavesim.cli import main
+from wavesim.frames import read_frame
+from wavesim.sensor import estimate_intensity
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("design") / "twin.toml"
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), path)
+    return path
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> tuple[object, str, str]:
+    monkeypatch.setattr(sys, "argv", ["wavesim", "image", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    output = capsys.readouterr()
+    return stop.value.code, output.out, output.err
+
+
+QUICK = ("--patch-mm", 0.05, "--engine", "eikonal", "--error", 0.3)
+
+
+def test_frames_truth_and_record(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    code, out, err = run(monkeypatch, capsys, twin, *QUICK, "--seed", 5, "-o", folder, "--json")
+    assert (code, err) == (0, "")
+    data = json.loads(out)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "frame_1.tif", "frame_2.tif", "frames.png", "image.json", "object.npz", "object.png",
+        "object_amplitude.tif", "object_phase.tif",
+    ]  # fmt: skip
+    assert json.loads((folder / "image.json").read_text())["engine"] == data["engine"]
+    lens = load_design(twin)
+    frames = [read_frame(folder / f"frame_{n}.tif") for n in (1, 2)]
+    assert tuple(f.settings.plane_distance_mm for f in frames) == lens.sensor.plane_distances_mm
+    assert all(f.settings.pixel_pitch_um == 3.2 for f in frames)
+    # Light of amplitude 1 through the chart's clear part: nearly all of it must be on the sensor.
+    stored = np.load(folder / "object.npz")
+    side = len(stored["values"])
+    x = (np.arange(side) - 0.5 * (side - 1)) * float(stored["pitch_um"])
+    passed = np.abs(stored["values"]) ** 2 * (np.hypot(x, x[:, None]) < 25.0)
+    sent = float(passed.sum()) * float(stored["pitch_um"]) ** 2
+    for frame in frames:
+        assert float(estimate_intensity(frame)[0].sum()) * 3.2**2 == pytest.approx(sent, rel=0.1)
+    assert data["sensor"]["seed"] == 5
+    assert data["frames"][0]["brightest_counts"] == frames[0].counts.max()
+    assert 0.0 <= data["energy_share_beyond_pixel_limit"] < 0.01
+
+
+def test_the_same_seed_gives_the_same_frames_and_words_for_people(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    counts = {}
+    for name, options in {"a": ("--seed", 1), "b": ("--seed", 1), "c": ("--no-noise",)}.items():
+        code, out, _ = run(
+            monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "--object", "star", "--ground", "dark",
+            *options, "-o", tmp_path / name,
+        )  # fmt: skip
+        assert code == 0
+        counts[name] = read_frame(tmp_path / name / "frame_1.tif").counts
+    assert np.array_equal(counts["a"], counts["b"])
+    assert not np.array_equal(counts["a"], counts["c"])
+    for text in ("object star", "engine eikonal", "frame_1.tif", f"wrote 7 files to {tmp_path / 'c'}"):
+        assert text in out.replace("\n", " ")
+
+
+def test_results_are_replaced_and_what_else_is_there_stays(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "frame_1.tif").write_text("old")
+    code, _, _ = run(monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "-o", tmp_path)
+    assert code == 0
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert read_frame(tmp_path / "frame_1.tif").counts.max() > 1000
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--object", "usef"), "object = 'usef'"),
+        (("--object", "none.png", "--picture-pixel-um", 1), "cannot read the picture none.png"),
+        (("--patch-mm", 1), "patch_mm = 1: must be above 0 and at most"),
+        (("--patch-mm", 0.05, "--field-stop-mm", 0.06), "field_stop_mm = 0.06"),
+        (("--ground", "grey"), "ground = 'grey'"),
+        (("--illumination", "sun"), "illumination = 'sun'"),
+        (("--waist-mm", 0.01), "--waist-mm: means nothing without --illumination gaussian"),
+        (("--planes-mm", "0.1,0.1"), "--planes-mm = '0.1,0.1'"),
+        (("--planes-mm", "near"), "--planes-mm = 'near'"),
+        (("--stage-error-mm", "0,0,0"), "--stage-error-mm = '0,0,0': must be 1 or 2 numbers"),
+        (("--pixels", 100), "reaches beyond the sensor's"),
+        (("--pixels", 1000), "pixels = 1000: must be from 1 to"),
+        (("--bits", 20), "bits = 20"),
+        (("--full-well", 0), "full_well_electrons = 0.0"),
+        (("--seed", -1), "--seed = -1"),
+        (("--engine", "eiconal"), "engine = 'eiconal': there is no such engine"),
+        (("--engine", "eikonal", "--slices", 3), "engine eikonal: slices = 3"),
+        (("--tilt-x-deg", "nan"), "tilt_x_deg"),
+    ],
+)
+def test_bad_input_is_one_message_status_two_and_nothing_written(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    twin: Path,
+    tmp_path: Path,
+    options: tuple[object, ...],
+    message: str,
+) -> None:
+    folder = tmp_path / "out"
+    code, out, err = run(monkeypatch, capsys, twin, "--patch-mm", 0.05, *options, "-o", folder)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in err
+    assert not folder.exists()
+
+
+def test_a_file_in_place_of_the_folder_is_refused_and_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "out"
+    place.write_text("mine")
+    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "-o", place)
+    assert code == 2
+    assert "is no folder" in err
+    assert place.read_text() == "mine"

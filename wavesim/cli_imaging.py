@@ -1,0 +1,106 @@
+"""Options that `wavesim image` and `wavesim reconstruct` share, and what they mean together."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.errors import InputError
+from lensdesign.poses import Pose
+from lensdesign.system import Lens
+from wavesim.cli_engine import engine_settings, numbers
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+PatchMm = Annotated[float | None, typer.Option(help="Side of the object patch; left out, the whole field.")]
+FieldStopMm = Annotated[float | None, typer.Option(help="Diameter of the field stop; left out: the patch.")]
+ObjectPitchUm = Annotated[float | None, typer.Option(help="Samples of the object; left out: by NA.")]
+WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
+
+Illumination = Annotated[str, typer.Option(help="plane, tilted, gaussian, or FILE of a measured field.")]
+LightTiltDeg = Annotated[str, typer.Option(help="tilted: angles x,y of the light.")]
+WaistMm = Annotated[float | None, typer.Option(help="gaussian: radius of the waist.")]
+LightPitchUm = Annotated[float | None, typer.Option(help="FILE: its pitch, if it does not say.")]
+
+EngineName = Annotated[str, typer.Option("--engine", help="Engine, or auto: the cheapest that holds.")]
+Error = Annotated[float | None, typer.Option(help="Relative error that the engine may have.")]
+
+DecenterXMm = Annotated[float, typer.Option(help="Shift of the lens as mounted, along x.")]
+DecenterYMm = Annotated[float, typer.Option(help="Shift of the lens as mounted, along y.")]
+DespaceMm = Annotated[float, typer.Option(help="Shift of the lens towards the sensor.")]
+TiltXDeg = Annotated[float, typer.Option(help="Rotation of the lens about x.")]
+TiltYDeg = Annotated[float, typer.Option(help="Rotation of the lens about y.")]
+PivotZMm = Annotated[float, typer.Option(help="Centre of rotation, from the front vertex.")]
+
+
+def patch_and_light(lens: Lens, options: Any) -> tuple[Any, Any]:
+    """The patch of the object and its illumination, from a command's options.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
+    from wavesim.imaging import make_illumination, object_patch
+
+    tilt_x, tilt_y = numbers(options.light_tilt_deg, "--light-tilt-deg", 2)
+    kinds = {
+        "--light-tilt-deg": (tilt_x or tilt_y, "tilted"),
+        "--waist-mm": (options.waist_mm, "gaussian"),
+    }
+    for option, (value, kind) in kinds.items():
+        if value and options.illumination != kind:
+            raise InputError(f"{option}: means nothing without --illumination {kind}")
+    patch = object_patch(
+        lens,
+        lens.object.field_diameter_mm if options.patch_mm is None else options.patch_mm,
+        options.field_stop_mm,
+        wavelength_um=options.wavelength_um,
+        object_pitch_um=options.object_pitch_um,
+    )
+    light = make_illumination(
+        patch,
+        options.illumination,
+        tilt_deg=(tilt_x, tilt_y),
+        waist_mm=options.waist_mm,
+        pitch_um=options.light_pitch_um,
+    )
+    return patch, light
+
+
+def pose_of(options: Any) -> Pose:
+    """The lens as mounted."""
+    return Pose(*(getattr(options, field.name) for field in fields(Pose)))
+
+
+def engine_options(options: Any) -> dict[str, Any]:
+    """Settings of the engine that were given."""
+    names = ("tile_width_mm", "slices", "compensation", "interface", "step_um", "pitch_um")
+    return engine_settings(**{name: getattr(options, name) for name in names})
+
+
+def engine_summary(engine: Any) -> dict[str, Any]:
+    """What an engine is and says of itself, ready for JSON."""
+    import math
+
+    error = engine.predicted_error()
+    return {
+        "name": engine.name,
+        "settings": engine.settings(),
+        "predicted_error": error if math.isfinite(error) else None,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what results depend on."""
+    import platform
+    from importlib.metadata import version
+
+    return {"python": platform.python_version()} | {
+        name: version(name) for name in ("transferlens", "numpy", "scipy", "finufft")
+    }

@@ -1,0 +1,347 @@
+"""From a patch of the object to frames: engine, sensor window, recording planes, and what they can tell."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.fft
+
+from lensdesign.analysis import footprint
+from lensdesign.errors import InputError
+from lensdesign.first_order import first_order
+from lensdesign.poses import Pose
+from lensdesign.system import Lens, Sensor
+from wavesim.chirp_z import propagate_to
+from wavesim.choosing import choose
+from wavesim.engine import Engine, Scene
+from wavesim.engines import AUTO, make_engine
+from wavesim.fields import Field
+from wavesim.frames import Frame
+from wavesim.imaging import Patch
+from wavesim.sensor import Electronics, FootprintWarning, plane_seeds, record, sensor_grid
+
+WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
+"""Sensor windows are wider than the footprint by this factor; samples per pixel of what falls on them."""
+
+LARGEST_CUT = 0.2
+"""Share of the footprint that may lie beside the sensor; a larger one is refused."""
+
+LEAST_DIVERSITY = 10.0
+"""Below which planes tell too little of the phase; see :func:`diversity`."""
+
+DEFAULT_ERROR, TILE_ERROR = 0.6, 0.05
+"""Relative error that an engine may be predicted to have, for all light that the lens takes; and what tiles
+may leave of it. Most of the first is light at the aperture's edge, of which an object sends little."""
+
+
+class DiversityWarning(UserWarning):
+    """Recording planes are so near each other that their intensities tell little of the phase."""
+
+
+def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = None, **settings: Any) -> Engine:
+    """The engine asked for, or the cheapest that holds.
+
+    Parameters
+    ----------
+    scene
+        What is carried where.
+    name
+        Of an engine, or "auto".
+    runs
+        How often fields will be carried.
+    error
+        Relative error allowed; left out, `DEFAULT_ERROR` for the choice and `TILE_ERROR` for eikonal tiles.
+    **settings
+        Of the engine named.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or setting.
+    SamplingError
+        If no engine holds.
+    """
+    if name == AUTO and not settings:
+        chosen = choose(scene, DEFAULT_ERROR if error is None else error, runs=runs).chosen
+        name, settings = chosen.engine, dict(chosen.settings)
+        if name == "eikonal":
+            settings["error"] = min(settings["error"], TILE_ERROR)
+    elif name == "eikonal":
+        settings["error"] = TILE_ERROR if error is None else error
+    elif error is not None and name != AUTO:
+        raise InputError(
+            f"error = {error:g}: engine {name} has no such setting; allowed for auto and eikonal"
+        )
+    return make_engine(name, scene, **settings)
+
+
+def footprint_mm(lens: Lens, patch: Patch, plane_distance_mm: float, pose: Pose = Pose()) -> float:
+    """Diameter of the smallest disc about the axis that holds a patch's light on a plane, by rays.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes the lens.
+    """
+    space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm)
+    lit = lens.replaced(object=space)
+    return 2.0 * footprint(lit, patch.wavelength_um, plane_distance_mm, pose).radius_mm
+
+
+def sensor_window(
+    lens: Lens,
+    patch: Patch,
+    plane_distances_mm: Sequence[float],
+    pixels: int | None = None,
+    pose: Pose = Pose(),
+) -> Sensor:
+    """The middle of the design's sensor, as much of it as a patch's light falls on.
+
+    Parameters
+    ----------
+    lens, patch
+        What is imaged.
+    plane_distances_mm
+        Recording planes, from the exit vertex.
+    pixels
+        Along each side; left out, what just holds the footprint on all planes.
+    pose
+        Of the lens as mounted.
+
+    Raises
+    ------
+    InputError
+        If more pixels are asked for than the sensor has.
+    """
+    whole = lens.sensor
+    if pixels is not None and not 1 <= pixels <= min(whole.pixels):
+        raise InputError(f"pixels = {pixels}: must be from 1 to the sensor's {min(whole.pixels)}")
+    if pixels is None:
+        widest = max(footprint_mm(lens, patch, z, pose) for z in plane_distances_mm)
+        pixels = scipy.fft.next_fast_len(math.ceil(1e3 * WINDOW_MARGIN * widest / whole.pixel_pitch_um))
+    across, down = (min(pixels, most) for most in whole.pixels)
+    return whole.replaced(pixels=(across, down), plane_distances_mm=tuple(sorted(plane_distances_mm)))
+
+
+def check_footprint(
+    lens: Lens, patch: Patch, sensor: Sensor, plane_distances_mm: Sequence[float], pose: Pose = Pose()
+) -> None:
+    """Tell where a patch's light falls beside the pixels.
+
+    Raises
+    ------
+    InputError
+        If more than `LARGEST_CUT` of the footprint does.
+
+    Warns
+    -----
+    FootprintWarning
+        If a part of it does.
+    """
+    for distance in plane_distances_mm:
+        width = footprint_mm(lens, patch, distance, pose)
+        lost = _share_beside(width, sensor.size_mm)
+        if lost <= 0.0:
+            continue
+        across, down = sensor.size_mm
+        said = (
+            f"plane at {distance:g} mm: the light's footprint of {width:.4g} mm reaches beyond the sensor's "
+            f"{across:.4g} mm x {down:.4g} mm with {100.0 * lost:.2g} % of its area; take a "
+            "smaller patch, more pixels or a nearer plane"
+        )
+        if lost > LARGEST_CUT:
+            raise InputError(said)
+        warnings.warn(said, FootprintWarning, stacklevel=2)
+
+
+def _share_beside(width_mm: float, sides_mm: tuple[float, float]) -> float:
+    """Part of a disc's area outside a rectangle with the same middle."""
+    samples = np.linspace(-0.5, 0.5, 801) * width_mm
+    x, y = samples[None, :], samples[:, None]
+    disc = np.hypot(x, y) <= 0.5 * width_mm
+    beside = (np.abs(x) > 0.5 * sides_mm[0]) | (np.abs(y) > 0.5 * sides_mm[1])
+    return float(np.mean(beside[disc]))
+
+
+def diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> float:
+    """How much of the phase the outermost planes tell: dz w^2 / (lambda f^2).
+
+    Light of a field stop of width w leaves the lens within angles of w / f, and its finest detail on a plane
+    is lambda f / w wide: over dz its parts move against each other by so many details.
+
+    Parameters
+    ----------
+    lens, patch
+        What is imaged.
+    plane_distances_mm
+        Two or more; of one plane it is 0.
+    """
+    focal_mm = first_order(lens, patch.wavelength_um).efl_mm
+    between = max(plane_distances_mm) - min(plane_distances_mm)
+    return between * (patch.field_stop_mm / focal_mm) ** 2 / (1e-3 * patch.wavelength_um)
+
+
+def check_diversity(lens: Lens, patch: Patch, plane_distances_mm: Sequence[float]) -> float:
+    """The figure of :func:`diversity`, told if it is low.
+
+    Warns
+    -----
+    DiversityWarning
+        If it is below `LEAST_DIVERSITY`.
+    """
+    figure = diversity(lens, patch, plane_distances_mm)
+    if figure < LEAST_DIVERSITY:
+        warnings.warn(
+            f"little diversity between planes {', '.join(f'{z:g}' for z in plane_distances_mm)} mm: "
+            f"dz w^2 / (lambda f^2) = {figure:.3g}, which should be {LEAST_DIVERSITY:g} or more; the phase "
+            "may not be found: take planes farther from each other, or a larger field stop",
+            DiversityWarning,
+            stacklevel=2,
+        )
+    return figure
+
+
+def exit_scene(
+    lens: Lens, patch: Patch, sensor: Sensor, first_mm: float, pose: Pose = Pose(), oversampling: int = 1
+) -> Scene:
+    """The scene between a patch and a sensor window on its first plane.
+
+    Parameters
+    ----------
+    lens, patch
+        What is imaged.
+    sensor
+        The window.
+    first_mm
+        Plane, from the exit vertex.
+    pose
+        Of the lens as mounted.
+    oversampling
+        Samples per pixel.
+    """
+    grid = sensor_grid(sensor, lens.exit_vertex_z_mm + first_mm, oversampling)
+    return Scene(lens, patch.grid, grid, patch.wavelength_um, pose)
+
+
+def light_window(lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, pose: Pose) -> Sensor:
+    """A sensor window, widened where a patch's light on a plane is wider, so that none of it is lost."""
+    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, pose)
+    needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
+    across, down = (max(n, needed) for n in sensor.pixels)
+    return sensor.replaced(pixels=(across, down))
+
+
+@dataclass(frozen=True, eq=False)
+class Imaged:
+    """Frames, and how they came about.
+
+    Attributes
+    ----------
+    engine : Engine
+        That carried the light to the first plane.
+    fields : tuple of Field
+        Light on each plane, wider than the sensor where the light is.
+    frames : tuple of Frame
+        As recorded.
+    """
+
+    engine: Engine
+    fields: tuple[Field, ...]
+    frames: tuple[Frame, ...]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How the sensor records.
+
+    Attributes
+    ----------
+    plane_distances_mm : tuple of float
+        From the exit vertex, as the stage states them, increasing.
+    electronics : Electronics
+        Full well, noise and quantisation.
+    seed : int or None
+        Of the noise; None for none.
+    brightest_share
+        Of full well, in each frame's brightest pixel.
+    stage_errors_mm : tuple of float
+        How much farther from the lens each plane is than stated.
+    shift_um : (x, y)
+        By how much the sensor moves from one plane to the next.
+    """
+
+    plane_distances_mm: tuple[float, ...]
+    electronics: Electronics
+    seed: int | None = 0
+    brightest_share: float = 0.8
+    stage_errors_mm: tuple[float, ...] = ()
+    shift_um: tuple[float, float] = (0.0, 0.0)
+
+
+def image_patch(
+    scene: Scene,
+    behind_object: Field,
+    sensor: Sensor,
+    windows: Sequence[Sensor],
+    recording: Recording,
+    make: Callable[[Scene], Engine],
+    progress: Callable[[str], None] | None = None,
+) -> Imaged:
+    """Carry light from behind the object to the sensor, and record it on every plane.
+
+    Parameters
+    ----------
+    scene
+        From the patch to the first plane's window (:func:`exit_scene`).
+    behind_object
+        Illumination times transmission.
+    sensor
+        Whose pixels record.
+    windows
+        For each plane, a window that holds all light (:func:`light_window`).
+    recording
+        Planes, noise and errors.
+    make
+        Makes the engine for the scene.
+    progress
+        Called with what comes next.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If a setting is not usable, or samples cannot hold the light on its way.
+    """
+    tell = progress or (lambda what: None)
+    tell("engine")
+    engine = make(scene)
+    tell(f"{engine.name}: through the lens")
+    first = engine.forward(behind_object)
+    planes = recording.plane_distances_mm
+    errors = recording.stage_errors_mm or (0.0,) * len(planes)
+    fields, frames = [], []
+    for number, seed in enumerate(plane_seeds(recording.seed, len(planes))):
+        tell(f"frame {number + 1} of {len(planes)}")
+        distance = planes[number] - planes[0]
+        grid = sensor_grid(windows[number], first.grid.z_mm + distance, OVERSAMPLING)
+        field = first if grid == first.grid else propagate_to(first, grid)
+        x, y = recording.shift_um
+        fields.append(field)
+        frames.append(
+            record(
+                field,
+                sensor,
+                planes[number],
+                recording.electronics,
+                seed,
+                brightest_share=recording.brightest_share,
+                oversampling=OVERSAMPLING,
+                stage_error_mm=errors[number],
+                shift_um=(number * x, number * y),
+            )
+        )
+    return Imaged(engine, tuple(fields), tuple(frames))
