@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.blas import one_blas_thread
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.exit_plane import ExitPlane, exit_plane
 from wavesim.ray_map import RayMap, ray_map
 from wavesim.tile_cost import tiles_cost
 from wavesim.tile_edge import edge_error, shared_spans
-from wavesim.tile_operator import TileOperator, precision_for
+from wavesim.tile_operator import Precision, TileOperator, precision_for
 from wavesim.tile_plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.tile_residual import Quadratic, Separable, tile_residual
 
@@ -94,9 +95,10 @@ class EikonalTiles(Engine):
     @cached_property
     def probe(self) -> Probe:
         """The cut into tiles, and what some of them leave out."""
-        if self._tile_width_mm is None:
-            return chosen_probe(self.scene, self._allowed, self._quadratic, self._map)
-        return checked_probe(self.scene, self._tile_width_mm, self._allowed, self._quadratic, self._map)
+        with one_blas_thread():
+            if self._tile_width_mm is None:
+                return chosen_probe(self.scene, self._allowed, self._quadratic, self._map)
+            return checked_probe(self.scene, self._tile_width_mm, self._allowed, self._quadratic, self._map)
 
     def _map(self, point_mm: tuple[float, float]) -> RayMap:
         if point_mm not in self._maps:
@@ -120,17 +122,20 @@ class EikonalTiles(Engine):
 
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
-            grid = self.plane.grid
-            axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
-            precision = precision_for(dtype, self._error)
-            tiles = self.probe.tiles
-            carriers = [self._map(tile.centre_mm) for tile in tiles]
-            spans = shared_spans(self.scene, tiles, carriers, axes)
-            self._operators[dtype] = tuple(
-                TileOperator(self.scene, tile, carrier, factors, axes, lit, precision)
-                for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
-            )
+            with one_blas_thread():
+                self._operators[dtype] = self._made(precision_for(dtype, self._error))
         return self._operators[dtype]
+
+    def _made(self, precision: Precision) -> tuple[TileOperator, ...]:
+        grid = self.plane.grid
+        axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
+        tiles = self.probe.tiles
+        carriers = [self._map(tile.centre_mm) for tile in tiles]
+        spans = shared_spans(self.scene, tiles, carriers, axes)
+        return tuple(
+            TileOperator(self.scene, tile, carrier, factors, axes, lit, precision)
+            for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
+        )
 
     def _forward(self, values: Any) -> Any:
         field = _usable(values)

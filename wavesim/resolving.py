@@ -21,6 +21,7 @@ from lensdesign.system import Lens
 from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid, correlation
+from wavesim.metrics import RESOLVED_CONTRAST
 from wavesim.scenes import exit_grid, wavelength_of
 
 Array = NDArray[np.float64]
@@ -46,6 +47,8 @@ class LineContrast:
     contrast : float
         (bright - dark) / (bright + dark), in the middles of bars and gaps, refocused and registered;
         negative where bright and dark trade places.
+    weakest_contrast : float
+        The same of the dimmest bar and the brightest gap.
     contrast_as_is : float
         The same without refocus and registration.
     contrast_of_reference : float
@@ -58,11 +61,16 @@ class LineContrast:
 
     line_width_um: float
     contrast: float
+    weakest_contrast: float
     contrast_as_is: float
     contrast_of_reference: float
     refocus_um: float
     shift_um: float
     exit_correlation: float
+
+    def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
+        """Whether lines reach a contrast, and every bar is brighter than every gap."""
+        return self.contrast >= threshold and self.weakest_contrast > 0.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,18 @@ class Resolved:
     reference: str
     settings: dict[str, Any]
     lines: tuple[LineContrast, ...]
+
+    def smallest_resolved_um(self, threshold: float = RESOLVED_CONTRAST) -> float | None:
+        """Width of the finest lines down to which all are resolved; None if even the widest are not.
+
+        Finer lines that reach the threshold again are false resolution and do not count.
+        """
+        found = None
+        for line in sorted(self.lines, key=lambda one: -one.line_width_um):
+            if not line.resolved(threshold):
+                break
+            found = line.line_width_um
+        return found
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -194,31 +214,41 @@ def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: in
     best = np.asarray(truth.adjoint(exit_field).values)
     seen = np.asarray(tested.adjoint(exit_field).values)
     refocus, shift, moved = register(seen, best, grid, wavelength)
-    contrast = _contrast_of(grid, line_width_um, bars)
+    contrast = _contrasts_of(grid, line_width_um, bars)
+    mean, weakest = contrast(moved)
     return LineContrast(
         line_width_um=float(line_width_um),
-        contrast=contrast(moved),
-        contrast_as_is=contrast(seen),
-        contrast_of_reference=contrast(best),
+        contrast=mean,
+        weakest_contrast=weakest,
+        contrast_as_is=contrast(seen)[0],
+        contrast_of_reference=contrast(best)[0],
         refocus_um=1e3 * refocus,
         shift_um=1e3 * shift,
         exit_correlation=correlation(tested.forward(lines).values, exit_field.values),
     )
 
 
-def _contrast_of(grid: Grid, line_width_um: float, bars: int) -> Callable[[ComplexArray], float]:
+def _contrasts_of(
+    grid: Grid, line_width_um: float, bars: int
+) -> Callable[[ComplexArray], tuple[float, float]]:
+    """What tells a field's contrast: that of the means of bars and gaps, and that of the weakest pair."""
     y = grid.y_mm - grid.centre_mm[1]
     width = 1e-3 * line_width_um
     middles = width * (2.0 * np.arange(bars) - (bars - 1))
     gaps = 0.5 * (middles[1:] + middles[:-1])
 
-    def contrast(values: ComplexArray) -> float:
-        intensity = np.abs(values) ** 2
-        bright = np.interp(middles, y, intensity).mean()
-        dark = np.interp(gaps, y, intensity).mean()
-        return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0
+    def michelson(bright: float, dark: float) -> float:
+        return (bright - dark) / (bright + dark) if bright + dark > 0.0 else 0.0
 
-    return contrast
+    def contrasts(values: ComplexArray) -> tuple[float, float]:
+        intensity = np.abs(values) ** 2
+        bright, dark = np.interp(middles, y, intensity), np.interp(gaps, y, intensity)
+        return (
+            michelson(float(bright.mean()), float(dark.mean())),
+            michelson(float(bright.min()), float(dark.max())),
+        )
+
+    return contrasts
 
 
 def register(

@@ -17,7 +17,8 @@ from lensdesign.scaling import scaled
 from wavesim.cli import app, main
 from wavesim.fields import Grid, correlation
 from wavesim.guards import SamplingWarning
-from wavesim.resolving import bars_field, meridional_scene, register, resolve
+from wavesim.resolving import LineContrast, Resolved, bars_field, meridional_scene, register, resolve
+from wavesim.resolving_plots import resolving_figure
 
 TWIN = scaled(load_design("designs/paper_singlet.toml"), 0.125)
 GRID = Grid((2400,), 5e-5, -1.0)
@@ -79,6 +80,53 @@ def test_vertical_compensation_loses_the_lines_that_oblique_keeps() -> None:
     assert abs(contrast["vertical"].refocus_um) > abs(contrast["oblique"].refocus_um)
 
 
+def line(width_um: float, contrast: float, weakest: float | None = None) -> LineContrast:
+    least = contrast if weakest is None else weakest
+    return LineContrast(width_um, contrast, least, contrast, 1.0, 0.0, 0.0, 1.0)
+
+
+def outcome(*lines: LineContrast, field_mm: float = 0.0, engine: str = "eikonal") -> Resolved:
+    return Resolved(field_mm, engine, "eikonal", {}, lines)
+
+
+def test_false_resolution_does_not_count() -> None:
+    falls_and_returns = outcome(line(0.6, 0.5), line(2.0, 0.9), line(1.0, 0.3), line(0.8, 0.1))
+    assert falls_and_returns.smallest_resolved_um() == 1.0
+    assert falls_and_returns.smallest_resolved_um(0.5) == 2.0
+    assert outcome(line(2.0, 0.1), line(1.0, 0.9)).smallest_resolved_um() is None
+    # Enough contrast on the mean, but one gap as bright as a bar.
+    assert outcome(line(2.0, 0.9), line(1.0, 0.4, -0.1)).smallest_resolved_um() == 2.0
+
+
+def test_weakest_contrast_is_that_of_one_gap() -> None:
+    found = resolve(TWIN, [0.775, 0.41], engine="eikonal", plane_distance_mm=0.25)
+    wide, fine = found.lines
+    assert 0.9 < wide.weakest_contrast <= wide.contrast
+    # Beyond the aperture's limit of 0.532 um no grating passes.
+    assert not fine.resolved()
+    assert fine.weakest_contrast < fine.contrast
+    assert found.smallest_resolved_um() == 0.775
+
+
+def test_picture_shows_every_engine_at_every_field() -> None:
+    slices = {"slices": 30, "compensation": "oblique"}
+    results = [
+        outcome(line(2.0, 0.9), line(1.0, 0.1), field_mm=0.0),
+        outcome(line(2.0, 0.05), line(1.0, -0.3), field_mm=0.1),
+        Resolved(0.0, "slices", "eikonal", slices, (line(2.0, 0.9), line(1.0, 0.8))),
+    ]
+    figure = resolving_figure(results)
+    assert len(figure.axes) == 2
+    said = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]
+    assert said == [
+        ["eikonal: down to 2 µm", "30 slices, oblique compensation: down to 1 µm"],
+        ["eikonal: none resolved"],
+    ]
+    assert figure.axes[0].get_ylim()[0] < -0.3
+    with pytest.raises(InputError, match="one result"):
+        resolving_figure([])
+
+
 def test_the_scene_holds_bars_and_footprint() -> None:
     scene = meridional_scene(TWIN, 1.55, 0.1, plane_distance_mm=0.25)
     assert scene.object_grid.half_widths_mm[0] > 4.5 * 1.55e-3 + 0.05
@@ -129,9 +177,37 @@ def test_command_prints_contrasts(twin_file: Path) -> None:
     assert "0.775" in shown.stdout
 
 
+def test_command_compares_engines_in_one_picture(twin_file: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "resolved.png"
+    options = ["--linewidths-um", "1.0,0.775", "--plane-distance-mm", "0.25", "-o", str(picture)]
+    engines = ["--engine", "slices:slices=30,compensation=oblique,spacing=equal", "--engine", "eikonal"]
+    result = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engines, "--json"])
+    assert result.exit_code == 0, result.output
+    oblique, eikonal = json.loads(result.stdout)["engines"]
+    assert oblique["settings"][0]["slices"] == 30
+    assert oblique["settings"][0]["spacing"] == "equal"
+    assert (oblique["engine"], eikonal["engine"]) == ("slices", "eikonal")
+    assert oblique["smallest_resolved_um"] == eikonal["smallest_resolved_um"] == [0.775]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_spacing_is_an_option(twin_file: Path) -> None:
+    options = ["--linewidths-um", "0.775", "--plane-distance-mm", "0.25", "--slices", "30", "--json"]
+    spacing = ["--compensation", "oblique", "--spacing", "equal-phase"]
+    result = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *spacing])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["settings"][0]["spacing"] == "equal-phase"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (["--engine", "eikonal", "--engine", "slices", "--slices", "30"], "beside several --engine"),
+        (["--engine", "slices:30"], "--engine = 'slices:30'"),
+        (["--engine", "slices:slices=x"], "slices"),
+        (["--engine", "eikonal:slices=3"], "slices"),
+        (["--spacing", "x"], "spacing"),
+        (["-o", "picture.gif"], "must end in one of .png"),
         (["--linewidths-um", "a"], "--linewidths-um = 'a'"),
         (["--bars", "3"], "bars = 3"),
         (["--engine", "x"], "engine = 'x'"),
