@@ -1,9 +1,18 @@
+from .bootstrap import uncertainty
+from .calibration import (
+    Calibrated,
+    calibrate,
+)
 from .chirp_z import propagate_to, propagate_to_adjoint
 from .choosing import Choice, Prediction, choose, chosen_engine, predict
 from .eikonal import EikonalTiles
 from .engine import Cost, Engine, Neglected, Scene
 from .engines import make_engine
 from .fields import Field, Grid, correlation, relative_error
+from .frame_sets import (
+    read_frames,
+    recorded_planes,
+)
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .free_space import propagate, propagate_adjoint
 from .guards import (
@@ -13,12 +22,47 @@ from .guards import (
     predicted_relative_error,
 )
 from .illumination import field_stop, gaussian_beam, measured_field, plane_wave
+from .imaging import (
+    Patch,
+    Target,
+    make_illumination,
+    make_target,
+    object_patch,
+    usaf_elements_of,
+)
+from .imaging_planes import (
+    DiversityWarning,
+    Imaged,
+    Recording,
+    diversity,
+    exit_scene,
+    image_patch,
+    imaging_engine,
+    sensor_window,
+)
 from .line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
     line_pair_image,
     line_pair_profile,
     smallest_resolved_line_width_um,
+)
+from .metrics import (
+    ElementContrast,
+    SpectrumSupport,
+    as_passed,
+    bar_contrast,
+    element_contrasts,
+    object_correlation,
+    psnr_db,
+    resolved_elements,
+    smallest_resolved_element,
+    spectrum_support,
+    ssim,
+)
+from .mounting import (
+    Mounting,
+    read_mounting,
 )
 from .no_lens import NoLens
 from .oracles import OracleCase, OracleResult, oracle_case, run_oracle
@@ -43,7 +87,7 @@ from .pupil import (
 from .reconstruction import Reconstructed, prox_tv, reconstruct
 from .refocusing import Refocusing, refocus_field, svfg
 from .resolving import LineContrast, Resolved, bars_field, resolve
-from .retrieval import Recorded, Retrieved, agreement, retrieve
+from .retrieval import Recorded, Retrieved, agreement, recorded_intensity, retrieve
 from .scenes import patch_scene
 from .sensor import (
     Electronics,
@@ -69,10 +113,13 @@ from .working_grid import TotalReflectionWarning
 
 __all__ = [
     "AnnularSlices",
+    "Calibrated",
     "Choice",
     "Cost",
+    "DiversityWarning",
     "EikonalTiles",
     "Electronics",
+    "ElementContrast",
     "Engine",
     "Field",
     "FoldError",
@@ -80,11 +127,14 @@ __all__ = [
     "Frame",
     "FrameSettings",
     "Grid",
+    "Imaged",
     "LineContrast",
+    "Mounting",
     "Neglected",
     "NoLens",
     "OracleCase",
     "OracleResult",
+    "Patch",
     "PointCharacteristic",
     "Prediction",
     "PupilGrid",
@@ -93,6 +143,7 @@ __all__ = [
     "Reconstructed",
     "ReconstructionPupil",
     "Recorded",
+    "Recording",
     "Refocused",
     "Refocusing",
     "Resolved",
@@ -100,28 +151,42 @@ __all__ = [
     "SamplingWarning",
     "SaturationWarning",
     "Scene",
+    "SpectrumSupport",
+    "Target",
     "ThinLens",
     "TotalReflectionWarning",
     "WavePropagation",
     "agreement",
+    "as_passed",
     "band_limit",
+    "bar_contrast",
     "bars_field",
+    "calibrate",
     "check_propagation",
     "choose",
     "chosen_engine",
     "correlation",
     "critical_distance_mm",
+    "diversity",
+    "element_contrasts",
     "estimate_intensity",
+    "exit_scene",
     "field_stop",
     "from_tilted_plane",
     "gaussian_beam",
+    "image_patch",
+    "imaging_engine",
     "line_pair_contrast",
     "line_pair_displacement_um",
     "line_pair_image",
     "line_pair_profile",
     "make_engine",
+    "make_illumination",
+    "make_target",
     "measured_field",
     "mtf",
+    "object_correlation",
+    "object_patch",
     "oracle_case",
     "patch_scene",
     "phase_target",
@@ -136,26 +201,38 @@ __all__ = [
     "propagate_to_adjoint",
     "prox_tv",
     "psf",
+    "psnr_db",
     "read_frame",
+    "read_frames",
+    "read_mounting",
     "reconstruct",
     "record",
+    "recorded_intensity",
+    "recorded_planes",
     "refocus",
     "refocus_field",
     "relative_error",
     "remove_shift",
     "resolve",
+    "resolved_elements",
     "retrieve",
     "rms_waves",
     "run_oracle",
     "sensor_grid",
+    "sensor_window",
     "siemens_star",
+    "smallest_resolved_element",
     "smallest_resolved_line_width_um",
+    "spectrum_support",
+    "ssim",
     "strehl",
     "svfg",
     "tissue_phantom",
     "to_tilted_plane",
+    "uncertainty",
     "usaf_chart",
     "usaf_elements",
+    "usaf_elements_of",
     "usaf_elements_within",
     "usaf_line_width_um",
     "write_frame",

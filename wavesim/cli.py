@@ -12,6 +12,7 @@ from lensdesign.console import make_app, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import load_design
 from lensdesign.poses import Pose
+from wavesim.cli_calibrate import calibrate
 from wavesim.cli_compare import compare
 from wavesim.cli_engine import numbers
 from wavesim.cli_image import image
@@ -26,6 +27,7 @@ app.command()(choose)
 app.command()(compare)
 app.command()(image)
 app.command()(reconstruct)
+app.command()(calibrate)
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 

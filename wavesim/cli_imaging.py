@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
@@ -36,6 +37,52 @@ DespaceMm = Annotated[float, typer.Option(help="Shift of the lens towards the se
 TiltXDeg = Annotated[float, typer.Option(help="Rotation of the lens about x.")]
 TiltYDeg = Annotated[float, typer.Option(help="Rotation of the lens about y.")]
 PivotZMm = Annotated[float, typer.Option(help="Centre of rotation, from the front vertex.")]
+
+Frames = Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one for each plane.")]
+DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
+ActiveWidth = Annotated[float, typer.Option(help="Of a pixel, as a share of the pitch.")]
+
+PlaneDistanceMm = Annotated[str | None, typer.Option(help="Of each frame, as its file should say.")]
+PixelPitchUm = Annotated[float | None, typer.Option(help="Of the frames.")]
+Exposure = Annotated[str | None, typer.Option(help="Of each frame; any unit.")]
+Bits = Annotated[int | None, typer.Option(help="Of a count.")]
+OffsetCounts = Annotated[float | None, typer.Option(help="Count of a dark pixel.")]
+GainElectronsPerCount = Annotated[float | None, typer.Option(help="Of the sensor.")]
+ReadNoiseElectrons = Annotated[float | None, typer.Option(help="Of the sensor.")]
+
+FRAME_SETTINGS = (
+    "pixel_pitch_um",
+    "wavelength_um",
+    "bits",
+    "offset_counts",
+    "gain_electrons_per_count",
+    "read_noise_electrons",
+)
+"""Options that are the same for all frames."""
+
+
+class Options(SimpleNamespace):
+    """The options of a command, by their names."""
+
+
+def settings_given(options: Any) -> list[dict[str, Any]]:
+    """Settings of each frame that were given, for :func:`wavesim.frames.read_frame`.
+
+    Raises
+    ------
+    InputError
+        If there are not as many distances or exposures as frames.
+    """
+    count = len(options.frames)
+    common = {n: getattr(options, n) for n in FRAME_SETTINGS if getattr(options, n) is not None}
+    given = [dict(common) for _ in range(count)]
+    for name in ("plane_distance_mm", "exposure"):
+        text = getattr(options, name)
+        if text is None:
+            continue
+        for settings, value in zip(given, numbers(text, f"--{name.replace('_', '-')}", count), strict=True):
+            settings[name] = value
+    return given
 
 
 def patch_and_light(lens: Lens, options: Any) -> tuple[Any, Any]:

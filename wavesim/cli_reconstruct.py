@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -12,6 +11,7 @@ import typer
 from lensdesign.console import print_json, progress_bar
 from lensdesign.errors import InputError
 from lensdesign.files import load_design
+from lensdesign.poses import Pose
 from wavesim.cli_engine import (
     Compensation,
     Interface,
@@ -23,20 +23,31 @@ from wavesim.cli_engine import (
     print_warnings,
 )
 from wavesim.cli_imaging import (
+    ActiveWidth,
     AsJson,
+    Bits,
     DecenterXMm,
     DecenterYMm,
+    DesignOption,
     DespaceMm,
     EngineName,
     Error,
+    Exposure,
     FieldStopMm,
+    Frames,
+    GainElectronsPerCount,
     Illumination,
     LightPitchUm,
     LightTiltDeg,
     ObjectPitchUm,
+    OffsetCounts,
+    Options,
     Output,
     PatchMm,
     PivotZMm,
+    PixelPitchUm,
+    PlaneDistanceMm,
+    ReadNoiseElectrons,
     TiltXDeg,
     TiltYDeg,
     WaistMm,
@@ -45,6 +56,7 @@ from wavesim.cli_imaging import (
     engine_summary,
     patch_and_light,
     pose_of,
+    settings_given,
     versions,
 )
 
@@ -53,8 +65,6 @@ METHODS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitud
 
 ITERATIONS = {"paper": 500, "object": 30}
 PAPER_REFOCUS_MM = "-0.01,0.01"
-Frames = Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one for each plane.")]
-DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
 
 
 def reconstruct(
@@ -92,22 +102,23 @@ def reconstruct(
     tilt_x_deg: TiltXDeg = 0.0,
     tilt_y_deg: TiltYDeg = 0.0,
     pivot_z_mm: PivotZMm = 0.0,
-    active_width: Annotated[float, typer.Option(help="Of a pixel, as a share of the pitch.")] = 1.0,
+    active_width: ActiveWidth = 1.0,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Of `wavesim calibrate`: the lens as mounted.")
+    ] = None,
     refocus_mm: Annotated[str | None, typer.Option(help="low,high: where to look for the focus.")] = None,
     truth: Annotated[
         Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
     ] = None,
     usaf: Annotated[str | None, typer.Option(help="The object is a USAF chart: bright or dark.")] = None,
-    plane_distance_mm: Annotated[
-        str | None, typer.Option(help="Of each frame, as its file should say.")
-    ] = None,
-    pixel_pitch_um: Annotated[float | None, typer.Option(help="Of the frames.")] = None,
+    plane_distance_mm: PlaneDistanceMm = None,
+    pixel_pitch_um: PixelPitchUm = None,
     wavelength_um: WavelengthUm = None,
-    exposure: Annotated[str | None, typer.Option(help="Of each frame; any unit.")] = None,
-    bits: Annotated[int | None, typer.Option(help="Of a count.")] = None,
-    offset_counts: Annotated[float | None, typer.Option(help="Count of a dark pixel.")] = None,
-    gain_electrons_per_count: Annotated[float | None, typer.Option(help="Of the sensor.")] = None,
-    read_noise_electrons: Annotated[float | None, typer.Option(help="Of the sensor.")] = None,
+    exposure: Exposure = None,
+    bits: Bits = None,
+    offset_counts: OffsetCounts = None,
+    gain_electrons_per_count: GainElectronsPerCount = None,
+    read_noise_electrons: ReadNoiseElectrons = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
@@ -136,10 +147,6 @@ def reconstruct(
         print_json(summary)
     else:
         _print(summary, output)
-
-
-class Options(SimpleNamespace):
-    """The options of the command, by their names."""
 
 
 class Case(NamedTuple):
@@ -185,6 +192,8 @@ def _refuse(options: Any) -> None:
         raise InputError(f"--usaf = {options.usaf!r}: allowed: bright, dark")
     if options.tv_weight != "auto":
         options.tv_weight = numbers(options.tv_weight, "--tv-weight", 1)[0]
+    if options.calibration is not None and pose_of(options) != Pose():
+        raise InputError("--calibration says how the lens is mounted: give no decenter, tilt or despace")
     if options.iterations is None:
         options.iterations = ITERATIONS[options.method]
     if options.iterations < 1:
@@ -203,14 +212,16 @@ def _case(lens: Any, options: Any) -> Case:
     from wavesim.frame_sets import read_frames, recorded_planes, refuse_other_pitch
     from wavesim.imaging import usaf_elements_of
     from wavesim.imaging_planes import check_diversity, check_footprint, exit_scene, imaging_engine
+    from wavesim.mounting import read_mounting
     from wavesim.reconstruction_results import read_truth
     from wavesim.resumable import Checkpoint
 
-    frames = read_frames(options.frames, _given(options))
+    frames = read_frames(options.frames, settings_given(options))
     refuse_other_pitch(frames, lens)
     options.wavelength_um = frames[0].settings.wavelength_um
     patch, light = patch_and_light(lens, options)
-    pose = pose_of(options)
+    mounting = None if options.calibration is None else read_mounting(options.calibration)
+    pose = pose_of(options) if mounting is None else mounting.pose
     rows, columns = frames[0].counts.shape
     planes = tuple(frame.settings.plane_distance_mm for frame in frames)
     sensor = lens.sensor.replaced(pixels=(columns, rows))
@@ -220,45 +231,31 @@ def _case(lens: Any, options: Any) -> Case:
     elements = usaf_elements_of(patch) if options.usaf else ()
     settings = engine_options(options)
     scene = exit_scene(lens, patch, sensor, planes[0], pose)
+    recorded = recorded_planes(frames)
+    if mounting is not None:
+        scene, light, recorded = (
+            mounting.scene(scene),
+            mounting.illumination(light),
+            mounting.recorded(recorded),
+        )
     runs = 2 * options.iterations if options.method == "object" else 2
     engine = imaging_engine(scene, options.engine, runs, options.error, **settings)
-    checkpoint = Checkpoint(options.output / "checkpoint.npz", _key(lens, frames, options, light, engine))
-    return Case(
-        lens, patch, light, frames, recorded_planes(frames), engine, truth, elements, figure, checkpoint
+    checkpoint = Checkpoint(
+        options.output / "checkpoint.npz", _key(lens, frames, options, light, recorded, engine)
     )
+    return Case(lens, patch, light, frames, recorded, engine, truth, elements, figure, checkpoint)
 
 
-def _given(options: Any) -> list[dict[str, Any]]:
-    """Settings of each frame that were given."""
-    count = len(options.frames)
-    same = (
-        "pixel_pitch_um",
-        "wavelength_um",
-        "bits",
-        "offset_counts",
-        "gain_electrons_per_count",
-        "read_noise_electrons",
-    )
-    common = {name: getattr(options, name) for name in same if getattr(options, name) is not None}
-    given = [dict(common) for _ in range(count)]
-    for name in ("plane_distance_mm", "exposure"):
-        text = getattr(options, name)
-        if text is None:
-            continue
-        for settings, value in zip(given, numbers(text, f"--{name.replace('_', '-')}", count), strict=True):
-            settings[name] = value
-    return given
-
-
-def _key(lens: Any, frames: Any, options: Any, light: Any, engine: Any) -> str:
+def _key(lens: Any, frames: Any, options: Any, light: Any, recorded: Any, engine: Any) -> str:
     from wavesim.resumable import key_of
 
     told = {
         name: str(getattr(options, name))
         for name in ("method", "kind", "iterations", "tv_weight", "start", "scale")
     }
-    told |= {"active_width": str(options.active_width), "pose": str(pose_of(options))}
+    told |= {"active_width": str(options.active_width), "pose": str(engine.scene.pose)}
     told |= {"engine": engine.name, "settings": str(engine.settings())}
+    told |= {"object_z": str(light.grid.z_mm), "planes": str([p.distance_mm for p in recorded])}
     pictures = [
         part for frame in frames for part in (frame.counts.tobytes(), frame.settings.model_dump_json())
     ]

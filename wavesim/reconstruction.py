@@ -40,12 +40,12 @@ SCALE_ITERATIONS = 4
 AMPLITUDE_START = 12
 """Iterations in which an amplitude object is sought where that is the start."""
 
-TV_PER_NOISE = 2.0
+TV_PER_NOISE = 1.0
 """Weight of the total variation over the standard deviation of the noise of a step."""
 
-LEAST_TV = 0.02
+LEAST_TV = {"amplitude": 0.01, "complex": 0.02}
 """Smallest weight by the noise. Objects on a dark ground, to which the start is far, and complex ones, which
-have as many unknowns as two planes have amplitudes, need it to be found even without noise."""
+have as many unknowns as two planes have amplitudes, need the total variation without noise too."""
 
 EARLY, EARLY_GAIN = 5, 1e-3
 """Early stop: over so many iterations the misfit falls by less than this share."""
@@ -166,7 +166,7 @@ class _Descent:
         for k in range(first, first + iterations):
             self.model.fits_scale = self.fits_scale and k < SCALE_ITERATIONS
             change, misfit = self.model.step(ahead)
-            weight = self._tv_weight()
+            weight = self._tv_weight(kind)
             after = ahead + change
             if kind == "amplitude":
                 after = np.clip(prox_tv(after.real, weight), 0.0, 1.0).astype(after.dtype)
@@ -183,10 +183,10 @@ class _Descent:
                 return now, True
         return now, False
 
-    def _tv_weight(self) -> float:
+    def _tv_weight(self, kind: Kind) -> float:
         if self.noise_at_scale_1 is None:
             return self.tv_weight
-        return max(TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale, LEAST_TV)
+        return max(TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale, LEAST_TV[kind])
 
 
 def _refuse(

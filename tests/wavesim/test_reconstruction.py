@@ -13,7 +13,7 @@ from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid, correlation
 from wavesim.free_space import transfer_function
-from wavesim.reconstruction import LEAST_TV, reconstruct
+from wavesim.reconstruction import LEAST_TV, Kind, reconstruct
 from wavesim.recording_model import RecordingModel
 from wavesim.retrieval import Recorded, recorded_intensity
 
@@ -237,13 +237,14 @@ def test_the_weight_by_the_noise_is_told_in_the_models_scale(case: Case) -> None
     np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-3)
 
 
-def test_without_noise_the_least_weight_remains(case: Case) -> None:
+@pytest.mark.parametrize("kind", ["amplitude", "complex"])
+def test_without_noise_the_least_weight_remains(case: Case, kind: Kind) -> None:
     quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-9, np.float32)) for p in case.recorded]
     found = [
         reconstruct(
-            case.engine, case.illumination, quiet, tv_weight=weight, iterations=3, scale=1.0
+            case.engine, case.illumination, quiet, kind=kind, tv_weight=weight, iterations=3, scale=1.0
         ).transmission.values
-        for weight in ("auto", LEAST_TV)
+        for weight in ("auto", LEAST_TV[kind])
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
 

@@ -9,13 +9,13 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from wavesim.bootstrap import uncertainty
 from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid
 from wavesim.free_space import transfer_function
 from wavesim.reconstruction import Reconstructed, reconstruct
 from wavesim.retrieval import Recorded, recorded_intensity
-from wavesim.uncertainty import uncertainty
 
 SEEDS = 16
 SETTINGS = {"kind": "amplitude", "tv_weight": "auto"}
