@@ -16,6 +16,7 @@ SCRIPTS = (
     "eikonal_speed",
     "chooser",
     "reconstruction",
+    "refocusing",
     "import_time",
 )
 

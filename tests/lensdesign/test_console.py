@@ -28,6 +28,8 @@ def test_a_search_that_is_ended_leaves_what_was_there(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell that runs the tests in its background has them ignore interrupts, and so would the search.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     until = time.monotonic() + 60.0
     while not list(tmp_path.glob(".out.*")) and time.monotonic() < until:
