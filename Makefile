@@ -22,6 +22,10 @@ demo: $(READY)
 	$(BIN)/wavesim pupil designs/paper_singlet.toml --decenter-y-mm 0.03 -o $(OUT)/paper_singlet/decentered_30um.png
 	$(BIN)/wavesim resolve designs/paper_singlet.toml --field-mm 0,1.4 --slices 200 --compensation vertical
 	$(BIN)/wavesim resolve designs/paper_singlet.toml --field-mm 0,1.4 --slices 30 --compensation oblique
+	$(BIN)/lensdesign scale designs/paper_singlet.toml 0.0625 -o $(OUT)/twin.toml
+	$(BIN)/wavesim image $(OUT)/twin.toml --object usaf --patch-mm 0.19 -o $(OUT)/frames
+	$(BIN)/wavesim reconstruct $(OUT)/frames/frame_1.tif $(OUT)/frames/frame_2.tif --design $(OUT)/twin.toml \
+	  --patch-mm 0.19 --kind amplitude --truth $(OUT)/frames --usaf bright -o $(OUT)/object
 	$(BIN)/tolerancing run designs/paper_tolerances.toml --store $(OUT)/paper_tolerances.db --fresh
 	$(BIN)/tolerancing report $(OUT)/paper_tolerances.db -o $(OUT)/report
 	@echo
@@ -29,6 +33,7 @@ demo: $(READY)
 	@echo "  feasible_singlet.toml       the strictly feasible sibling, as a design file"
 	@echo "  paper_singlet/              layout, spots, arrival angles, 3D view, mesh, effect of a decentration"
 	@echo "  feasible_singlet/           the same of the sibling"
+	@echo "  frames/, object/            two noisy frames of a chart through a small twin, and the chart found in them"
 	@echo "  paper_tolerances.db         the tolerance study's trials and sweeps"
 	@echo "  report/report.html          its report; open it in a browser"
 

@@ -33,6 +33,10 @@ def test_kept_outputs_are_fit_to_be_shown(path: Path) -> None:
     assert path.stat().st_size < MOST_BYTES
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
+    for cell in notebook.cells:
+        lines = [line for line in cell.source.splitlines() if line]
+        if cell.cell_type == "markdown":  # one heading at most, and words: no comment signs before every line
+            assert len(lines) == 1 or not all(line.startswith("#") for line in lines)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     for cell in code:
