@@ -216,10 +216,9 @@ class _Seen:
     def shadows(self, mounting: Mounting, names: Sequence[str]) -> Response:
         """Blurred: the light without an object, or with the known one."""
         model = self._model(mounting)
-        transmission = self._known(model)
         return mounting_response(
             model,
-            transmission,
+            self._known(model),
             mounting,
             names,
             blur_pixels=COARSE_BLUR_PIXELS,
@@ -229,9 +228,8 @@ class _Seen:
     def frames(self, mounting: Mounting, names: Sequence[str]) -> Response:
         """As they are: the object that fits the mounting best, or the known one."""
         model = self._model(mounting)
-        if self.known is not None:
-            transmission = self.known.values
-        else:
+        transmission = self._known(model)
+        if self.known is None:
             found = reconstruct(
                 model.engine,
                 model.illumination,
@@ -292,16 +290,18 @@ class _Trail:
     def search(self, reach: Array, most: int) -> Minimum:
         """Without derivatives, but for those at the start that leave the object as it is."""
         start = self.start.values_of(self.parameters)
-        slopes = self.respond(self.start, self.parameters).changes
+        first = self.respond(self.start, self.parameters)
 
         def misfit(point: Array) -> float:
             size = self._told_before(point, reach)
+            if size is None and np.array_equal(point, start):
+                size = first.misfit
             if size is None:
                 size = self.respond(self.mounting(point), ()).misfit
             self._tell(point, size)
             return size
 
-        return interpolated_minimum(misfit, start, reach, slopes, most)
+        return interpolated_minimum(misfit, start, reach, first.changes, most)
 
     def _told_before(self, point: Array, reach: Array) -> float | None:
         """Misfit from an earlier run, whose points are the same but for rounding."""

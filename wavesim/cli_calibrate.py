@@ -21,6 +21,7 @@ from wavesim.cli_engine import (
     print_warnings,
 )
 from wavesim.cli_imaging import (
+    KINDS,
     ActiveWidth,
     AsJson,
     Bits,
@@ -46,8 +47,9 @@ from wavesim.cli_imaging import (
     WaistMm,
     WavelengthUm,
     engine_options,
-    patch_and_light,
-    settings_given,
+    framed_patch,
+    key_of_frames,
+    refuse_other,
     versions,
 )
 
@@ -103,8 +105,7 @@ def calibrate(
     from wavesim.field_files import refuse_no_folder
 
     options = Options(**locals())
-    if kind not in ("complex", "amplitude"):
-        raise InputError(f"--kind = {kind!r}: allowed: complex, amplitude")
+    refuse_other("--kind", kind, KINDS)
     refuse_no_folder(output)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -123,23 +124,14 @@ def _calibrated(options: Any) -> Any:
     """Read, search with a bar, and keep what was tried where it is cut off."""
     from wavesim.calibration import calibrate as search
     from wavesim.calibration import noise_misfit
-    from wavesim.frame_sets import read_frames, recorded_planes, refuse_other_pitch
-    from wavesim.imaging_planes import check_diversity, check_footprint, exit_scene, imaging_engine
+    from wavesim.frame_sets import recorded_planes
+    from wavesim.imaging_planes import exit_scene, imaging_engine
     from wavesim.mounting import Mounting, parameter_names
     from wavesim.reconstruction_results import read_truth
     from wavesim.resumable import Checkpoint
 
     lens = load_design(options.design)
-    frames = read_frames(options.frames, settings_given(options))
-    refuse_other_pitch(frames, lens)
-    options.wavelength_um = frames[0].settings.wavelength_um
-    patch, light = patch_and_light(lens, options)
-    rows, columns = frames[0].counts.shape
-    planes = tuple(frame.settings.plane_distance_mm for frame in frames)
-    sensor = lens.sensor.replaced(pixels=(columns, rows))
-    check_footprint(lens, patch, sensor, planes)
-    if len(planes) > 1:
-        check_diversity(lens, patch, planes)
+    frames, planes, sensor, patch, light, _ = framed_patch(lens, options)
     recorded = recorded_planes(frames)
     options.noise = noise_misfit(recorded)
     options.planes_mm = planes
@@ -202,18 +194,12 @@ def _named(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _key(lens: Any, frames: Any, options: Any, light: Any, known: Any) -> str:
-    from wavesim.resumable import key_of
-
     names = (
         "parameters", "kind", "iterations", "scale", "pivot_z_mm", "active_width", "engine", "error",
         "tile_width_mm", "slices", "compensation", "interface", "step_um", "pitch_um",
     )  # fmt: skip
     told = str([(name, getattr(options, name)) for name in names])
-    pictures = [
-        part for frame in frames for part in (frame.counts.tobytes(), frame.settings.model_dump_json())
-    ]
-    target = b"" if known is None else known.values.tobytes()
-    return key_of(lens.model_dump_json(), told, light.values.tobytes(), target, *pictures)
+    return key_of_frames(lens, frames, light, told, b"" if known is None else known.values.tobytes())
 
 
 def _kept(checkpoint: Any, start: Any, names: tuple[str, ...]) -> list[tuple[Any, float]]:

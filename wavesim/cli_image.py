@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -24,6 +23,7 @@ from wavesim.cli_engine import (
     settings_text,
 )
 from wavesim.cli_imaging import (
+    ActiveWidth,
     AsJson,
     DecenterXMm,
     DecenterYMm,
@@ -36,6 +36,7 @@ from wavesim.cli_imaging import (
     LightPitchUm,
     LightTiltDeg,
     ObjectPitchUm,
+    Options,
     Output,
     PatchMm,
     PivotZMm,
@@ -89,7 +90,7 @@ def image(
     read_noise: Annotated[float, typer.Option(help="Electrons.")] = 2.0,
     bits: Annotated[int, typer.Option(help="Of a count.")] = 12,
     brightest_share: Annotated[float, typer.Option(help="Of full well, in the brightest pixel.")] = 0.8,
-    active_width: Annotated[float, typer.Option(help="Of a pixel, as a share of the pitch.")] = 1.0,
+    active_width: ActiveWidth = 1.0,
     stage_error_mm: Annotated[str, typer.Option(help="Of all planes, or of each.")] = "0",
     shift_um: Annotated[str, typer.Option(help="x,y of the sensor from plane to plane.")] = "0,0",
     as_json: AsJson = False,
@@ -115,10 +116,6 @@ def image(
         print_json(summary)
     else:
         _print(summary, output)
-
-
-class Options(SimpleNamespace):
-    """The options of the command, by their names."""
 
 
 class Made(NamedTuple):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -49,6 +50,9 @@ Bits = Annotated[int | None, typer.Option(help="Of a count.")]
 OffsetCounts = Annotated[float | None, typer.Option(help="Count of a dark pixel.")]
 GainElectronsPerCount = Annotated[float | None, typer.Option(help="Of the sensor.")]
 ReadNoiseElectrons = Annotated[float | None, typer.Option(help="Of the sensor.")]
+
+KINDS = ("complex", "amplitude")
+"""Of objects, for `wavesim.reconstruct`."""
 
 FRAME_SETTINGS = (
     "pixel_pitch_um",
@@ -118,6 +122,67 @@ def patch_and_light(lens: Lens, options: Any) -> tuple[Any, Any]:
         pitch_um=options.light_pitch_um,
     )
     return patch, light
+
+
+class Framed(NamedTuple):
+    """Frames, and the patch of the object that they are of."""
+
+    frames: Any
+    planes_mm: tuple[float, ...]
+    sensor: Any
+    patch: Any
+    light: Any
+    diversity: float
+
+
+def framed_patch(lens: Lens, options: Any, pose: Pose = Pose()) -> Framed:
+    """Read a command's frames, with the patch and light of its options, and check what they can tell.
+
+    Raises
+    ------
+    InputError
+        If frames do not belong together or to the design, or a value is not usable.
+
+    Warns
+    -----
+    SaturationWarning, FootprintWarning, DiversityWarning
+        Where frames tell less than they might.
+    """
+    from wavesim.frame_sets import read_frames, refuse_other_pitch
+    from wavesim.imaging_planes import check_diversity, check_footprint
+
+    frames = read_frames(options.frames, settings_given(options))
+    refuse_other_pitch(frames, lens)
+    options.wavelength_um = frames[0].settings.wavelength_um
+    patch, light = patch_and_light(lens, options)
+    rows, columns = frames[0].counts.shape
+    planes = tuple(frame.settings.plane_distance_mm for frame in frames)
+    sensor = lens.sensor.replaced(pixels=(columns, rows))
+    check_footprint(lens, patch, sensor, planes, pose)
+    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    return Framed(frames, planes, sensor, patch, light, figure)
+
+
+def key_of_frames(lens: Lens, frames: Any, light: Any, *told: str | bytes) -> str:
+    """Digest of all that a result depends on, under which parts of a run are kept."""
+    from wavesim.resumable import key_of
+
+    pictures = [
+        part for frame in frames for part in (frame.counts.tobytes(), frame.settings.model_dump_json())
+    ]
+    return key_of(lens.model_dump_json(), light.values.tobytes(), *told, *pictures)
+
+
+def refuse_other(option: str, value: str, allowed: Sequence[str]) -> None:
+    """Refuse a word that is none of those allowed.
+
+    Raises
+    ------
+    InputError
+        Naming the option, the word, and those allowed.
+    """
+    if value not in allowed:
+        raise InputError(f"{option} = {value!r}: allowed: {', '.join(allowed)}")
 
 
 def pose_of(options: Any) -> Pose:

@@ -23,6 +23,7 @@ from wavesim.cli_engine import (
     print_warnings,
 )
 from wavesim.cli_imaging import (
+    KINDS,
     ActiveWidth,
     AsJson,
     Bits,
@@ -54,9 +55,10 @@ from wavesim.cli_imaging import (
     WavelengthUm,
     engine_options,
     engine_summary,
-    patch_and_light,
+    framed_patch,
+    key_of_frames,
     pose_of,
-    settings_given,
+    refuse_other,
     versions,
 )
 
@@ -181,9 +183,8 @@ class Outcome(NamedTuple):
 
 def _refuse(options: Any) -> None:
     """Refuse what can be told before any file is read, and fill in what depends on the method."""
-    for name, allowed in (("method", tuple(METHODS)), ("kind", ("complex", "amplitude"))):
-        if getattr(options, name) not in allowed:
-            raise InputError(f"--{name} = {getattr(options, name)!r}: allowed: {', '.join(allowed)}")
+    refuse_other("--method", options.method, tuple(METHODS))
+    refuse_other("--kind", options.kind, KINDS)
     starts = METHODS[options.method]
     options.start = options.start or starts[0]
     if options.start not in starts:
@@ -209,24 +210,16 @@ def _refuse(options: Any) -> None:
 
 
 def _case(lens: Any, options: Any) -> Case:
-    from wavesim.frame_sets import read_frames, recorded_planes, refuse_other_pitch
+    from wavesim.frame_sets import recorded_planes
     from wavesim.imaging import usaf_elements_of
-    from wavesim.imaging_planes import check_diversity, check_footprint, exit_scene, imaging_engine
+    from wavesim.imaging_planes import exit_scene, imaging_engine
     from wavesim.mounting import read_mounting
     from wavesim.reconstruction_results import read_truth
     from wavesim.resumable import Checkpoint
 
-    frames = read_frames(options.frames, settings_given(options))
-    refuse_other_pitch(frames, lens)
-    options.wavelength_um = frames[0].settings.wavelength_um
-    patch, light = patch_and_light(lens, options)
     mounting = None if options.calibration is None else read_mounting(options.calibration)
     pose = pose_of(options) if mounting is None else mounting.pose
-    rows, columns = frames[0].counts.shape
-    planes = tuple(frame.settings.plane_distance_mm for frame in frames)
-    sensor = lens.sensor.replaced(pixels=(columns, rows))
-    check_footprint(lens, patch, sensor, planes, pose)
-    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    frames, planes, sensor, patch, light, diversity = framed_patch(lens, options, pose)
     truth = None if options.truth is None else read_truth(options.truth, patch)
     elements = usaf_elements_of(patch) if options.usaf else ()
     settings = engine_options(options)
@@ -243,12 +236,10 @@ def _case(lens: Any, options: Any) -> Case:
     checkpoint = Checkpoint(
         options.output / "checkpoint.npz", _key(lens, frames, options, light, recorded, engine)
     )
-    return Case(lens, patch, light, frames, recorded, engine, truth, elements, figure, checkpoint)
+    return Case(lens, patch, light, frames, recorded, engine, truth, elements, diversity, checkpoint)
 
 
 def _key(lens: Any, frames: Any, options: Any, light: Any, recorded: Any, engine: Any) -> str:
-    from wavesim.resumable import key_of
-
     told = {
         name: str(getattr(options, name))
         for name in ("method", "kind", "iterations", "tv_weight", "start", "scale")
@@ -256,10 +247,7 @@ def _key(lens: Any, frames: Any, options: Any, light: Any, recorded: Any, engine
     told |= {"active_width": str(options.active_width), "pose": str(engine.scene.pose)}
     told |= {"engine": engine.name, "settings": str(engine.settings())}
     told |= {"object_z": str(light.grid.z_mm), "planes": str([p.distance_mm for p in recorded])}
-    pictures = [
-        part for frame in frames for part in (frame.counts.tobytes(), frame.settings.model_dump_json())
-    ]
-    return key_of(lens.model_dump_json(), str(sorted(told.items())), light.values.tobytes(), *pictures)
+    return key_of_frames(lens, frames, light, str(sorted(told.items())))
 
 
 def _run(case: Case, options: Any) -> Outcome:
