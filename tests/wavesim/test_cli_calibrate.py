@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
+from wavesim_command import frames_and_design, run_wavesim, write_frames
 
-from lensdesign import load_design, save_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.poses import Pose
 from wavesim import calibration
-from wavesim.cli import main
-from wavesim.field_files import write_field
-from wavesim.frames import write_frame
-from wavesim.imaging import make_illumination, make_target, object_patch
-from wavesim.imaging_planes import Recording, exit_scene, image_patch, imaging_engine, sensor_window
 from wavesim.mounting import read_mounting
-from wavesim.sensor import Electronics
 
-PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 
 
@@ -28,47 +20,25 @@ POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small twin, two frames of a chart through it, mounted with errors, and the chart."""
     folder = tmp_path_factory.mktemp("data")
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    save_design(lens, folder / "twin.toml")
-    patch = object_patch(lens, PATCH_MM)
-    target = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
-    light = make_illumination(patch)
-    sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
-    made = image_patch(
-        exit_scene(lens, patch, sensor, PLANES_MM[0], POSE, oversampling=2),
-        light.with_values(light.values * target.transmission.values),
-        sensor,
-        [sensor, sensor],
-        Recording(PLANES_MM, Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16), 1),
-        lambda scene: imaging_engine(scene, "eikonal", 1, 0.3),
-    )
-    for number, frame in enumerate(made.frames, start=1):
-        write_frame(frame, folder / f"frame_{number}.tif")
-    write_field(folder / "object.npz", target.transmission)
+    write_frames(folder, POSE)
     return folder
-
-
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, *arguments: object
-) -> tuple[object, str, str]:
-    monkeypatch.setattr(sys, "argv", ["wavesim", command, *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
-
-
-def usual(data: Path) -> tuple[object, ...]:
-    frames = data / "frame_1.tif", data / "frame_2.tif"
-    return (*frames, "--design", data / "twin.toml", "--patch-mm", PATCH_MM, "--error", 0.3)
 
 
 def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
 ) -> None:
     sought = "--parameters", "decenter_x_mm,tilt_y_deg"
-    code, out, err = run(
-        monkeypatch, capsys, "calibrate", *usual(data), *sought, "--known", data, "-o", tmp_path, "--json"
+    code, out, err = run_wavesim(
+        monkeypatch,
+        capsys,
+        "calibrate",
+        *frames_and_design(data),
+        *sought,
+        "--known",
+        data,
+        "-o",
+        tmp_path,
+        "--json",
     )
     assert code == 0, err
     found = json.loads(out)
@@ -79,17 +49,27 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     mounting = read_mounting(tmp_path / "calibration.json")
     assert mounting.pose.tilt_y_deg == found["mounting"]["tilt_y_deg"]
 
-    quick = (*usual(data), "--engine", "eikonal", "--kind", "amplitude", "--iterations", 12, "--truth", data)
+    quick = (
+        *frames_and_design(data),
+        "--engine",
+        "eikonal",
+        "--kind",
+        "amplitude",
+        "--iterations",
+        12,
+        "--truth",
+        data,
+    )
     figures = []
     for options in ((), ("--calibration", tmp_path / "calibration.json")):
-        code, out, err = run(
+        code, out, err = run_wavesim(
             monkeypatch, capsys, "reconstruct", *quick, *options, "-o", tmp_path / "out", "--json"
         )
         assert code == 0, err
         figures.append(json.loads(out)["truth"]["object_correlation"])
     assert figures[0] < 0.8
     assert figures[1] > 0.95
-    code, _, err = run(
+    code, _, err = run_wavesim(
         monkeypatch, capsys, "reconstruct", *quick, "--calibration", tmp_path / "calibration.json",
         "--tilt-y-deg", 0.8, "-o", tmp_path / "out",
     )  # fmt: skip
@@ -101,7 +81,7 @@ def test_an_interrupted_search_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
 ) -> None:
     """The second run begins with what the first one has tried."""
-    command = (*usual(data), "--parameters", "decenter_x_mm", "--iterations", 3, "--scale", 1)
+    command = (*frames_and_design(data), "--parameters", "decenter_x_mm", "--iterations", 3, "--scale", 1)
     whole = calibration.calibrate
     asked = []
 
@@ -119,7 +99,7 @@ def test_an_interrupted_search_goes_on(
         return whole(*arguments, **settings | {"progress": tell})  # type: ignore[arg-type]
 
     monkeypatch.setattr(calibration, "calibrate", cut_off)
-    code, _, err = run(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
+    code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
     assert code == 130
     assert "4 mountings" in err
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.npz"]
@@ -129,7 +109,7 @@ def test_an_interrupted_search_goes_on(
         return whole(*arguments, **settings)  # type: ignore[arg-type]
 
     monkeypatch.setattr(calibration, "calibrate", watched)
-    code, _, err = run(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
+    code, _, err = run_wavesim(monkeypatch, capsys, "calibrate", *command, "-o", tmp_path)
     assert code == 0, err
     assert asked == [0, 4]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
@@ -154,7 +134,9 @@ def test_bad_input_ends_with_one_message_and_no_file(
     options: tuple[object, ...],
     message: str,
 ) -> None:
-    code, out, err = run(monkeypatch, capsys, "calibrate", *usual(data), *options, "-o", tmp_path / "out")
+    code, out, err = run_wavesim(
+        monkeypatch, capsys, "calibrate", *frames_and_design(data), *options, "-o", tmp_path / "out"
+    )
     assert code == 2
     assert message in err
     assert out == ""

@@ -1,14 +1,13 @@
 """The command `wavesim image`, end to end on a small twin."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from wavesim_command import run_wavesim
 
 from lensdesign import load_design, save_design, scaled
-from wavesim.cli import main
 from wavesim.frames import read_frame
 from wavesim.sensor import estimate_intensity
 
@@ -23,11 +22,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
 ) -> tuple[object, str, str]:
-    monkeypatch.setattr(sys, "argv", ["wavesim", "image", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
+    return run_wavesim(monkeypatch, capsys, "image", *arguments)
 
 
 QUICK = ("--patch-mm", 0.05, "--engine", "eikonal", "--error", 0.3)

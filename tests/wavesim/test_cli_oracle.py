@@ -1,23 +1,18 @@
 """The command `wavesim oracle`, end to end."""
 
 import json
-import sys
 
 import pytest
+from wavesim_command import run_wavesim
 
 from lensdesign.errors import InputError
-from wavesim.cli import main
 from wavesim.cli_engine import engine_settings
 
 
 def run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
 ) -> tuple[object, str, str]:
-    monkeypatch.setattr(sys, "argv", ["wavesim", "oracle", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
+    return run_wavesim(monkeypatch, capsys, "oracle", *arguments)
 
 
 def test_json_holds_error_cost_and_settings(

@@ -1,65 +1,39 @@
 """The command `wavesim reconstruct`, end to end on a small twin."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from wavesim_command import (
+    PLANES_MM,
+    frames_and_design,
+    run_wavesim,
+    write_frames,
+)
 
-from lensdesign import load_design, save_design, scaled
 from wavesim import resumable
-from wavesim.cli import main
-from wavesim.field_files import write_field
 from wavesim.frames import Frame, read_frame, write_frame
-from wavesim.imaging import make_illumination, make_target, object_patch
-from wavesim.imaging_planes import Recording, exit_scene, image_patch, imaging_engine, sensor_window
-from wavesim.sensor import Electronics
-
-PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small twin, two frames of a chart through it, and the chart."""
     folder = tmp_path_factory.mktemp("data")
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    save_design(lens, folder / "twin.toml")
-    patch = object_patch(lens, PATCH_MM)
-    target = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
-    light = make_illumination(patch)
-    sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
-    electronics = Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16)
-    made = image_patch(
-        exit_scene(lens, patch, sensor, PLANES_MM[0], oversampling=2),
-        light.with_values(light.values * target.transmission.values),
-        sensor,
-        [sensor, sensor],
-        Recording(PLANES_MM, electronics, 1),
-        lambda scene: imaging_engine(scene, "eikonal", 1, 0.3),
-    )
-    for number, frame in enumerate(made.frames, start=1):
-        write_frame(frame, folder / f"frame_{number}.tif")
-    write_field(folder / "object.npz", target.transmission)
+    write_frames(folder)
     return folder
 
 
 def run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
 ) -> tuple[object, str, str]:
-    monkeypatch.setattr(sys, "argv", ["wavesim", "reconstruct", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    output = capsys.readouterr()
-    return stop.value.code, output.out, output.err
+    return run_wavesim(monkeypatch, capsys, "reconstruct", *arguments)
 
 
 def usual(data: Path) -> tuple[object, ...]:
-    frames = data / "frame_1.tif", data / "frame_2.tif"
-    quick = ("--patch-mm", PATCH_MM, "--engine", "eikonal", "--error", 0.3)
-    return (*frames, "--design", data / "twin.toml", *quick)
+    return (*frames_and_design(data), "--engine", "eikonal")
 
 
 def test_the_object_is_found_and_all_is_written(

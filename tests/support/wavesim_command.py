@@ -1,0 +1,57 @@
+"""The command `wavesim` as tests run it, and frames of a small twin for it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from lensdesign import load_design, save_design, scaled
+from lensdesign.poses import Pose
+from wavesim.cli import main
+from wavesim.field_files import write_field
+from wavesim.frames import write_frame
+from wavesim.imaging import make_illumination, make_target, object_patch
+from wavesim.imaging_planes import Recording, exit_scene, image_patch, imaging_engine, sensor_window
+from wavesim.sensor import Electronics
+
+PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
+
+
+def run_wavesim(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> tuple[object, str, str]:
+    """Exit status, standard output and standard error."""
+    monkeypatch.setattr(sys, "argv", ["wavesim", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    output = capsys.readouterr()
+    return stop.value.code, output.out, output.err
+
+
+def write_frames(folder: Path, pose: Pose = Pose()) -> None:
+    """A small twin, two frames of a chart through it as it is mounted, and the chart."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    save_design(lens, folder / "twin.toml")
+    patch = object_patch(lens, PATCH_MM)
+    target = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
+    light = make_illumination(patch)
+    sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
+    made = image_patch(
+        exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2),
+        light.with_values(light.values * target.transmission.values),
+        sensor,
+        [sensor, sensor],
+        Recording(PLANES_MM, Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16), 1),
+        lambda scene: imaging_engine(scene, "eikonal", 1, 0.3),
+    )
+    for number, frame in enumerate(made.frames, start=1):
+        write_frame(frame, folder / f"frame_{number}.tif")
+    write_field(folder / "object.npz", target.transmission)
+
+
+def frames_and_design(folder: Path) -> tuple[object, ...]:
+    """Arguments that name what :func:`write_frames` wrote, for the engine it took."""
+    frames = folder / "frame_1.tif", folder / "frame_2.tif"
+    return (*frames, "--design", folder / "twin.toml", "--patch-mm", PATCH_MM, "--error", 0.3)
