@@ -66,6 +66,7 @@ from .mounting import (
 )
 from .no_lens import NoLens
 from .oracles import OracleCase, OracleResult, oracle_case, run_oracle
+from .patch_chain import PatchChain, chain_contrast
 from .phantom import tissue_phantom
 from .point_characteristic import (
     FoldError,
@@ -135,6 +136,7 @@ __all__ = [
     "OracleCase",
     "OracleResult",
     "Patch",
+    "PatchChain",
     "PointCharacteristic",
     "Prediction",
     "PupilGrid",
@@ -162,6 +164,7 @@ __all__ = [
     "bar_contrast",
     "bars_field",
     "calibrate",
+    "chain_contrast",
     "check_propagation",
     "choose",
     "chosen_engine",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lensdesign.bundles import launch
 from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
-from lensdesign.poses import Pose, SurfacePerturbation
+from lensdesign.poses import Pose, SurfacePerturbation, rotation_matrix
 from lensdesign.system import Lens
 from lensdesign.tracing import RayTrace, trace_compiled
 from wavesim.pupil import PupilGrid, ReconstructionPupil
@@ -278,7 +278,7 @@ class PupilSampler:
         inverse = self.nominal.inverse_jacobian
         self._inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
         self._cosines = np.ascontiguousarray(self.grid.cosines.T)
-        self._targets = np.ascontiguousarray(self.nominal.sensor_points_mm.T)
+        self._points = np.ascontiguousarray(self.nominal.sensor_points_mm.T)
 
     def pupil(
         self,
@@ -286,6 +286,8 @@ class PupilSampler:
         surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
         object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
         sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
+        wavelength_um: float | None = None,
     ) -> ReconstructionPupil:
         """Reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
 
@@ -299,6 +301,13 @@ class PupilSampler:
         object_shift_mm, sensor_shift_mm
             How far object and sensor are shifted (x, y, z). To shift both is to shift the lens the
             other way.
+        sensor_tilt_deg
+            Right-handed rotation of the sensor about x, then about the y axis that turned with it, about the
+            middle of its plane.
+        wavelength_um
+            Of the light, where it is not what the nominal lens is taken at: what counts is the path in waves,
+            V'/wavelength' - V/wavelength, here as a length at the nominal wavelength. Indices stay those
+            at the nominal one; change them by `surface_perturbations`.
 
         Raises
         ------
@@ -313,15 +322,17 @@ class PupilSampler:
             raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
         point = self.nominal.object_point_mm + _shift(object_shift_mm, "object_shift_mm")
         sensor = _shift(sensor_shift_mm, "sensor_shift_mm")
-        path, valid = self._aimed_path(system, point, sensor)
-        return ReconstructionPupil(self.grid, path - self.nominal.path_mm, valid)
+        path, valid = self._aimed_path(system, point, sensor, tilted_points(self._points, sensor_tilt_deg))
+        scale = 1.0 if wavelength_um is None else wavelength / wavelength_um
+        return ReconstructionPupil(self.grid, scale * path - self.nominal.path_mm, valid)
 
     def _aimed_path(
-        self, system: CompiledSystem, point: Array, sensor: Array
+        self, system: CompiledSystem, point: Array, sensor: Array, own_points: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """V' at the nominal sensor points, and which rays arrive."""
+        """V' at the sensor's points, and which rays arrive."""
         inverse, plane_z = self._inverse, self.nominal.plane_z_mm + sensor[2]
-        targets = self._targets + sensor[:2, None]
+        targets, depth = own_points[:2] + sensor[:2, None], own_points[2]
+        flat = not np.any(depth)
         curvature = self.nominal.wavefront_curvature_per_mm
         reach_mm = np.sqrt(2e-3 * PATH_TOLERANCE_WAVES * self.grid.wavelength_um / max(curvature, 1e-12))
         index = float(system.index[0, -1])
@@ -331,9 +342,14 @@ class PupilSampler:
             rays, real = _shoot(system, point, cosines, plane_z, clip=step > 0)
             arrived = rays.ok & real
             miss = targets - rays.position[:, :2].T
+            if not flat:
+                further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
+                miss -= further * rays.direction[:, :2].T
             miss[:, ~arrived] = 0.0
             if step > 0 and np.max(miss[0] ** 2 + miss[1] ** 2) <= reach_mm**2:
                 bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1]
+                if not flat:
+                    bridge += further
                 return rays.opl + index * bridge, arrived
             cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
         furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
@@ -341,6 +357,36 @@ class PupilSampler:
             f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
             f"steps (allowed: {reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
         )
+
+
+def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
+    """Sensor points on a sensor that is tilted about the middle of its plane.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (2, n)
+        x and y on the sensor.
+    tilt_deg
+        Right-handed rotation about x, then about the y axis that turned with it.
+
+    Returns
+    -------
+    ndarray, shape (3, n)
+        From the middle of the sensor's plane.
+
+    Raises
+    ------
+    InputError
+        If the tilt is not two finite numbers.
+    """
+    tilt = np.asarray(tilt_deg, float)
+    if tilt.shape != (2,) or not np.all(np.isfinite(tilt)):
+        raise InputError(f"sensor_tilt_deg = {tilt_deg!r}: must be two finite numbers, about x and y")
+    flat = np.vstack([points_mm, np.zeros((1, points_mm.shape[1]))])
+    if not np.any(tilt):
+        return flat
+    (rotation,) = rotation_matrix(*np.deg2rad(tilt[:, None]))
+    return np.asarray(rotation @ flat)
 
 
 def _shift(values: Sequence[float], name: str) -> Array:

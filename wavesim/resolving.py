@@ -8,7 +8,7 @@ are not held against it: the result is refocused and registered, as a reconstruc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ MARGIN_MM = 0.06
 
 REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
 
+PROFILE_POINTS = 201
+
 
 @dataclass(frozen=True)
 class LineContrast:
@@ -57,6 +59,9 @@ class LineContrast:
         Object distance and lateral displacement that the refocusing took.
     exit_correlation : float
         Of the exit field of the engine under test with that of the reference.
+    profile : ndarray, shape (`PROFILE_POINTS`,)
+        Intensity of the refocused and registered lines, over their own width and half of one more on each
+        side.
     """
 
     line_width_um: float
@@ -67,6 +72,7 @@ class LineContrast:
     refocus_um: float
     shift_um: float
     exit_correlation: float
+    profile: Array = field(repr=False, compare=False)
 
     def resolved(self, threshold: float = RESOLVED_CONTRAST) -> bool:
         """Whether lines reach a contrast, and every bar is brighter than every gap."""
@@ -108,8 +114,11 @@ class Resolved:
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)
+        """Plain values for JSON, without profiles."""
+        data = asdict(self)
+        for line in data["lines"]:
+            del line["profile"]
+        return data
 
 
 def resolve(
@@ -225,7 +234,14 @@ def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: in
         refocus_um=1e3 * refocus,
         shift_um=1e3 * shift,
         exit_correlation=correlation(tested.forward(lines).values, exit_field.values),
+        profile=_profile(moved, grid, line_width_um, bars),
     )
+
+
+def _profile(values: ComplexArray, grid: Grid, line_width_um: float, bars: int) -> Array:
+    half = 1e-3 * line_width_um * bars
+    y = np.linspace(-half, half, PROFILE_POINTS)
+    return np.interp(y, grid.y_mm - grid.centre_mm[1], np.abs(values) ** 2)
 
 
 def _contrasts_of(

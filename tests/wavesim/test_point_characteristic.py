@@ -294,6 +294,7 @@ def test_aiming_that_does_not_settle_is_refused(sampler: PupilSampler) -> None:
         (lambda s: s.pupil(Pose(decenter_x_mm=np.array([0.0, 0.1]))), "holds 2 trials"),
         (lambda s: s.pupil(object_shift_mm=(0.0, 1.0)), "object_shift_mm"),
         (lambda s: s.pupil(sensor_shift_mm=(0.0, 1.0, np.nan)), "sensor_shift_mm"),
+        (lambda s: s.pupil(sensor_tilt_deg=(0.0, 1.0, 2.0)), "sensor_tilt_deg"),
         (lambda s: s.pupil(Pose(decenter_x_mm=30.0)), "no ray|too large"),
         (lambda s: PupilSampler(PAPER, samples=4), "samples = 4"),
         (lambda s: PupilSampler(PAPER, samples=True), "samples = True"),
@@ -306,3 +307,22 @@ def test_aiming_that_does_not_settle_is_refused(sampler: PupilSampler) -> None:
 def test_bad_input_is_named(sampler: PupilSampler, call: Callable, message: str) -> None:
     with pytest.raises(InputError, match=message):
         call(sampler)
+
+
+def test_a_tilted_sensor_is_a_lens_and_object_that_turn_the_other_way():
+    sampler = PupilSampler(PAPER, samples=65)
+    angle, plane_z = 0.4, sampler.nominal.plane_z_mm
+    tilted = sampler.pupil(sensor_tilt_deg=(0.0, angle))
+    reach, turn = plane_z - PAPER.object_z_mm, np.deg2rad(angle)
+    moved = (reach * np.sin(turn), 0.0, reach * (1.0 - np.cos(turn)))
+    turned = sampler.pupil(Pose(tilt_y_deg=-angle, pivot_z_mm=plane_z), object_shift_mm=moved)
+    both = tilted.valid & turned.valid
+    assert np.mean(both) > 0.9
+    assert np.abs(tilted.opd_mm - turned.opd_mm)[both].max() < TOLERANCE_MM
+    assert rms_waves(tilted) > 1.0
+
+
+def test_a_wavelength_scales_the_path_in_waves():
+    sampler = PupilSampler(PAPER, samples=33)
+    longer = sampler.pupil(wavelength_um=1.01 * WAVELENGTH_UM)
+    assert longer.opd_mm == pytest.approx(sampler.nominal.path_mm * (1.0 / 1.01 - 1.0), abs=1e-9)

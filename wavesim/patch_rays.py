@@ -1,0 +1,279 @@
+"""Rays of a patch's middle through a nominal lens, and through perturbed copies aimed at the same points.
+
+The nominal rays form a regular grid in object-side direction cosines p. Each ends at a sensor point s(p); the
+rays through a perturbed lens that end there leave the object in directions p'(s), and carry the path V'(s)
+and the amplitude a'(s) = sqrt(|dp'/ds| cos(t_obj) / (n cos(t_out))), all exact but for `AIM_TOLERANCE_WAVES`.
+On a meridional line there is only y, and dp'/ds is that of y alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.compiled import CompiledSystem, compile_system
+from lensdesign.errors import InputError
+from lensdesign.system import Lens
+from lensdesign.tracing import RayTrace, trace_compiled
+from wavesim.point_characteristic import (
+    FoldError,
+    PointCharacteristic,
+    RayAimError,
+    point_characteristic,
+    tilted_points,
+)
+
+Array = NDArray[np.float64]
+
+AIM_TOLERANCE_WAVES = 1e-4
+"""What aiming at a sensor point may leave in an optical path."""
+
+AIM_STEPS = 8
+STEP = 1e-5
+"""Of direction cosines, for one-sided differences; their error is some 1e-5 of the derivative."""
+
+BEND_STEP_MM = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class AimedRays:
+    """Rays through a perturbed lens to the n sensor points of the nominal rays.
+
+    Attributes
+    ----------
+    path_mm : ndarray, shape (n,)
+        Optical path V' to the sensor point.
+    cosines : ndarray, shape (2, n)
+        Object-side direction cosines p' = (L, M).
+    amplitude : ndarray, shape (n,)
+        a' in 1/mm, on a line in 1/sqrt(mm); 0 where not valid.
+    valid : ndarray of bool, shape (n,)
+        Rays that arrive; other values of a ray that does not mean nothing.
+    """
+
+    path_mm: Array
+    cosines: Array
+    amplitude: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class NominalRays:
+    """The nominal rays, and what aims perturbed ones at their ends.
+
+    Attributes
+    ----------
+    base : PointCharacteristic
+        The rays; on a line, those of the grid's middle column alone.
+    line : bool
+        Whether there is only y.
+    system : CompiledSystem
+        The nominal lens.
+    """
+
+    base: PointCharacteristic
+    line: bool
+    system: CompiledSystem
+
+    @cached_property
+    def axes(self) -> list[int]:
+        """The transverse coordinates that there are, of (x, y)."""
+        return [1] if self.line else [0, 1]
+
+    @cached_property
+    def inverse(self) -> Array:
+        """dp/ds in 1/mm, shape (2, 2, n); FoldError if the map of rays folds."""
+        return np.ascontiguousarray(np.moveaxis(self.base.inverse_jacobian, 0, -1))
+
+    @cached_property
+    def spread(self) -> Array:
+        """ds/dp, or its determinant in the plane, in mm or mm^2, shape (n,)."""
+        if self.line:
+            return np.ascontiguousarray(self.base.jacobian_mm[:, 1, 1])
+        return self.base.determinant_mm2
+
+    @cached_property
+    def amplitude(self) -> Array:
+        """a in 1/mm, on a line in 1/sqrt(mm), shape (n,)."""
+        ratio = self.base.grid.axial_cosine / (self.base.index_behind * self.base.directions[:, 2])
+        return np.asarray(np.sqrt(ratio / np.abs(self.spread)))
+
+    @cached_property
+    def bend_per_mm(self) -> Array:
+        """Second derivatives of V to the object point, at fixed sensor points; shape (n, d, d)."""
+        base, columns = self.base, []
+        for axis in self.axes:
+            step = BEND_STEP_MM * np.eye(3)[axis]
+            low, high = (
+                _shoot(
+                    self.system, base.object_point_mm + move, base.grid.cosines.T, base.plane_z_mm, clip=False
+                )[0].position
+                for move in (-step, step)
+            )
+            columns.append((high - low)[:, self.axes] / (2.0 * BEND_STEP_MM))
+        # dp/dc at a fixed s is -(dp/ds)(ds/dc), and dV/dc is -p.
+        inverse = self.base.inverse_jacobian[:, self.axes][:, :, self.axes]
+        return np.asarray(inverse @ np.stack(columns, axis=-1))
+
+    @cached_property
+    def bend_deviation_per_mm(self) -> Array:
+        """What `bend_per_mm` differs from its mean over the stop by, shape (n, d, d)."""
+        return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
+
+    def aimed(
+        self,
+        system: CompiledSystem,
+        object_shift_mm: Array,
+        sensor_shift_mm: Array,
+        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
+    ) -> AimedRays:
+        """Perturbed rays to the sensor's points, by a quasi-Newton iteration with the nominal Jacobian.
+
+        What a tilted sensor does to the amplitude is left out.
+
+        Raises
+        ------
+        RayAimError
+            If aiming does not converge.
+        FoldError
+            If the perturbed rays fold on the plane.
+        InputError
+            If on a line the rays leave its plane, or none arrives.
+        """
+        base, point = self.base, self.base.object_point_mm + object_shift_mm
+        plane_z = base.plane_z_mm + float(sensor_shift_mm[2])
+        points = tilted_points(base.sensor_points_mm.T, sensor_tilt_deg)
+        targets, depth = points[:2] + sensor_shift_mm[:2, None], points[2]
+        curvature = max(base.wavefront_curvature_per_mm, 1e-12)
+        reach_mm = np.sqrt(2e-3 * AIM_TOLERANCE_WAVES * base.grid.wavelength_um / curvature)
+        cosines, furthest = base.grid.cosines.T, np.inf
+        for step in range(AIM_STEPS):
+            # Only aimed rays tell what the perturbed stop lets through.
+            rays, arrived = _shoot(system, point, cosines, plane_z, clip=step > 0)
+            self._refuse_skew(rays, arrived)
+            further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
+            ends = rays.position[:, :2].T + further * rays.direction[:, :2].T
+            miss = np.where(arrived, targets - ends, 0.0)
+            change = self.inverse[:, 0] * miss[0] + self.inverse[:, 1] * miss[1]
+            furthest = float(np.sqrt(np.max(np.sum(miss**2, axis=0))))
+            if step > 0 and furthest <= reach_mm:
+                aimed = self._bridged(system, point, plane_z, rays, arrived, cosines, miss, change)
+                return replace(aimed, path_mm=aimed.path_mm + float(system.index[0, -1]) * further)
+            cosines = cosines + change
+        raise RayAimError(
+            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
+            f"steps (allowed: {reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
+        )
+
+    def _bridged(
+        self,
+        system: CompiledSystem,
+        point: Array,
+        plane_z_mm: float,
+        rays: RayTrace,
+        arrived: NDArray[np.bool_],
+        cosines: Array,
+        miss: Array,
+        change: Array,
+    ) -> AimedRays:
+        """Aimed rays, with what is left of the way to their points."""
+        index = float(system.index[0, -1])
+        path = rays.opl + index * (rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1])
+        slopes, valid = [], arrived.copy()
+        for axis in self.axes:
+            moved = cosines + STEP * np.eye(2)[axis][:, None]
+            ends, there = _shoot(system, point, moved, plane_z_mm, clip=False)
+            valid &= there
+            slopes.append((ends.position[:, :2] - rays.position[:, :2])[:, self.axes].T / STEP)
+        spread = slopes[0][0] if self.line else slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0]
+        if not np.any(valid):
+            raise InputError("no ray of the patch arrives through both the nominal and the perturbed lens")
+        if np.any(np.sign(spread[valid]) != np.sign(self.spread[0])):
+            raise FoldError(
+                f"the rays through the perturbed lens fold on the plane z = {plane_z_mm:g} mm: several rays "
+                "reach one sensor point there; choose a plane before or behind the caustic"
+            )
+        axial = np.sqrt(1.0 - np.sum(cosines**2, axis=0), where=valid, out=np.ones(len(valid)))
+        power = np.divide(
+            axial,
+            index * rays.direction[:, 2] * np.abs(spread),
+            where=valid,
+            out=np.zeros(len(valid)),
+        )
+        return AimedRays(path, cosines + change, np.sqrt(power), valid)
+
+    def _refuse_skew(self, rays: RayTrace, arrived: NDArray[np.bool_]) -> None:
+        if self.line and np.any(np.abs(rays.position[arrived, 0]) > 1e-9):
+            raise InputError(
+                "the rays of the meridional line leave the plane x = 0: use the plane in place of the line, "
+                "or only decenter_y_mm, despace_mm and tilt_x_deg, and no shift along x"
+            )
+
+
+def nominal_rays(
+    lens: Lens,
+    field_mm: Sequence[float],
+    wavelength_um: float | None,
+    plane_distance_mm: float,
+    samples: int,
+    line: bool,
+) -> NominalRays:
+    """Trace the nominal rays; on a line an odd number of samples keeps one column at x = 0.
+
+    Raises
+    ------
+    InputError
+        As :func:`wavesim.point_characteristic.point_characteristic`; or, on a line, if the field point lies
+        beside x = 0 or the lens is not symmetric about it.
+    FoldError
+        If the nominal rays fold on the plane.
+    """
+    base = point_characteristic(lens, field_mm, wavelength_um, plane_distance_mm, samples)
+    if line:
+        base = _meridian(base)
+    rays = NominalRays(base, line, compile_system(lens, base.grid.wavelength_um))
+    _ = rays.inverse
+    return rays
+
+
+def _meridian(base: PointCharacteristic) -> PointCharacteristic:
+    """The rays of the middle column alone."""
+    if base.object_point_mm[0] != 0.0:
+        raise InputError(
+            f"field_mm = ({base.object_point_mm[0]:g}, {base.object_point_mm[1]:g}): the field point of a "
+            "meridional line lies at x = 0"
+        )
+    grid = base.grid
+    column = grid.index % grid.samples == grid.samples // 2
+    if not np.any(column) or np.max(np.abs(base.sensor_points_mm[column, 0])) > 1e-9:
+        raise InputError(
+            "the lens is not symmetric about the plane x = 0: use the plane in place of the line"
+        )
+    inside = np.zeros_like(grid.inside)
+    inside.ravel()[grid.index[column]] = True
+    return replace(
+        base,
+        grid=replace(grid, centre=(0.0, grid.centre[1]), inside=inside),
+        sensor_points_mm=base.sensor_points_mm[column],
+        path_mm=base.path_mm[column],
+        directions=base.directions[column],
+        jacobian_mm=base.jacobian_mm[column],
+        direction_jacobian=base.direction_jacobian[column],
+    )
+
+
+def _shoot(
+    system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float, *, clip: bool
+) -> tuple[RayTrace, NDArray[np.bool_]]:
+    """Trace from one point along direction cosines, shape (2, n); and which rays arrive."""
+    axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
+    real = axial_square > 0.0
+    directions = np.empty((cosines.shape[1], 3))
+    directions[:, :2] = np.where(real, cosines, 0.0).T
+    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
+    rays = trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1)
+    return rays, np.asarray(rays.ok & real)
