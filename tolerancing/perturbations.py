@@ -1,32 +1,62 @@
-"""What is perturbed, and by how much: from a study's tables to poses and surface perturbations."""
+"""What is perturbed: parameters of the lens, its surfaces, the object, the sensor and the light."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from lensdesign.errors import DesignError
 from lensdesign.files import unknown_key, validate
-from lensdesign.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
+from lensdesign.poses import SURFACE_DELTAS, Pose
 from lensdesign.system import Lens, Section
 from tolerancing.distributions import DISTRIBUTIONS, Distribution
 from tolerancing.registry import pick
 
-Array = NDArray[np.float64]
+RADIUS_PARAMETERS = ("radius_mm", "radius_percent", "radius_fringes")
+IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")
+GLASS_PARAMETERS = ("index", "abbe_percent")
 
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
-"""What can be perturbed of the whole lens: the values of a pose."""
+"""Of the whole lens: the values of a pose."""
 
-SURFACE_PARAMETERS = SURFACE_DELTAS
-"""What can be perturbed of one surface."""
+SURFACE_PARAMETERS = (*SURFACE_DELTAS, *RADIUS_PARAMETERS[1:], GLASS_PARAMETERS[1], *IRREGULARITIES)
+"""Of one surface; waves and fringes are those of 632.8 nm over the clear semi-diameter."""
 
-UNITS = ("mm", "um", "deg")
+OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
+"""Of the object; a longer working distance takes it away from the lens."""
+
+PLANE_DISTANCE = re.compile(r"plane_distance_([1-9]\d?)_mm")
+
+SENSOR_PARAMETERS = (
+    "decenter_x_mm",
+    "decenter_y_mm",
+    "distance_mm",
+    "plane_distance_1_mm",
+    "plane_distance_2_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+)
+"""Of the sensor: in all planes, or how much farther from the lens one plane is."""
+
+LIGHT_PARAMETERS = ("wavelength_um",)
+"""Of the light, against the wavelength that the reconstruction takes."""
+
+FIXED_TARGETS = ("object", "sensor", "light")
+
+PARAMETERS = {
+    "lens": LENS_PARAMETERS,
+    "surface": SURFACE_PARAMETERS,
+    "object": OBJECT_PARAMETERS,
+    "sensor": SENSOR_PARAMETERS,
+    "light": LIGHT_PARAMETERS,
+}
+"""What can be perturbed, by the first word of the target."""
+
+UNITS = ("mm", "um", "deg", "percent", "fringes", "waves")
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
@@ -39,9 +69,9 @@ class PerturbedParameter(Section):
     name
         Lower-case letters, digits and underscores; made of target and parameter where left out.
     target
-        ``lens``, or ``surface N`` with N counted from 1.
+        ``lens``, ``surface N`` with N counted from 1, ``object``, ``sensor`` or ``light``.
     parameter
-        One of `LENS_PARAMETERS` or `SURFACE_PARAMETERS`; values are deltas in the unit of its suffix.
+        One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
     """
 
     name: Name = ""
@@ -51,14 +81,18 @@ class PerturbedParameter(Section):
     @field_validator("target")
     @classmethod
     def _target(cls, value: str) -> str:
-        if value != "lens" and not re.fullmatch(r"surface [1-9]\d*", value):
-            raise ValueError(f"{value!r} is no target; allowed: lens, surface N (N from 1)")
+        if value not in ("lens", *FIXED_TARGETS) and not re.fullmatch(r"surface [1-9]\d{0,3}", value):
+            raise ValueError(
+                f"{value!r} is no target; allowed: lens, surface N (N from 1), object, sensor, light"
+            )
         return value
 
     @model_validator(mode="after")
     def _known(self) -> PerturbedParameter:
-        allowed = LENS_PARAMETERS if self.surface is None else SURFACE_PARAMETERS
-        if self.parameter not in allowed:
+        allowed = PARAMETERS[self.target.split()[0]]
+        if self.parameter not in allowed and not (
+            self.target == "sensor" and PLANE_DISTANCE.fullmatch(self.parameter)
+        ):
             raise ValueError(
                 f"parameter = {self.parameter!r}: {self.target} has no such parameter; "
                 f"allowed: {', '.join(allowed)}"
@@ -67,8 +101,19 @@ class PerturbedParameter(Section):
 
     @property
     def surface(self) -> int | None:
-        """Index of the surface, from 0; None for the lens."""
-        return None if self.target == "lens" else int(self.target.split()[1]) - 1
+        """Index of the surface, from 0; None for what is no surface."""
+        return int(self.target.split()[1]) - 1 if self.target.startswith("surface") else None
+
+    @property
+    def plane(self) -> int | None:
+        """Index of the sensor plane, from 0, whose distance it is; None for what is no single plane's."""
+        match = PLANE_DISTANCE.fullmatch(self.parameter) if self.target == "sensor" else None
+        return None if match is None else int(match[1]) - 1
+
+    @property
+    def quantity(self) -> str:
+        """The parameter in words, without its unit."""
+        return self.parameter.removesuffix(f"_{self.unit}").replace("_", " ")
 
     @property
     def unit(self) -> str:
@@ -87,27 +132,56 @@ class PerturbedParameter(Section):
         Raises
         ------
         ValueError
-            If there is no such surface, its radius is that of a plane, or its thickness is none.
+            If there is no such surface or plane, or it has nothing of the kind.
         """
+        if self.plane is not None and self.plane >= len(lens.sensor.plane_distances_mm):
+            count = len(lens.sensor.plane_distances_mm)
+            raise ValueError(f"parameter = {self.parameter!r}: the design has {count} sensor plane(s)")
         if self.surface is None:
             return
         count = len(lens.surfaces)
         if self.surface >= count:
-            allowed = ", ".join(["lens", *(f"surface {i + 1}" for i in range(count))])
+            allowed = ", ".join(["lens", *(f"surface {i + 1}" for i in range(count)), *FIXED_TARGETS])
             raise ValueError(f"target = {self.target!r}: the design has no such surface; allowed: {allowed}")
-        if self.parameter == "radius_mm" and lens.surfaces[self.surface].radius_mm is None:
-            raise ValueError(f"parameter = 'radius_mm': {self.target} is a plane and has no radius")
-        if self.parameter in ("thickness_mm", "index") and self.surface == count - 1:
+        self._check_surface(lens, self.surface)
+
+    def _check_surface(self, lens: Lens, number: int) -> None:
+        surface, key = lens.surfaces[number], f"parameter = {self.parameter!r}"
+        if self.parameter in RADIUS_PARAMETERS and surface.radius_mm is None:
+            raise ValueError(f"{key}: {self.target} is a plane and has no radius")
+        if self.parameter in ("radius_fringes", *IRREGULARITIES) and surface.semi_diameter_mm is None:
+            raise ValueError(f"{key}: {self.target} has no semi_diameter_mm over which to count it")
+        if number < len(lens.surfaces) - 1:
+            if self.parameter in GLASS_PARAMETERS and surface.material is None:
+                raise ValueError(f"{key}: {self.target} has air behind it, no glass")
+        elif self.parameter in ("thickness_mm", *GLASS_PARAMETERS):
             raise ValueError(
-                f"parameter = {self.parameter!r}: {self.target} is the last surface; "
-                "what stands behind it is the sensor's space"
+                f"{key}: {self.target} is the last surface; what stands behind it is the sensor's space"
             )
 
 
 class Perturbation(PerturbedParameter):
-    """A parameter that scatters from part to part."""
+    """A parameter that scatters from part to part.
 
+    Attributes
+    ----------
+    group
+        Perturbations of one group move together: all take the same draw.
+    distribution
+        How it scatters.
+    """
+
+    group: Name | None = None
     distribution: SerializeAsAny[Distribution]
+
+    @property
+    def file_name(self) -> str | None:
+        """A file beside the study that the distribution needs."""
+        return self.distribution.file_name
+
+    def loaded(self, folder: Path) -> Self:
+        """The perturbation with what its distribution's file holds; relative to the study's folder."""
+        return self.model_copy(update={"distribution": self.distribution.loaded(folder)})
 
 
 def with_unit(name: str, unit: str) -> str:
@@ -134,91 +208,3 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
     return validate(
         Perturbation, {k: v for k, v in table.items() if k in own} | {"distribution": distribution}, source
     )
-
-
-@dataclass(frozen=True, eq=False)
-class PerturbationBatch:
-    """Realised deltas of several trials.
-
-    Attributes
-    ----------
-    parameters : tuple of PerturbedParameter
-        What the columns of `values` perturb; columns of one and the same parameter add up.
-    values : ndarray, shape (trials, parameters)
-        Deltas from nominal, in the units of the parameters.
-    pivot_z_mm
-        Where on the axis the whole lens turns, from its front vertex.
-    """
-
-    parameters: tuple[PerturbedParameter, ...]
-    values: Array
-    pivot_z_mm: float = 0.0
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def poses(self) -> Pose:
-        """Poses of the lens, each perturbed value of shape (trials,)."""
-        return Pose(**self._deltas(None, slice(None)), pivot_z_mm=self.pivot_z_mm)
-
-    def surface_perturbations(self) -> dict[int, SurfacePerturbation]:
-        """Perturbations by surface index, each perturbed value of shape (trials,)."""
-        return {s: SurfacePerturbation(**self._deltas(s, slice(None))) for s in self._surfaces()}
-
-    def pose(self, trial: int) -> Pose:
-        """Pose of one trial, counted from 0 within the batch."""
-        return Pose(**self._deltas(None, trial), pivot_z_mm=self.pivot_z_mm)
-
-    def surface_perturbations_of(self, trial: int) -> dict[int, SurfacePerturbation]:
-        """Surface perturbations of one trial, by surface index."""
-        return {s: SurfacePerturbation(**self._deltas(s, trial)) for s in self._surfaces()}
-
-    def single_trials(self) -> list[PerturbationBatch]:
-        """A batch of its own for each of these trials."""
-        return [
-            PerturbationBatch(self.parameters, self.values[i : i + 1], self.pivot_z_mm)
-            for i in range(len(self))
-        ]
-
-    def _surfaces(self) -> list[int]:
-        return sorted({p.surface for p in self.parameters if p.surface is not None})
-
-    def _deltas(self, surface: int | None, trials: slice | int) -> dict[str, Any]:
-        deltas: dict[str, Any] = {}
-        for column, parameter in enumerate(self.parameters):
-            if parameter.surface == surface:
-                chosen = self.values[trials, column]
-                value = np.ascontiguousarray(chosen) if isinstance(trials, slice) else float(chosen)
-                deltas[parameter.parameter] = deltas.get(parameter.parameter, 0.0) + value
-        return deltas
-
-
-def realise(
-    perturbations: Sequence[Perturbation], seed: int, trials: Sequence[int], pivot_z_mm: float = 0.0
-) -> PerturbationBatch:
-    """Draw the deltas of given trials.
-
-    Each trial has its own stream, ``SeedSequence(seed, spawn_key=(trial,))``, so its values depend on
-    nothing but the perturbations, the seed and its number.
-
-    Parameters
-    ----------
-    perturbations
-        What scatters, and how; the k-th takes the k-th draw of a trial's stream.
-    seed
-        The study's seed.
-    trials
-        Numbers of the trials, from 0.
-    pivot_z_mm
-        Where on the axis the whole lens turns.
-    """
-    draws = [
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,))).random(len(perturbations))
-        for trial in trials
-    ]
-    # random() may return 0, of which a normal distribution has no quantile.
-    probability = np.maximum(np.reshape(draws, (len(trials), len(perturbations))), 2.0**-54)
-    values = np.column_stack(
-        [p.distribution.quantile(probability[:, k]) for k, p in enumerate(perturbations)]
-    )
-    return PerturbationBatch(tuple(perturbations), values, pivot_z_mm)
