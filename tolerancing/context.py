@@ -9,12 +9,17 @@ from weakref import WeakKeyDictionary
 from pydantic import Field
 
 from lensdesign.system import Lens, Positive, Section
-from tolerancing.perturbations import PerturbationBatch
+from tolerancing.batch import PerturbationBatch, Realisation
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from lensdesign.bundles import PupilSamples
-    from lensdesign.tracing import RayTrace
-    from wavesim import PupilSampler, ReconstructionPupil
+    from tolerancing.arrival import Arrival
+    from tolerancing.compensators import Compensator, ModelPupils
+    from wavesim import PatchChain, PupilSampler, ReconstructionPupil
+    from wavesim.patch_return import PerturbedPatch
 
 Result = TypeVar("Result")
 Points = tuple[tuple[float, float], ...]
@@ -30,13 +35,38 @@ class Sampling(Section):
     pupil_samples
         Samples across the reconstruction pupil.
     plane_distance_mm
-        Plane behind the exit vertex on which a perturbed lens is compared with the nominal one.
+        Plane behind the exit vertex on which a perturbed lens is compared with the nominal one; the sensor
+        tilts about its middle.
     """
 
     rings: Annotated[int, Field(ge=1, le=200)] = 6
     arms: Annotated[int, Field(ge=3, le=2000)] = 24
     pupil_samples: Annotated[int, Field(ge=16, le=2048)] = 96
     plane_distance_mm: Positive = 3.0
+
+
+def perturbed_pupil(sampler: PupilSampler, system: Realisation) -> ReconstructionPupil:
+    """Reconstruction pupil of one perturbed system."""
+    return sampler.pupil(
+        system.pose,
+        system.surface_perturbations,
+        system.object_shift_mm,
+        system.sensor_shift_mm,
+        system.sensor_tilt_deg,
+        system.wavelength_um,
+    )
+
+
+def perturbed_patch(chain: PatchChain, system: Realisation) -> PerturbedPatch:
+    """A patch carried through one perturbed system."""
+    return chain.perturbed(
+        system.pose,
+        system.surface_perturbations,
+        system.object_shift_mm,
+        system.sensor_shift_mm,
+        system.sensor_tilt_deg,
+        system.wavelength_um,
+    )
 
 
 class Context:
@@ -51,12 +81,32 @@ class Context:
         The nominal lens.
     sampling
         How finely merits are sampled.
+    compensators
+        What the reconstruction's model adapts.
+    compensated_points
+        Field points and wavelengths whose pupils together tell the compensators their values.
+    pivot_z_mm
+        Where on the axis the model's lens turns.
+    noise_seed
+        Of the sensor's noise, with the trial's number.
     """
 
-    def __init__(self, lens: Lens, sampling: Sampling) -> None:
+    def __init__(
+        self,
+        lens: Lens,
+        sampling: Sampling,
+        compensators: tuple[Compensator, ...] = (),
+        compensated_points: tuple[tuple[tuple[float, float], float | None], ...] = (),
+        pivot_z_mm: float = 0.0,
+        noise_seed: int = 0,
+    ) -> None:
         self.lens = lens
         self.sampling = sampling
-        self._samplers: dict[Any, PupilSampler] = {}
+        self.compensators = compensators
+        self._compensated_points = compensated_points
+        self.noise_seed = noise_seed
+        self._pivot_z_mm = pivot_z_mm
+        self._kept: dict[Any, Any] = {}
         self._shared: WeakKeyDictionary[PerturbationBatch, dict[Any, Any]] = WeakKeyDictionary()
 
     def stop_samples(self) -> PupilSamples:
@@ -65,36 +115,29 @@ class Context:
 
         return pupil_rings(self.sampling.rings, self.sampling.arms, edge=True)
 
-    def rays(
-        self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None
-    ) -> RayTrace:
-        """Rays from field points through the stop to the first sensor plane.
+    def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
+        """Rays from field points through the stop to the first sensor plane, as the sensor sees them.
 
         Returns
         -------
-        RayTrace
+        Arrival
             Arrays of shape (trials, field points * stop samples, ...), field point by field point.
         """
         wavelength = self.wavelength_um(wavelength_um)
 
-        def work() -> RayTrace:
-            from lensdesign.bundles import launch_compiled
-            from lensdesign.compiled import compile_system
-            from lensdesign.tracing import trace_compiled
+        def work() -> Arrival:
+            from tolerancing.arrival import arriving_rays
 
-            lens = self.lens
-            system = compile_system(lens, wavelength, batch.poses(), batch.surface_perturbations())
-            origins, directions = launch_compiled(
-                system,
-                field_points_mm,
-                self.stop_samples().points,
-                lens.object_z_mm,
-                lens.stop_index,
-                lens.stop_semi_diameter_mm,
-            )
-            return trace_compiled(system, origins, directions, lens.sensor_z_mm[0], threads=1)
+            return arriving_rays(self.lens, batch, field_points_mm, self.stop_samples().points, wavelength)
 
         return self._once(batch, ("rays", field_points_mm, wavelength), work)
+
+    def realisations(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Realisation]:
+        """The perturbed systems of a batch."""
+        wavelength = self.wavelength_um(wavelength_um)
+        return self._once(
+            batch, ("realisations", wavelength), lambda: batch.realisations(self.lens, wavelength)
+        )
 
     def pupils(
         self,
@@ -102,42 +145,129 @@ class Context:
         field_mm: tuple[float, float],
         wavelength_um: float | None,
         refocused: bool,
+        compensated: bool = False,
     ) -> list[ReconstructionPupil]:
-        """Reconstruction pupil of each trial, registered sideways and, if asked for, refocused."""
+        """Reconstruction pupil of each trial, registered sideways; refocused and compensated if asked for."""
         wavelength = self.wavelength_um(wavelength_um)
-
-        def raw() -> list[ReconstructionPupil]:
-            sampler = self._sampler(field_mm, wavelength)
-            return [
-                sampler.pupil(batch.pose(i), batch.surface_perturbations_of(i)) for i in range(len(batch))
-            ]
+        compensated = compensated and bool(self.compensators)
 
         def registered() -> list[ReconstructionPupil]:
             from wavesim import refocus, remove_shift
 
             register = refocus if refocused else remove_shift
-            pupils = self._once(batch, ("pupils", field_mm, wavelength), raw)
-            return [register(pupil).pupil for pupil in pupils]
+            return [register(p).pupil for p in self.raw_pupils(batch, field_mm, wavelength, compensated)]
 
-        return self._once(batch, ("registered", field_mm, wavelength, refocused), registered)
+        return self._once(batch, ("registered", field_mm, wavelength, refocused, compensated), registered)
+
+    def raw_pupils(
+        self,
+        batch: PerturbationBatch,
+        field_mm: tuple[float, float],
+        wavelength_um: float | None,
+        compensated: bool = False,
+    ) -> list[ReconstructionPupil]:
+        """Reconstruction pupil of each trial, where it is and as blurred as it is."""
+        wavelength = self.wavelength_um(wavelength_um)
+
+        def raw() -> list[ReconstructionPupil]:
+            sampler = self.sampler(field_mm, wavelength)
+            return [perturbed_pupil(sampler, one) for one in self.realisations(batch, wavelength)]
+
+        pupils = self._once(batch, ("pupils", field_mm, wavelength), raw)
+        if not (compensated and self.compensators):
+            return pupils
+        from tolerancing.compensators import less_model
+
+        model = self._model(field_mm, wavelength)
+        values = self.compensator_values(batch)
+        return [less_model(pupil, model, own) for pupil, own in zip(pupils, values, strict=True)]
+
+    def patches(
+        self,
+        batch: PerturbationBatch,
+        chain: PatchChain,
+        wavelength_um: float | None,
+        compensated: bool = False,
+    ) -> list[PerturbedPatch]:
+        """A patch carried through each trial's lens and back through the nominal one or the adapted model."""
+
+        def work() -> list[PerturbedPatch]:
+            return [perturbed_patch(chain, one) for one in self.realisations(batch, wavelength_um)]
+
+        patches = self._once(batch, ("patches", chain), work)
+        if not (compensated and self.compensators):
+            return patches
+        from tolerancing.compensators import less_model_patch
+
+        values = self.compensator_values(batch)
+        return [
+            less_model_patch(patch, chain, self.compensators, own, self._pivot_z_mm)
+            for patch, own in zip(patches, values, strict=True)
+        ]
+
+    def patch_chain(
+        self, field_mm: tuple[float, float], wavelength_um: float | None, patch_um: float, line: bool
+    ) -> PatchChain:
+        """The chain for a patch about one field point, on a meridional line or in the plane."""
+        wavelength = self.wavelength_um(wavelength_um)
+
+        def make() -> PatchChain:
+            from wavesim import PatchChain
+
+            return PatchChain(
+                self.lens, field_mm, wavelength, self.sampling.plane_distance_mm, patch_um, line=line
+            )
+
+        return self.kept(("patch", field_mm, wavelength, patch_um, line), make)
+
+    def compensator_values(self, batch: PerturbationBatch) -> NDArray[np.float64]:
+        """What the compensators take in each trial, shape (trials, compensators)."""
+
+        def work() -> NDArray[np.float64]:
+            import numpy as np
+
+            from tolerancing.compensators import compensate
+
+            models = [self._model(field, self.wavelength_um(w)) for field, w in self._compensated_points]
+            pupils = [self.raw_pupils(batch, field, w) for field, w in self._compensated_points]
+            return np.array([compensate(own, models) for own in zip(*pupils, strict=True)])
+
+        return self._once(batch, "compensators", work)
+
+    def kept(self, key: Any, work: Callable[[], Result]) -> Result:
+        """Something that is worked out once in a process, whatever the batch."""
+        if key not in self._kept:
+            self._kept[key] = work()
+        result: Result = self._kept[key]
+        return result
 
     def wavelength_um(self, wavelength_um: float | None) -> float:
         """A wavelength, or the lens's first one in place of None."""
         return self.lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
 
-    def _sampler(self, field_mm: tuple[float, float], wavelength_um: float) -> PupilSampler:
-        key = (field_mm, wavelength_um)
-        if key not in self._samplers:
+    def sampler(self, field_mm: tuple[float, float], wavelength_um: float) -> PupilSampler:
+        """Pupils of one field point."""
+
+        def make() -> PupilSampler:
             from wavesim import PupilSampler
 
-            self._samplers[key] = PupilSampler(
+            return PupilSampler(
                 self.lens,
                 field_mm=field_mm,
                 wavelength_um=wavelength_um,
                 plane_distance_mm=self.sampling.plane_distance_mm,
                 samples=self.sampling.pupil_samples,
             )
-        return self._samplers[key]
+
+        return self.kept(("sampler", field_mm, wavelength_um), make)
+
+    def _model(self, field_mm: tuple[float, float], wavelength_um: float) -> ModelPupils:
+        from tolerancing.compensators import model_pupils
+
+        return self.kept(
+            ("model", field_mm, wavelength_um),
+            lambda: model_pupils(self.sampler(field_mm, wavelength_um), self.compensators, self._pivot_z_mm),
+        )
 
     def _once(self, batch: PerturbationBatch, key: Any, work: Callable[[], Result]) -> Result:
         shared = self._shared.setdefault(batch, {})

@@ -1,45 +1,94 @@
-"""Scores of trials and of sweep steps: what a worker does, with failures as data."""
+"""Scores of trials and of steps: what a worker does, with failures as data."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import TransferLensError
+from lensdesign.system import Lens
+from tolerancing.batch import PerturbationBatch, batch_of
 from tolerancing.context import Context
+from tolerancing.draws import probabilities
 from tolerancing.merit import Merit
-from tolerancing.perturbations import PerturbationBatch, realise
-from tolerancing.pupil_merits import Axis
-from tolerancing.results import Picture, StepResults, TrialResults
+from tolerancing.pupil_merits import PupilMerit
+from tolerancing.results import DearResults, StepResults, TrialResults
 from tolerancing.study import Study
-from tolerancing.sweep import Sweep
 
 Array = NDArray[np.float64]
 
-PICTURE_POINTS = 121
+
+def context_of(lens: Lens, study: Study) -> Context:
+    """What the merits of a study share."""
+    points = dict.fromkeys(
+        (point, merit.wavelength_um)
+        for merit in study.all_merits
+        if isinstance(merit, PupilMerit)
+        for point in merit.points
+    )
+    compensators = study.compensators
+    compensated = tuple(points) or (((0.0, 0.0), None),)
+    return Context(lens, study.sampling, compensators, compensated, study.pivot_z_mm, study.seed)
+
+
+def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
+    """Draw the deltas of given trials.
+
+    A trial's values depend on nothing but the study and its number: on the perturbations, their order, the
+    seed, the way of drawing and, but for random draws, the number of trials that the study asks for.
+
+    Parameters
+    ----------
+    study
+        What scatters, and how.
+    trials
+        Numbers of the trials, from 0.
+    """
+    perturbations = study.perturbations
+    drawn = probabilities(study.draws, study.seed, trials, len(perturbations), study.trials)
+    dependent = study.dependence.apply(drawn)
+    values = np.column_stack([p.distribution.quantile(dependent[:, k]) for k, p in enumerate(perturbations)])
+    return batch_of(perturbations, values, study.pivot_z_mm, study.seed, trials)
 
 
 def score_trials(context: Context, study: Study, trials: Sequence[int]) -> TrialResults:
     """Draw and score some trials of a study; one that fails says why and spoils no other."""
-    batch = realise(study.perturbations, study.seed, trials, study.pivot_z_mm)
+    start = time.perf_counter()
+    batch = realise(study, trials)
     scores, messages = score_batch(study.merits, context, batch)
+    extras = np.column_stack(
+        [_tolerant(merit.uncompensated, context, batch) for merit in study.compensated]
+        + ([_compensator_values(context, batch)] if study.compensators else [])
+        or [np.empty((len(batch), 0))]
+    )
     kept = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
-    return TrialResults(tuple(trials), batch.values, scores, messages, np.all(kept, axis=0))
+    seconds = np.full(len(batch), (time.perf_counter() - start) / len(batch))
+    return TrialResults(tuple(trials), batch.values, scores, extras, messages, np.all(kept, axis=0), seconds)
 
 
-def score_step(context: Context, study: Study, sweep: Sweep, step: int) -> StepResults:
-    """Score one value of a sweep, and draw its pictures if it asks for them."""
-    value = sweep.values[step]
-    batch = PerturbationBatch((sweep,), np.array([[value]]), study.pivot_z_mm)
-    merits = study.sweep_merits(sweep)
-    scores, (message,) = score_batch(merits, context, batch)
-    pictures: tuple[Picture, ...] = ()
-    if value in sweep.picture_values and not message:
-        pictures = _pictures(context, sweep, batch)
-    by_label = {merit.label: float(score) for merit, score in zip(merits, scores[0], strict=True)}
-    return StepResults(sweep.label, step, value, by_label, message, pictures)
+def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]) -> DearResults:
+    """Score some trials by the dear merits."""
+    batch = realise(study, trials)
+    rows = []
+    for one in batch.single_trials():
+        start = time.perf_counter()
+        scores, (message,) = score_batch(study.dear_merits, context, one)
+        rows.append((scores[0], message, time.perf_counter() - start))
+    return DearResults(
+        trials=tuple(trials),
+        chosen=tuple(chosen),
+        scores=np.array([row[0] for row in rows]),
+        messages=tuple(row[1] for row in rows),
+        seconds=np.array([row[2] for row in rows]),
+    )
+
+
+def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
+    """Score one step of one of a study's series."""
+    return study.series[series].score(context, study, step)
 
 
 def nominal_scores(context: Context, study: Study) -> dict[str, float]:
@@ -50,11 +99,12 @@ def nominal_scores(context: Context, study: Study) -> dict[str, float]:
     TransferLensError
         If the nominal lens itself cannot be scored.
     """
-    batch = PerturbationBatch(study.perturbations, np.zeros((1, len(study.perturbations))), study.pivot_z_mm)
-    merits = {m.label: m for m in study.merits}
-    merits |= {m.label: m for sweep in study.sweeps for m in sweep.line_pairs()}
+    count = len(study.perturbations)
+    batch = batch_of(study.perturbations, np.zeros((1, count)), study.pivot_z_mm, study.seed)
+    merits = {m.label: m for m in study.all_merits}
+    merits |= {m.label: m for part in (*study.sweeps, *study.grids) for m in part.line_pairs()}
     scores = {label: float(merit.scores(context, batch)[0]) for label, merit in merits.items()}
-    return {merit.label: scores[merit.label] for merit in study.merits}
+    return {merit.label: scores[merit.label] for merit in study.all_merits}
 
 
 def score_batch(
@@ -90,27 +140,25 @@ def _score_singly(
 
 
 def _missing(merits: Sequence[Merit], scores: Array) -> str:
-    lost = [merit.label for merit, score in zip(merits, scores, strict=True) if not np.isfinite(score)]
+    lost = [merit.label for merit, score in zip(merits, scores, strict=True) if np.isnan(score)]
     return f"{', '.join(lost)}: no ray arrives" if lost else ""
 
 
-def _pictures(context: Context, sweep: Sweep, batch: PerturbationBatch) -> tuple[Picture, ...]:
-    from wavesim import line_pair_contrast, line_pair_image
+def _tolerant(score: object, context: Context, batch: PerturbationBatch) -> Array:
+    """Scores trial by trial where a batch fails; NaN where a trial does."""
+    assert callable(score)
+    try:
+        return np.asarray(score(context, batch), float)
+    except Exception:
+        if len(batch) == 1:
+            return np.array([np.nan])
+        return np.concatenate([_tolerant(score, context, one) for one in batch.single_trials()])
 
-    axes: tuple[Axis, ...] = ("x", "y") if sweep.orientation == "worse" else (sweep.orientation,)
-    pictures = []
-    for merit in sweep.line_pairs():
-        (pupil,) = context.pupils(batch, sweep.field_mm, merit.wavelength_um, merit.refocus)
-        contrast = {axis: line_pair_contrast(pupil, merit.line_width_um, axis) for axis in axes}
-        axis = min(axes, key=contrast.__getitem__)
-        coordinates, intensity = line_pair_image(pupil, merit.line_width_um, axis, points=PICTURE_POINTS)
-        pictures.append(
-            Picture(
-                line_width_um=merit.line_width_um,
-                orientation=axis,
-                refocused=merit.refocus,
-                half_width_um=float(coordinates[-1]),
-                intensity=intensity.astype(np.float32),
-            )
-        )
-    return tuple(pictures)
+
+def _compensator_values(context: Context, batch: PerturbationBatch) -> Array:
+    try:
+        return context.compensator_values(batch)
+    except TransferLensError:
+        if len(batch) == 1:
+            return np.full((1, len(context.compensators)), np.nan)
+        return np.concatenate([_compensator_values(context, one) for one in batch.single_trials()])

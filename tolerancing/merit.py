@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
 from lensdesign.system import Finite, Lens, Positive, Section
+from tolerancing.batch import PerturbationBatch
 from tolerancing.context import Context
-from tolerancing.perturbations import Name, PerturbationBatch, with_unit
+from tolerancing.perturbations import Name, with_unit
 
 Array = NDArray[np.float64]
+Level = Literal["auto", "ray", "pupil", "wave"]
 
 
 class Merit(Section):
@@ -28,6 +31,13 @@ class Merit(Section):
         The limit of a good part; one of the two.
     wavelength_um
         The lens's first wavelength where left out.
+    level
+        What it is made of: rays, the reconstruction pupil, or waves carried through the perturbed lens and
+        back through the nominal one; ``auto`` is the cheapest that a few trials show to agree with the
+        dearest.
+    predicted_by
+        Name of a cheaper merit that all trials are scored by; this one then scores those that the study's
+        `fidelity` chooses.
     """
 
     kind: str
@@ -35,8 +45,11 @@ class Merit(Section):
     at_least: Finite | None = None
     at_most: Finite | None = None
     wavelength_um: Positive | None = None
+    level: Level = "auto"
+    predicted_by: Name | None = None
 
     unit: ClassVar[str] = ""
+    levels: ClassVar[tuple[str, ...]] = ("pupil",)
     trials_per_chunk: ClassVar[int] = 16
 
     @model_validator(mode="after")
@@ -45,6 +58,34 @@ class Merit(Section):
             given = "both are given" if self.at_least is not None else "the limit is missing"
             raise ValueError(f"give one limit, at_least or at_most; {given}")
         return self
+
+    @model_validator(mode="after")
+    def _known_level(self) -> Merit:
+        if self.level not in ("auto", *self.levels):
+            raise ValueError(f"level = {self.level!r}: allowed: {', '.join(('auto', *self.levels))}")
+        return self
+
+    @property
+    def used_level(self) -> str:
+        """The level, where ``auto`` leaves no choice or has been decided."""
+        return self.able_levels()[0] if self.level == "auto" else self.level
+
+    def able_levels(self) -> tuple[str, ...]:
+        """The levels that can score what is asked for, the cheapest first."""
+        return self.levels
+
+    @property
+    def file_name(self) -> str | None:
+        """A file beside the study that the merit needs."""
+        return None
+
+    def loaded(self, folder: Path) -> Self:
+        """The merit with what its file holds; relative to the study's folder."""
+        return self
+
+    def is_compensated(self, compensators: bool) -> bool:
+        """Whether refocusing, or the study's compensators if it has any, change the scores."""
+        return False
 
     @property
     def label(self) -> str:
@@ -114,6 +155,10 @@ class Merit(Section):
             If a trial cannot be evaluated at all; whoever runs the batch then scores trials singly.
         """
         raise NotImplementedError
+
+    def uncompensated(self, context: Context, batch: PerturbationBatch) -> Array:
+        """As :meth:`scores`, without refocusing and compensators."""
+        return self.scores(context, batch)
 
 
 def check_field_point(lens: Lens, point: tuple[float, float], key: str) -> None:

@@ -5,8 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from lensdesign.files import validate
+from tolerancing.line_pair_merit import LinePairContrast
 from tolerancing.merit import Merit
-from tolerancing.pupil_merits import LinePairContrast, ModulationTransfer, RmsWaves, Strehl
+from tolerancing.pupil_merits import (
+    ImageShift,
+    ModulationTransfer,
+    RmsWaves,
+    SmallestResolvedLine,
+    Strehl,
+)
+from tolerancing.python_merit import PythonMerit
 from tolerancing.ray_merits import FootprintRadius, LargestSpread, Throughput
 from tolerancing.registry import pick
 
@@ -18,6 +26,9 @@ MERITS: dict[str, type[Merit]] = {
     "rms_waves": RmsWaves,
     "line_pair_contrast": LinePairContrast,
     "mtf": ModulationTransfer,
+    "smallest_resolved_line_um": SmallestResolvedLine,
+    "image_shift_um": ImageShift,
+    "python": PythonMerit,
 }
 """Merits by the kind that a study file gives."""
 

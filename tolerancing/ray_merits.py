@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lensdesign.system import Finite, Lens, Positive, tuples
+from tolerancing.batch import PerturbationBatch
 from tolerancing.context import Context, Points
 from tolerancing.merit import Merit, check_field_point
-from tolerancing.perturbations import PerturbationBatch
 
 Array = NDArray[np.float64]
 
@@ -27,6 +27,7 @@ class RayMerit(Merit):
 
     field_points_mm: tuple[tuple[Finite, Finite], ...] = ()
 
+    levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256
 
     @field_validator("field_points_mm", mode="before")
@@ -48,7 +49,7 @@ class RayMerit(Merit):
 
 
 class LargestSpread(RayMerit):
-    """Largest angle between the axis and a ray behind the lens (Eq. 2), of the rays that arrive."""
+    """Largest angle between the sensor's normal and a ray behind the lens (Eq. 2), of those that arrive."""
 
     unit: ClassVar[str] = "deg"
 
@@ -64,7 +65,8 @@ class FootprintRadius(RayMerit):
     Attributes
     ----------
     plane_distance_mm
-        The plane, from the nominal exit vertex; the last sensor plane where left out.
+        The plane, from the nominal exit vertex; the last sensor plane where left out. It moves and tilts
+        with the sensor.
     """
 
     plane_distance_mm: Positive | None = None
@@ -76,7 +78,8 @@ class FootprintRadius(RayMerit):
         rays = context.rays(batch, self.points(lens), self.wavelength_um)
         distance = self.plane_distance_mm or lens.sensor.plane_distances_mm[-1]
         further = distance - lens.sensor.plane_distances_mm[0]
-        across = rays.position[..., :2] + further * rays.direction[..., :2] / rays.direction[..., 2:]
+        along = np.where(rays.ok, rays.direction[..., 2], 1.0)
+        across = rays.position_mm + further * rays.direction[..., :2] / along[..., None]
         return _largest(np.hypot(across[..., 0], across[..., 1]), rays.ok)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ Array = NDArray[np.float64]
 OK = "ok"
 FAILED = "failed"
 
+WORST, RANDOM = "worst", "random"
+"""Why a trial was chosen for the dear merits."""
+
 
 @dataclass(frozen=True)
 class TrialResults:
@@ -19,23 +23,30 @@ class TrialResults:
 
     Attributes
     ----------
-    trials : tuple of int
+    trials : tuple of int, or ndarray of int
         Numbers of the trials, from 0.
     values : ndarray, shape (trials, perturbations)
         Realised deltas, in the units of the perturbations' columns.
     scores : ndarray, shape (trials, merits)
         NaN where a trial could not be scored.
+    extras : ndarray, shape (trials, extra columns)
+        By :attr:`tolerancing.study.Study.extra_columns`: scores without compensation, and what the
+        compensators took. NaN where there is none.
     messages : tuple of str
         Why a trial could not be scored; empty where it could.
     passed : ndarray of bool, shape (trials,)
         Whether all limits are kept; a trial that could not be scored keeps none.
+    seconds : ndarray, shape (trials,)
+        Time that each took, with its share of what a chunk of trials does together.
     """
 
-    trials: tuple[int, ...]
+    trials: tuple[int, ...] | NDArray[np.int64]
     values: Array
     scores: Array
+    extras: Array
     messages: tuple[str, ...]
     passed: NDArray[np.bool_]
+    seconds: Array
 
     def __len__(self) -> int:
         return len(self.trials)
@@ -44,6 +55,34 @@ class TrialResults:
     def status(self) -> list[str]:
         """`OK` or `FAILED`, trial by trial."""
         return [FAILED if message else OK for message in self.messages]
+
+
+@dataclass(frozen=True)
+class DearResults:
+    """Scores of the dear merits for trials that were chosen.
+
+    Attributes
+    ----------
+    trials : tuple of int
+        Their numbers.
+    chosen : tuple of str
+        Why each was chosen: `WORST` by the cheap merit, or by `RANDOM` draw.
+    scores : ndarray, shape (trials, dear merits)
+        NaN where a trial could not be scored.
+    messages : tuple of str
+        Why it could not.
+    seconds : ndarray, shape (trials,)
+        Time that each took.
+    """
+
+    trials: tuple[int, ...]
+    chosen: tuple[str, ...]
+    scores: Array
+    messages: tuple[str, ...]
+    seconds: Array
+
+    def __len__(self) -> int:
+        return len(self.trials)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +112,33 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class StepResults:
-    """One step of a sweep: scores by merit (NaN where there is none), and pictures."""
+    """One step of a series: a sweep, a grid, a comparison of slice counts, or the sensitivities.
 
-    sweep: str
+    Attributes
+    ----------
+    series
+        Label of the series.
+    step
+        Number of the step, from 0.
+    coordinates : mapping of str to float or str
+        What was varied, by name.
+    scores : mapping of str to float
+        By merit; NaN where there is none.
+    message
+        Why a score is missing.
+    pictures : tuple of Picture
+        Of line pairs, where they were asked for.
+    seconds
+        Time that it took.
+    """
+
+    series: str
     step: int
-    value: float
+    coordinates: Mapping[str, float | str]
     scores: dict[str, float]
     message: str
     pictures: tuple[Picture, ...]
+    seconds: float
 
 
-Results = TrialResults | StepResults
+Results = TrialResults | DearResults | StepResults

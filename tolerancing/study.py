@@ -1,28 +1,51 @@
-"""Study files (TOML): which lens, what scatters, what is judged, what is swept."""
+"""A tolerance study: which lens, what scatters, what is judged, what is swept."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Annotated, Literal
 
-from pydantic import Field, SerializeAsAny, field_validator, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
-from lensdesign.errors import DesignError
-from lensdesign.files import load_design, read_text, read_toml, validate
-from lensdesign.system import Finite, Lens, Section
+from lensdesign.system import Finite, Section
+from tolerancing.compensators import Compensator
 from tolerancing.context import Sampling
+from tolerancing.dependence import Correlation, Dependence, study_dependence
+from tolerancing.draws import DRAWS
 from tolerancing.merit import Merit
-from tolerancing.merits import merit_from_table
-from tolerancing.perturbations import Perturbation, PerturbedParameter, perturbation_from_table
-from tolerancing.sweep import Sweep
+from tolerancing.one_at_a_time import OneAtATime
+from tolerancing.perturbations import Perturbation
+from tolerancing.series import Series
+from tolerancing.slice_counts import SliceCounts
+from tolerancing.sweep import ParameterGrid, Sweep
 
 MOST_TRIALS = 10_000_000
 
-RESERVED_COLUMNS = ("trial", "status", "message", "passed")
+RESERVED_COLUMNS = ("trial", "status", "message", "passed", "seconds", "finished")
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Fidelity(Section):
+    """How cheap a level may be, and which trials the dear merits score.
+
+    Dear merits are those that name in `predicted_by` the cheap merit that they refine.
+
+    Attributes
+    ----------
+    largest_difference
+        Between the scores of the levels of an ``auto`` merit, in any of the trials that probe it, for the
+        cheaper level to do.
+    worst_share
+        Share of all trials, the worst by the cheap merit.
+    random_share
+        Share of all trials, drawn at random from the others.
+    """
+
+    largest_difference: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.03
+    worst_share: Share = 0.02
+    random_share: Share = 0.05
 
 
 class Study(Section):
@@ -42,12 +65,22 @@ class Study(Section):
         Where on the axis the whole lens turns, from its front vertex.
     sampling
         How finely merits are sampled.
+    draws
+        How trials are drawn: ``random``, ``latin_hypercube`` or ``sobol``.
+    sensitivity
+        Whether each perturbation is also taken by itself to shares of its tolerance.
+    fidelity
+        Which trials the dear merits score.
     perturbations
         What scatters; the ``[[perturbation]]`` tables.
-    merits
+    correlations
+        Which perturbations scatter together; the ``[[correlation]]`` tables.
+    compensators
+        What the reconstruction's model adapts; the ``[[compensator]]`` tables.
+    all_merits
         What is judged; the ``[[merit]]`` tables.
-    sweeps
-        What is varied by itself; the ``[[sweep]]`` tables.
+    sweeps, grids, slice_counts
+        What is varied by itself; the ``[[sweep]]``, ``[[grid]]`` and ``[[slice_count]]`` tables.
     """
 
     title: str = ""
@@ -55,141 +88,86 @@ class Study(Section):
     trials: Annotated[int, Field(ge=1, le=MOST_TRIALS)]
     seed: Annotated[int, Field(ge=0)]
     pivot_z_mm: Finite = 0.0
+    draws: Literal[DRAWS] = "random"  # type: ignore[valid-type]
+    sensitivity: bool = True
     sampling: Sampling = Sampling()
+    fidelity: Fidelity = Fidelity()
     perturbations: Annotated[
         tuple[SerializeAsAny[Perturbation], ...], Field(alias="perturbation", min_length=1)
     ]
-    merits: Annotated[tuple[SerializeAsAny[Merit], ...], Field(alias="merit", min_length=1)]
+    correlations: tuple[Correlation, ...] = Field(default=(), alias="correlation")
+    compensators: tuple[Compensator, ...] = Field(default=(), alias="compensator")
+    all_merits: Annotated[tuple[SerializeAsAny[Merit], ...], Field(alias="merit", min_length=1)]
     sweeps: tuple[Sweep, ...] = Field(default=(), alias="sweep")
+    grids: tuple[ParameterGrid, ...] = Field(default=(), alias="grid")
+    slice_counts: tuple[SliceCounts, ...] = Field(default=(), alias="slice_count")
 
-    @field_validator("perturbations")
-    @classmethod
-    def _distinct_columns(cls, value: tuple[Perturbation, ...]) -> tuple[Perturbation, ...]:
-        refuse_repeated([p.column for p in value], "two perturbations")
-        return value
+    @property
+    def merits(self) -> tuple[Merit, ...]:
+        """The merits that all trials are scored by."""
+        return tuple(m for m in self.all_merits if m.predicted_by is None)
 
-    @field_validator("sweeps")
-    @classmethod
-    def _distinct_sweeps(cls, value: tuple[Sweep, ...]) -> tuple[Sweep, ...]:
-        refuse_repeated([s.label for s in value], "two sweeps")
-        return value
+    @property
+    def dear_merits(self) -> tuple[Merit, ...]:
+        """The merits that chosen trials are scored by."""
+        return tuple(m for m in self.all_merits if m.predicted_by is not None)
+
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """All that is varied step by step."""
+        alone = (OneAtATime(self.perturbations),) if self.sensitivity else ()
+        return (*self.sweeps, *self.grids, *self.slice_counts, *alone)
+
+    @cached_property
+    def dependence(self) -> Dependence:
+        """Which perturbations scatter together."""
+        groups: dict[str, list[str]] = {}
+        for p in self.perturbations:
+            if p.group is not None:
+                groups.setdefault(p.group, []).append(p.column)
+        return study_dependence([p.column for p in self.perturbations], self.correlations, groups)
+
+    @property
+    def compensated(self) -> tuple[Merit, ...]:
+        """The merits that the reconstruction's refocusing or compensators help."""
+        return tuple(m for m in self.merits if m.is_compensated(bool(self.compensators)))
+
+    @property
+    def extra_columns(self) -> tuple[str, ...]:
+        """Columns beside scores: scores without compensation, and what the compensators took."""
+        return (
+            *(f"{m.column}_uncompensated" for m in self.compensated),
+            *(f"compensator_{c.column}" for c in self.compensators),
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
-        refuse_repeated([m.label for m in self.merits], "two merits")
+        refuse_repeated([p.column for p in self.perturbations], "two perturbations")
+        refuse_repeated([m.label for m in self.all_merits], "two merits")
+        refuse_repeated([c.column for c in self.compensators], "two compensators")
+        refuse_repeated([s.label for s in self.series], "two sweeps, grids or slice counts")
         columns = [
             *RESERVED_COLUMNS,
             *(p.column for p in self.perturbations),
-            *(m.column for m in self.merits),
+            *(m.column for m in self.all_merits),
+            *self.extra_columns,
         ]
         refuse_repeated(columns, "a perturbation or merit and another column")
-        labels = [m.label for m in self.merits]
-        for sweep in self.sweeps:
-            for label in sweep.merits:
-                if label not in labels:
-                    raise ValueError(
-                        f"sweep {sweep.label!r}: merits: there is no merit {label!r}; "
-                        f"allowed: {', '.join(labels)}"
-                    )
+        self._check_names()
+        self.dependence  # noqa: B018  refuses what does not go together
         return self
 
-    def sweep_merits(self, sweep: Sweep) -> tuple[Merit, ...]:
-        """All that a sweep scores: the study's merits that it names, and its line pairs."""
-        return (*(m for m in self.merits if m.label in sweep.merits), *sweep.line_pairs())
-
-
-@dataclass(frozen=True)
-class LoadedStudy:
-    """A study together with its lens and the texts that both came from.
-
-    Attributes
-    ----------
-    study, lens
-        What the files say.
-    study_text, design_text
-        The files themselves.
-    """
-
-    study: Study
-    lens: Lens
-    study_text: str
-    design_text: str
-
-    @property
-    def fingerprint(self) -> str:
-        """Digest of all that scores depend on: both texts, and the lens's refractive indices."""
-        indices = [self.lens.indices(w).tolist() for w in self.lens.wavelengths_um]
-        parts = "\0".join([self.study_text, self.design_text, repr(indices)])
-        return hashlib.sha256(parts.encode()).hexdigest()
-
-
-def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
-    """Read a study file and its design.
-
-    Parameters
-    ----------
-    path
-        A TOML file.
-
-    Raises
-    ------
-    DesignError
-        If a file cannot be read or does not describe a study of its design; the message names file,
-        key, value and what is allowed.
-    """
-    path = Path(path)
-    study = study_from_tables(read_toml(path), str(path))
-    design = path.parent / study.design
-    lens = load_design(design)
-    check_against(study, lens, str(path))
-    return LoadedStudy(study, lens, read_text(path), read_text(design))
-
-
-def study_from_tables(data: dict[str, Any], source: str) -> Study:
-    """A study from the tables of its file, all faults in one DesignError."""
-    faults: list[str] = []
-    data = dict(data)
-    readers: dict[str, Callable[[dict[str, Any], str], Section]] = {
-        "perturbation": perturbation_from_table,
-        "merit": merit_from_table,
-        "sweep": lambda table, where: validate(Sweep, table, where),
-    }
-    for key, reader in readers.items():
-        tables = data.get(key, [])
-        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-            raise DesignError(f"{source}: {key}: must be tables, each headed [[{key}]]")
-        items = []
-        for number, table in enumerate(tables, start=1):
-            try:
-                items.append(reader(table, f"{source}: {key} {number}"))
-            except DesignError as error:
-                faults.append(str(error))
-        if key in data:
-            data[key] = tuple(items)
-    if faults:
-        raise DesignError("\n".join(faults))
-    return validate(Study, data, source)
-
-
-def check_against(study: Study, lens: Lens, source: str) -> None:
-    """Refuse what this lens does not have, with all faults in one DesignError."""
-    faults = [
-        *_faults(study.perturbations, "perturbation", lens),
-        *_faults(study.merits, "merit", lens),
-        *_faults(study.sweeps, "sweep", lens),
-    ]
-    if faults:
-        raise DesignError("\n".join(f"{source}: {fault}" for fault in faults))
-
-
-def _faults(items: Iterable[Merit | PerturbedParameter], key: str, lens: Lens) -> list[str]:
-    faults = []
-    for number, item in enumerate(items, start=1):
-        try:
-            item.check(lens)
-        except ValueError as error:
-            faults.append(f"{key} {number}: {error}")
-    return faults
+    def _check_names(self) -> None:
+        """Refuse merits named by others that are not there, with a ValueError."""
+        labels = [m.label for m in self.merits]
+        if not labels:
+            raise ValueError("merit: all are predicted_by another; at least one must score all trials")
+        named = [(f"merit {m.label!r}: predicted_by", m.predicted_by) for m in self.dear_merits]
+        named += [(f"sweep {s.label!r}: merits", m) for s in self.sweeps for m in s.merits]
+        named += [(f"grid {g.label!r}: merits", m) for g in self.grids for m in g.merits]
+        for what, label in named:
+            if label not in labels:
+                raise ValueError(f"{what}: there is no merit {label!r}; allowed: {', '.join(labels)}")
 
 
 def refuse_repeated(names: Iterable[str], what: str) -> None:
