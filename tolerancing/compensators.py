@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from lensdesign.errors import InputError
 from lensdesign.system import Lens, Positive
 from tolerancing.batch import PerturbationBatch, Realisation
 from tolerancing.perturbations import IRREGULARITIES, PerturbedParameter
@@ -28,6 +29,9 @@ Array = NDArray[np.float64]
 
 ROUNDS = 2
 """Gauss-Newton steps; paths bend little over what a mount allows."""
+
+LEAST_EFFECT_WAVES = 1e-3
+"""Root mean square below which a compensator at its limit does nothing that refocusing would not."""
 
 STEP_SHARE = 1e-2
 """Of the limit, for the derivatives of the model's path."""
@@ -120,7 +124,13 @@ def less_model_patch(
 def model_pupils(
     sampler: PupilSampler, compensators: tuple[Compensator, ...], pivot_z_mm: float
 ) -> ModelPupils:
-    """Trace what the compensators do at one field point."""
+    """Trace what the compensators do at one field point.
+
+    Raises
+    ------
+    InputError
+        If one does nothing beside what shift and refocus do.
+    """
     slopes = []
     for k, compensator in enumerate(compensators):
         step = np.zeros(len(compensators))
@@ -129,6 +139,13 @@ def model_pupils(
             registered(model_pupil(sampler, compensators, sign * step, pivot_z_mm)) for sign in (1.0, -1.0)
         ]
         slopes.append((ends[0] - ends[1]) / (2.0 * STEP_SHARE))
+        effect = float(np.sqrt(np.mean(slopes[-1] ** 2))) * 1e3 / sampler.grid.wavelength_um
+        if effect < LEAST_EFFECT_WAVES:
+            raise InputError(
+                f"compensator {compensator.column}: at its limit of {compensator.limit:g} {compensator.unit} it "
+                f"changes the pupil by {effect:.2g} waves rms beside shift and refocus, at least "
+                f"{LEAST_EFFECT_WAVES:g} is needed: leave it out, or give it a larger limit"
+            )
     return ModelPupils(sampler, compensators, pivot_z_mm, np.array(slopes))
 
 

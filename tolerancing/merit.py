@@ -48,7 +48,7 @@ class Merit(Section):
     level: Level = "auto"
     predicted_by: Name | None = None
 
-    unit: ClassVar[str] = ""
+    kind_unit: ClassVar[str] = ""
     levels: ClassVar[tuple[str, ...]] = ("pupil",)
     trials_per_chunk: ClassVar[int] = 16
 
@@ -86,6 +86,11 @@ class Merit(Section):
     def is_compensated(self, compensators: bool) -> bool:
         """Whether refocusing, or the study's compensators if it has any, change the scores."""
         return False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the scores."""
+        return self.kind_unit
 
     @property
     def label(self) -> str:

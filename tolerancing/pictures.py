@@ -26,7 +26,7 @@ def line_pair_pictures(
     axes: tuple[Axis, ...] = ("x", "y") if section.orientation == "worse" else (section.orientation,)
     pictures = []
     for merit in section.line_pairs():
-        (pupil,) = context.pupils(batch, section.field_mm, merit.wavelength_um, merit.refocus)
+        (pupil,) = context.pupils(batch, section.field_mm, merit.wavelength_um, merit.refocus, True)
         contrast = {axis: line_pair_contrast(pupil, merit.line_width_um, axis) for axis in axes}
         axis = min(axes, key=contrast.__getitem__)
         coordinates, intensity = line_pair_image(pupil, merit.line_width_um, axis, points=PICTURE_POINTS)

@@ -140,7 +140,7 @@ class SmallestResolvedLine(PupilMerit):
     contrast: Share = 0.2
     orientation: Orientation = "worse"
 
-    unit: ClassVar[str] = "um"
+    kind_unit: ClassVar[str] = "um"
 
     def score(self, pupil: ReconstructionPupil) -> float:
         from wavesim import smallest_resolved_line_width_um
@@ -153,7 +153,7 @@ class SmallestResolvedLine(PupilMerit):
 class ImageShift(PupilMerit):
     """Distance in the object plane by which the reconstruction stands beside its place."""
 
-    unit: ClassVar[str] = "um"
+    kind_unit: ClassVar[str] = "um"
 
     def scores_at(
         self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr, field_validator
 
 from lensdesign.errors import DesignError, InputError
 from lensdesign.system import Lens
@@ -67,12 +67,12 @@ class PythonMerit(Merit):
     function
         ``file.py:name``, the file relative to the study. It is called with a :class:`Trial` and returns a
         number; whatever it raises, and NaN, is that trial's failure.
-    unit_text
-        Unit of the scores, for reports.
+    score_unit
+        Unit of the scores, for columns and reports.
     """
 
     function: str
-    unit_text: str = ""
+    score_unit: Annotated[str, Field(pattern=r"^[a-z%_]*$", max_length=20)] = ""
 
     _source: str = PrivateAttr(default="")
 
@@ -83,6 +83,10 @@ class PythonMerit(Merit):
         if not file.endswith(".py") or not name.isidentifier():
             raise ValueError(f"{value!r}: must be file.py:name, a function in a file beside the study")
         return value
+
+    @property
+    def unit(self) -> str:
+        return self.score_unit
 
     @property
     def file_name(self) -> str:

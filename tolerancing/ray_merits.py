@@ -51,7 +51,7 @@ class RayMerit(Merit):
 class LargestSpread(RayMerit):
     """Largest angle between the sensor's normal and a ray behind the lens (Eq. 2), of those that arrive."""
 
-    unit: ClassVar[str] = "deg"
+    kind_unit: ClassVar[str] = "deg"
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         rays = context.rays(batch, self.points(context.lens), self.wavelength_um)
@@ -71,7 +71,7 @@ class FootprintRadius(RayMerit):
 
     plane_distance_mm: Positive | None = None
 
-    unit: ClassVar[str] = "mm"
+    kind_unit: ClassVar[str] = "mm"
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         lens = context.lens

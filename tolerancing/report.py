@@ -1,32 +1,18 @@
-"""The report of a study: one self-contained HTML page, and tables for other programs."""
+"""The report of a study: one self-contained HTML page, the same as PDF, and tables for other programs."""
 
 from __future__ import annotations
 
-import base64
-import io
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from lensdesign.errors import InputError, atomic_path
-from tolerancing.correlation import RankCorrelation, rank_correlation
-from tolerancing.perturbations import Perturbation
-from tolerancing.results import StepResults, TrialResults
+from tolerancing.report_blocks import Block, Report, plain
+from tolerancing.report_data import ReportData
 from tolerancing.store import Store, toolkit_version
-from tolerancing.study import Study
-from tolerancing.summary import PERCENTILES, Summary, summarize
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
-WORST_TRIALS = 12
 
 
 @dataclass(frozen=True)
@@ -34,18 +20,9 @@ class ReportFiles:
     """What a report consists of."""
 
     html: Path
+    pdf: Path
     trials_csv: Path
-    sweeps_csv: Path
-
-
-@dataclass(frozen=True)
-class WorstTrial:
-    """A trial far on the bad side, with what deviated most in it."""
-
-    trial: int
-    scores: tuple[tuple[float, bool], ...]
-    causes: str
-    message: str
+    steps_csv: Path
 
 
 def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
@@ -56,207 +33,103 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
     store
         An open store, finished or not.
     folder
-        Where ``report.html``, ``trials.csv`` and ``sweeps.csv`` go; made if needed.
+        Where ``report.html``, ``report.pdf``, ``trials.csv`` and ``steps.csv`` go; made if needed.
 
     Raises
     ------
     InputError
         If the store cannot be read or a file cannot be written; files there stay as they were.
     """
+    from tolerancing.export import export_steps, export_store
+    from tolerancing.report_html import html_page
+    from tolerancing.report_pdf import write_pdf
+
     folder = Path(folder)
-    results, steps = store.trials(), store.steps()
-    files = ReportFiles(folder / "report.html", folder / "trials.csv", folder / "sweeps.csv")
+    files = ReportFiles(
+        folder / "report.html", folder / "report.pdf", folder / "trials.csv", folder / "steps.csv"
+    )
     for path in vars(files).values():
         if os.path.exists(path) and path.samefile(store.path):
             raise InputError(f"cannot write {path}: it is the store itself; give another folder")
-    page = report_page(summarize(store, results), results, steps)
-    tables = {
-        files.trials_csv: trials_table(store.study, results),
-        files.sweeps_csv: sweeps_table(store.study, steps),
-    }
+    report = report_of(report_data(store))
     with ExitStack() as stack:  # all are written before the first takes its place
-        for path, table in tables.items():
-            table.to_csv(stack.enter_context(atomic_path(path)), index=False)
-        stack.enter_context(atomic_path(files.html)).write_text(page, encoding="utf-8")
+        temporary = {name: stack.enter_context(atomic_path(path)) for name, path in vars(files).items()}
+        export_store(store, temporary["trials_csv"])
+        export_steps(store, temporary["steps_csv"])
+        temporary["html"].write_text(html_page(report), encoding="utf-8")
+        write_pdf(report, temporary["pdf"])
     return files
 
 
-def trials_table(study: Study, results: TrialResults) -> pd.DataFrame:
-    """One row a trial: its deltas and scores, columns named with their units."""
-    import pandas as pd
+def report_data(store: Store) -> ReportData:
+    """All that a store's report is made from."""
+    from tolerancing.summary import summary_of
 
-    columns: dict[str, Any] = {
-        "trial": results.trials,
-        "status": results.status,
-        "message": results.messages,
-    }
-    columns |= {p.column: results.values[:, k] for k, p in enumerate(study.perturbations)}
-    columns |= {m.column: results.scores[:, k] for k, m in enumerate(study.merits)}
-    return pd.DataFrame(columns | {"passed": results.passed.astype(int)})
-
-
-def sweeps_table(study: Study, steps: Sequence[StepResults]) -> pd.DataFrame:
-    """One row for each sweep, step and merit."""
-    import pandas as pd
-
-    sweeps = {sweep.label: sweep for sweep in study.sweeps}
-    rows = [
-        {
-            "sweep": step.sweep,
-            "step": step.step,
-            "target": sweeps[step.sweep].target,
-            "parameter": sweeps[step.sweep].parameter,
-            "value": step.value,
-            "merit": merit,
-            "score": score,
-            "message": step.message,
-        }
-        for step in steps
-        for merit, score in step.scores.items()
-    ]
-    names = ["sweep", "step", "target", "parameter", "value", "merit", "score", "message"]
-    return pd.DataFrame(rows, columns=names)
-
-
-def report_page(summary: Summary, results: TrialResults, steps: Sequence[StepResults]) -> str:
-    """The report as the text of one HTML page that needs nothing beside itself."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    from tolerancing import figures
-
-    study = summary.study
-    correlation = rank_correlation(study, results)
-    environment = Environment(
-        loader=PackageLoader("tolerancing"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": number_text, "percent": percent_text}
-    return environment.get_template("report.html.j2").render(
-        summary=summary,
-        study=study,
-        record=summary.record,
-        percentiles=PERCENTILES,
-        toolkit_version=toolkit_version(),
-        written=datetime.now(UTC).isoformat(timespec="seconds"),
-        perturbations=[perturbation_row(study, results, k) for k in range(len(study.perturbations))],
-        distributions=embedded(figures.distributions_figure(summary.merits, results.scores), "svg"),
-        scatters=[
-            embedded(figures.scatter_figure(study, results, merit, k, correlation), "png")
-            for k, merit in enumerate(summary.merits)
-        ],
-        drivers=[drivers_text(study, correlation, k) for k in range(len(study.merits))],
-        worst=worst_trials(study, results),
-        failures=_failures(results),
-        sweeps=[_sweep_section(study, k, steps) for k in range(len(study.sweeps))],
+    loaded, record, nominal = store.loaded, store.record(), store.nominal()
+    results, steps = store.trials(), store.steps()
+    dear = store.dear() if store.study.dear_merits else None
+    return ReportData(
+        loaded=loaded,
+        record=record,
+        nominal=nominal,
+        results=results,
+        dear=dear,
+        steps=steps,
+        summary=summary_of(record, store.study, nominal, results, len(store.finished_steps())),
     )
 
 
-def perturbation_row(study: Study, results: TrialResults, index: int) -> dict[str, Any]:
-    """One perturbation in words, with what was drawn."""
-    perturbation = study.perturbations[index]
-    drawn = results.values[:, index]
-    return {
-        "column": perturbation.column,
-        "target": perturbation.target,
-        "parameter": perturbation.parameter,
-        "unit": perturbation.unit,
-        "distribution": distribution_text(perturbation),
-        "standard_deviation": perturbation.distribution.standard_deviation,
-        "drawn_mean": float(drawn.mean()) if len(drawn) else None,
-        "drawn_standard_deviation": float(drawn.std(ddof=1)) if len(drawn) > 1 else None,
-        "drawn_extreme": float(np.abs(drawn).max()) if len(drawn) else None,
-    }
+def report_of(data: ReportData, written: str | None = None) -> Report:
+    """The report's content, whatever it is rendered to.
 
-
-def distribution_text(perturbation: Perturbation) -> str:
-    """`normal, sigma 0.01 mm` and the like."""
-    distribution = perturbation.distribution
-    values = {k: v for k, v in distribution.model_dump().items() if k != "mean" or v}
-    parts = [
-        f"{name.replace('_', ' ')} {value:g} {perturbation.unit}".strip() for name, value in values.items()
-    ]
-    return ", ".join([distribution.kind.replace("_", " "), *parts])
-
-
-def worst_trials(study: Study, results: TrialResults) -> list[WorstTrial]:
-    """Trials farthest on the bad side, in standard deviations of each merit; unscored ones first."""
-    if not len(results):
-        return []
-    spread = [np.nanstd(c) if np.any(np.isfinite(c)) else 0.0 for c in results.scores.T]
-    margins = np.column_stack(
-        [m.margin(results.scores[:, k]) / (spread[k] or 1.0) for k, m in enumerate(study.merits)]
+    Parameters
+    ----------
+    data
+        What it is made from.
+    written
+        When; now where left out.
+    """
+    written = written or datetime.now(UTC).isoformat(timespec="seconds")
+    summary, study = data.summary, data.study
+    drawn = data.drawn.tolist()
+    return Report(
+        title=plain(study.title or study.design),
+        subtitle=plain(
+            f"Design {study.design}; {summary.trials:,} of {summary.record.planned_trials:,} trials, seed "
+            f"{study.seed}; report written {written}"
+        ),
+        blocks=tuple(_blocks(data, written)),
+        trials={int(data.trial_numbers[place]): data.trial_text(place) for place in drawn},
+        footer=(
+            "Every trial follows from the study, its seed and the trial's number. All numbers stand in "
+            "trials.csv and steps.csv beside this report."
+        ),
     )
-    worst = np.min(np.where(np.isfinite(margins), margins, -np.inf), axis=1)
-    order = np.argsort(worst, kind="stable")[:WORST_TRIALS]
-    passed = np.column_stack([m.passed(results.scores[:, k]) for k, m in enumerate(study.merits)])
+
+
+def _blocks(data: ReportData, written: str) -> Sequence[Block]:
+    from tolerancing.report_sections_method import fidelity_section, method_section, reproduction_section
+    from tolerancing.report_sections_series import series_section, trial_pictures
+    from tolerancing.report_sections_summary import lens_section, summary_section
+    from tolerancing.report_sections_tolerances import sensitivity_section, tolerance_section
+    from tolerancing.report_sections_trials import (
+        distribution_section,
+        scale_section,
+        scatter_section,
+        worst_section,
+    )
+
     return [
-        WorstTrial(
-            trial=results.trials[i],
-            scores=tuple(zip(results.scores[i].tolist(), passed[i].tolist(), strict=True)),
-            causes=_causes(study, results.values[i]),
-            message=results.messages[i],
-        )
-        for i in order
+        *summary_section(data),
+        *lens_section(data),
+        *tolerance_section(data),
+        *sensitivity_section(data),
+        *distribution_section(data),
+        *scale_section(data),
+        *scatter_section(data),
+        *worst_section(data, trial_pictures),
+        *series_section(data),
+        *fidelity_section(data),
+        *method_section(data),
+        *reproduction_section(data, toolkit_version(), written),
     ]
-
-
-def _causes(study: Study, values: Any, count: int = 3) -> str:
-    """The largest deviations of one trial, in standard deviations."""
-    sigmas = [
-        (value - p.distribution.mean) / (p.distribution.standard_deviation or 1.0)
-        for p, value in zip(study.perturbations, values, strict=True)
-    ]
-    order = sorted(range(len(sigmas)), key=lambda k: -abs(sigmas[k]))[:count]
-    return ", ".join(f"{study.perturbations[k].column} {sigmas[k]:+.1f} σ" for k in order)
-
-
-def drivers_text(study: Study, correlation: RankCorrelation, merit: int, count: int = 3) -> str:
-    """The perturbations that go most with one merit, in words."""
-    strength = correlation.strength[merit]
-    order = [k for k in np.argsort(-strength, kind="stable")[:count] if strength[k] > 0.0]
-    return ", ".join(f"{study.perturbations[k].column} ({strength[k]:.2f})" for k in order)
-
-
-def _failures(results: TrialResults) -> list[tuple[str, int]]:
-    counts: dict[str, int] = {}
-    for message in results.messages:
-        if message:
-            counts[message] = counts.get(message, 0) + 1
-    return sorted(counts.items(), key=lambda item: -item[1])[:WORST_TRIALS]
-
-
-def _sweep_section(study: Study, index: int, steps: Sequence[StepResults]) -> dict[str, Any]:
-    from tolerancing import figures
-
-    sweep = study.sweeps[index]
-    own = [step for step in steps if step.sweep == sweep.label]
-    pictured = any(step.pictures for step in own)
-    return {
-        "sweep": sweep,
-        "title": figures.axis_label_of_sweep(sweep),
-        "steps": own,
-        "merits": study.sweep_merits(sweep),
-        "curves": embedded(figures.sweep_figure(study, sweep, own), "svg"),
-        "pictures": embedded(figures.pictures_figure(sweep, own), "png") if pictured else None,
-    }
-
-
-def embedded(figure: Figure, kind: str) -> str:
-    """A figure as a data URI."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else None)
-    media = {"svg": "image/svg+xml", "png": "image/png"}[kind]
-    return f"data:{media};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-
-
-def number_text(value: float | None) -> str:
-    """A number with four digits; a dash where there is none."""
-    return "–" if value is None or not np.isfinite(value) else f"{value:.4g}".replace("-", "−")
-
-
-def percent_text(share: float) -> str:
-    """A share in per cent."""
-    return f"{100.0 * share:.1f} %"

@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tolerancing.merit import Merit
-from tolerancing.results import FAILED, TrialResults
-from tolerancing.store import Store, StudyRecord
-from tolerancing.study import Study
+from tolerancing.results import TrialResults
+from tolerancing.yields import CONFIDENCE, Yield, yield_of
+
+if TYPE_CHECKING:
+    from tolerancing.store import Store, StudyRecord
+    from tolerancing.study import Study
 
 PERCENTILES = (1, 5, 50, 95, 99)
-CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Yield:
-    """Share of good parts, with the Wilson score interval at `CONFIDENCE`.
-
-    Attributes
-    ----------
-    passed, total
-        Good trials, and all trials.
-    share
-        Their ratio.
-    low, high
-        Ends of the confidence interval.
-    """
-
-    passed: int
-    total: int
-    share: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -84,7 +66,7 @@ class Summary:
     merits
         Merit by merit.
     steps, planned_steps
-        Sweep steps in the store, and in the study.
+        Steps of sweeps and the like in the store, and in the study.
     """
 
     record: StudyRecord
@@ -131,36 +113,47 @@ def summarize(store: Store, results: TrialResults | None = None) -> Summary:
         Its trials, if they were read already.
     """
     results = store.trials() if results is None else results
-    study, nominal = store.study, store.nominal()
+    return summary_of(store.record(), store.study, store.nominal(), results, len(store.finished_steps()))
+
+
+def summary_of(
+    record: StudyRecord,
+    study: Study,
+    nominal: Mapping[str, float],
+    results: TrialResults,
+    steps: int,
+) -> Summary:
+    """Summarize trials.
+
+    Parameters
+    ----------
+    record, study
+        What was studied.
+    nominal
+        Scores of the nominal lens, by merit.
+    results
+        All trials that there are.
+    steps
+        Number of steps of the study's series that there are.
+    """
     return Summary(
-        record=store.record(),
+        record=record,
         study=study,
         trials=len(results),
-        failed=results.status.count(FAILED),
+        failed=sum(1 for message in results.messages if message),
         good=yield_of(results.passed),
         merits=tuple(
             _merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
             for k, merit in enumerate(study.merits)
         ),
-        steps=len(store.finished_steps()),
-        planned_steps=sum(len(sweep.values) for sweep in study.sweeps),
+        steps=steps,
+        planned_steps=sum(len(series) for series in study.series),
     )
-
-
-def yield_of(passed: NDArray[np.bool_]) -> Yield | None:
-    """Yield with its confidence interval (Wilson 1927); None of nothing."""
-    from scipy.stats import binomtest
-
-    total = len(passed)
-    if total == 0:
-        return None
-    good = int(np.count_nonzero(passed))
-    interval = binomtest(good, total).proportion_ci(CONFIDENCE, method="wilson")
-    return Yield(good, total, good / total, float(interval.low), float(interval.high))
 
 
 def _merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
     known = scores[np.isfinite(scores)]
+    nominal = None if nominal is None or np.isnan(nominal) else nominal
     values = np.percentile(known, PERCENTILES) if len(known) else ()
     return MeritSummary(
         merit=merit,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lensdesign import DesignError
+from lensdesign import DesignError, InputError
 from lensdesign.files import validate
 from tolerancing.batch import PerturbationBatch
 from tolerancing.compensators import Compensator
@@ -63,6 +63,13 @@ def test_plane_distances_are_found(paper_lens):
     batch = PerturbationBatch((sensor,), np.array([[0.2], [-0.1]]))
     assert context.compensator_values(batch)[:, 0] == pytest.approx([0.2, -0.1], abs=1e-3)
     assert np.all(rms().scores(context, batch) < 1e-3)
+
+
+def test_what_refocusing_does_already_is_refused(paper_lens):
+    despace = (compensator("despace_mm", 0.05),)
+    context = Context(paper_lens, SAMPLING, despace, (AXIS,))
+    with pytest.raises(InputError, match="compensator lens_despace_mm: at its limit of 0.05 mm it changes"):
+        context.compensator_values(lens_batch(despace_mm=[0.01]))
 
 
 def test_values_do_not_depend_on_the_batch(paper_lens):
