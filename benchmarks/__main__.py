@@ -17,6 +17,10 @@ SCRIPTS = (
     "chooser",
     "reconstruction",
     "refocusing",
+    "patch_chain",
+    "study_speed",
+    "study_faults",
+    "two_levels",
     "import_time",
 )
 

@@ -239,5 +239,5 @@ def bars_panel(names: Sequence[str], changes: Array, merit: Merit) -> Panel:
         axis.set_title(merit_label(merit), loc="left")
         axis.set_xlabel("change from the nominal lens")
         axis.locator_params(axis="x", nbins=5)
-        axis.legend(loc="best")
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2)
     return Panel(figure, f"Change of {merit.column} at both ends of each tolerance")
