@@ -86,10 +86,14 @@ def run_study(store: Path, workers: int) -> float:
 
 
 def stored_rows(path: Path) -> list[tuple[object, ...]]:
-    """All trials, sweep steps and pictures of a store."""
+    """All trials, steps and pictures of a store, but for the time that they took."""
+    rows: list[tuple[object, ...]] = []
     with closing(sqlite3.connect(path)) as connection:
-        tables = ("trial", "sweep", "picture")
-        return [(t, *row) for t in tables for row in connection.execute(f"SELECT * FROM {t}")]
+        for table in ("trial", "step", "picture"):
+            columns = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
+            lasting = ", ".join(f'"{c}"' for c in columns if c not in ("seconds", "finished"))
+            rows += [(table, *row) for row in connection.execute(f"SELECT {lasting} FROM {table}")]
+    return rows
 
 
 if __name__ == "__main__":

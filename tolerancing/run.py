@@ -1,46 +1,31 @@
-"""Runs of a study: chunks of trials and steps of sweeps, by one process or many, into a store."""
+"""Runs of a study: steps of its series, its trials, and its dear merits, into a store."""
 
 from __future__ import annotations
 
 import os
-import signal
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from lensdesign.errors import InputError, TransferLensError
-from tolerancing.context import Context
-from tolerancing.evaluate import nominal_scores, score_step, score_trials
-from tolerancing.results import Results
+from lensdesign.errors import InputError
+from tolerancing.choosing_trials import dear_counts
+from tolerancing.evaluate import context_of, nominal_scores
+from tolerancing.executors import Perform, RunError, local_pool, this_process
+from tolerancing.levels import decide_levels, with_levels
 from tolerancing.store import Store, create_store, open_store, toolkit_version
-from tolerancing.study import MOST_TRIALS, LoadedStudy, Study
-from tolerancing.threads import one_blas_thread
+from tolerancing.study import MOST_TRIALS
+from tolerancing.study_files import LoadedStudy
+from tolerancing.tasks import Task, chunk_size, missing_dear, missing_steps, missing_trials
 
-if TYPE_CHECKING:
-    from concurrent.futures import Future
+__all__ = ["RunError", "RunOutcome", "run_study"]
 
 Report = Callable[[int, int], None]
 
-
-class RunError(TransferLensError):
-    """A run that had to stop; its store holds what was finished."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a worker does at a time: some trials, or one step of one sweep."""
-
-    trials: tuple[int, ...] = ()
-    sweep: int = 0
-    step: int = 0
-
-    @property
-    def size(self) -> int:
-        """How much it counts in a progress bar."""
-        return len(self.trials) or 1
+MANY_WORKERS = 32
+"""As many are taken to be in a cluster, for the size of tasks."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +34,38 @@ class RunOutcome:
 
     Attributes
     ----------
-    trials_run, steps_run
-        Trials and sweep steps that were scored now, not found in the store.
+    trials_run, steps_run, dear_run
+        Trials, steps of series, and trials for the dear merits that were scored now, not found in the store.
     workers
-        Number of processes that did it.
+        Number of processes that did it; 0 where a cluster did.
     seconds
         Time taken.
     """
 
     trials_run: int
     steps_run: int
+    dear_run: int
     workers: int
     seconds: float
+
+
+@dataclass
+class _Tally:
+    """What is done, and what there is to do."""
+
+    report: Report | None
+    lacking: dict[str, int]
+    done: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("steps", "trials", "dear"), 0))
+
+    def add(self, task: Task) -> None:
+        """Count a task."""
+        self.done["dear" if task.chosen else "trials" if task.trials else "steps"] += task.size
+
+    def tell(self) -> None:
+        """Report."""
+        if self.report is not None:
+            total = sum(max(n, self.done[part]) for part, n in self.lacking.items())
+            self.report(sum(self.done.values()), total)
 
 
 def run_study(
@@ -70,12 +75,14 @@ def run_study(
     workers: int | None = None,
     trials: int | None = None,
     fresh: bool = False,
+    cluster: str | None = None,
     report: Report | None = None,
 ) -> RunOutcome:
     """Score what the store still lacks of a study.
 
-    The rows of the store are the same whatever number of workers made them, in however many runs.
-    Worker processes start by importing the main module, so a script that calls this needs the usual
+    The rows of the store are the same whatever number of workers made them, in however many runs, whatever
+    ended those. A run that is killed loses what its workers were at. Several runs may share one store, and
+    the work. Worker processes start by importing the main module, so a script that calls this needs the usual
     ``if __name__ == "__main__":``.
 
     Parameters
@@ -90,76 +97,116 @@ def run_study(
         Number of trials that the store is to hold in the end; the study's where left out.
     fresh
         Start over: replace a store that is there.
+    cluster
+        Address of a Dask scheduler whose workers are to do it, in place of processes of this machine.
     report
         Called with the amounts done and to do after each batch.
 
     Raises
     ------
     InputError
-        If the store cannot be used, holds another study, or the nominal lens cannot be scored.
+        If the store cannot be used, holds another study, or is in use where it is to be replaced; if the
+        nominal lens cannot be scored; if the cluster cannot be used.
     RunError
-        If a worker process dies.
+        If a worker process dies, or the cluster goes away.
     """
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
+    _check_counts(planned, workers, cluster)
+    store, is_new = _ready_store(Path(store_path), loaded, planned, fresh)
+    with store:
+        levels = {merit.label: merit.level for merit in store.merits()}
+        loaded = replace(loaded, study=with_levels(loaded.study, levels))
+        lacking = _lacking(loaded, store, planned)
+        processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+        size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
+        tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
+        processes = min(processes, max(1, tasks))
+        tally = _Tally(report, lacking)
+        if tasks:
+            store.start_writing()
+            with _workers(loaded, levels, processes, cluster) as perform:
+                trial_tasks = missing_trials(store, planned, size, in_order=is_new)
+                _score(loaded, store, perform, tally, trial_tasks, planned)
+            store.finish_writing()
+    done = tally.done
+    return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
+
+
+def _check_counts(planned: int, workers: int | None, cluster: str | None) -> None:
     if not 1 <= planned <= MOST_TRIALS:
         raise InputError(f"trials = {planned}: must be at least 1 and at most {MOST_TRIALS}")
     if workers is not None and workers < 1:
         raise InputError(f"workers = {workers}: must be at least 1")
-    with _ready_store(Path(store_path), loaded, planned, fresh) as store:
-        tasks = missing_tasks(loaded.study, store, planned)
-        processes = min(workers or len(os.sched_getaffinity(0)), max(1, len(tasks)))
-        done, total = 0, sum(task.size for task in tasks)
-        trials_run = 0
-        # Closing ends the pool at once, whatever interrupts the loop.
-        with closing(_results(loaded, tasks, processes)) as batches:
-            for task, results in batches:
-                store.add(results)
-                done += task.size
-                trials_run += len(task.trials)
-                if report is not None:
-                    report(done, total)
-    return RunOutcome(trials_run, done - trials_run, processes, time.perf_counter() - start)
+    if workers is not None and cluster is not None:
+        raise InputError(f"workers = {workers}: a cluster has its own workers; give one or the other")
 
 
-def missing_tasks(study: Study, store: Store, planned: int) -> list[Task]:
-    """What a store still lacks of its study, in chunks."""
-    finished = store.finished_trials()
-    missing = [trial for trial in range(planned) if trial not in finished]
-    size = min(merit.trials_per_chunk for merit in study.merits)
-    chunks = [Task(trials=tuple(missing[i : i + size])) for i in range(0, len(missing), size)]
-    steps = store.finished_steps()
-    return [
-        Task(sweep=k, step=step)
-        for k, sweep in enumerate(study.sweeps)
-        for step in range(len(sweep.values))
-        if (sweep.label, step) not in steps
-    ] + chunks
+def _workers(
+    loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None
+) -> AbstractContextManager[Perform]:
+    if address is not None:
+        from tolerancing.cluster import cluster_workers
+
+        return cluster_workers(loaded, levels, address)
+    return this_process(loaded) if processes == 1 else local_pool(loaded, processes)
 
 
-def perform(context: Context, study: Study, task: Task) -> Results:
-    """Do one task."""
-    if task.trials:
-        return score_trials(context, study, task.trials)
-    return score_step(context, study, study.sweeps[task.sweep], task.step)
+def _score(
+    loaded: LoadedStudy, store: Store, perform: Perform, tally: _Tally, trials: Iterable[Task], planned: int
+) -> None:
+    """Fill the store: steps and trials, then what these choose for the dear merits."""
+    study = loaded.study
+    _store_results(store, perform, chain(missing_steps(study, store), trials), tally)
+    if study.dear_merits:
+        _store_results(store, perform, missing_dear(study, store, planned), tally)
 
 
-def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> Store:
-    """The store, made if need be, that holds this study and knows what is planned."""
+def _store_results(store: Store, perform: Perform, tasks: Iterable[Task], tally: _Tally) -> None:
+    with closing(perform(tasks)) as batches:
+        for batch in batches:
+            store.add(*(results for _, results in batch))
+            for task, _ in batch:
+                tally.add(task)
+            tally.tell()
+
+
+def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
+    """How many steps, trials and dear trials a store lacks."""
+    study = loaded.study
+    trials = planned - store.trial_count(planned)
+    steps = sum(len(series) for series in study.series) - len(store.finished_steps())
+    if trials or not study.dear_merits:
+        dear = sum(dear_counts(study, planned))
+    else:
+        dear = sum(1 for _ in missing_dear(study, store, planned))
+    return {"steps": steps, "trials": trials, "dear": dear}
+
+
+def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> tuple[Store, bool]:
+    """The store that holds this study and knows what is planned, and whether it was made just now."""
     if os.path.exists(path):
-        store = open_store(path)
+        open_store(path).close()  # what is no store of ours is never replaced
         if not fresh:
-            try:
-                _refuse_other_study(store, loaded)
-                store.plan(max(planned, len(store.finished_trials())))
-            except BaseException:
-                store.close()
-                raise
-            return store
+            return _continued(path, loaded, planned), False
+    levels = decide_levels(loaded.lens, loaded.study)
+    study = with_levels(loaded.study, levels)
+    nominal = nominal_scores(context_of(loaded.lens, study), study)
+    if create_store(path, loaded, nominal, planned, levels=levels, replace=fresh):
+        return open_store(path), True
+    return _continued(path, loaded, planned), False
+
+
+def _continued(path: Path, loaded: LoadedStudy, planned: int) -> Store:
+    """A store that is there, if it holds the same study."""
+    store = open_store(path)
+    try:
+        _refuse_other_study(store, loaded)
+        store.plan(planned)
+    except BaseException:
         store.close()
-    nominal = nominal_scores(Context(loaded.lens, loaded.study.sampling), loaded.study)
-    create_store(path, loaded, nominal, planned)
-    return open_store(path)
+        raise
+    return store
 
 
 def _refuse_other_study(store: Store, loaded: LoadedStudy) -> None:
@@ -174,56 +221,3 @@ def _refuse_other_study(store: Store, loaded: LoadedStudy) -> None:
             f"{store.path} was begun with version {record.toolkit_version} of the toolkit, this is "
             f"{toolkit_version()}: rows of both need not agree; give another store, or --fresh to replace it"
         )
-
-
-def _results(
-    loaded: LoadedStudy, tasks: Sequence[Task], processes: int
-) -> Generator[tuple[Task, Results], None, None]:
-    """Results of tasks as they come, from this process or from a pool."""
-    if processes == 1 or not tasks:
-        context = Context(loaded.lens, loaded.study.sampling)
-        for task in tasks:
-            yield task, perform(context, loaded.study, task)
-        return
-    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-    from multiprocessing import get_context
-
-    one_blas_thread()
-    pool = ProcessPoolExecutor(
-        processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(loaded,)
-    )
-    try:
-        pending = {pool.submit(_work, task): task for task in tasks}
-        while pending:
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield pending.pop(future), _result(future)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _result(future: Future[Results]) -> Results:
-    from concurrent.futures.process import BrokenProcessPool
-
-    try:
-        return future.result()
-    except BrokenProcessPool as error:
-        raise RunError(
-            "a worker process died (out of memory, perhaps); what was finished is in the store, and the "
-            "same command goes on from there: fewer --workers need less memory"
-        ) from error
-
-
-_worker: tuple[Context, Study] | None = None
-
-
-def _start_worker(loaded: LoadedStudy) -> None:
-    # An interrupt goes to the whole group; only the process that holds the store may act on it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    global _worker
-    _worker = (Context(loaded.lens, loaded.study.sampling), loaded.study)
-
-
-def _work(task: Task) -> Results:
-    assert _worker is not None  # the initializer saw to it
-    return perform(*_worker, task)
