@@ -1,13 +1,16 @@
-from .perturbations import PerturbationBatch, realise
+from .batch import PerturbationBatch, Realisation
+from .evaluate import realise
 from .report import write_report
 from .run import run_study
 from .store import Store, open_store
-from .study import LoadedStudy, Study, load_study
+from .study import Study
+from .study_files import LoadedStudy, load_study
 from .summary import summarize
 
 __all__ = [
     "LoadedStudy",
     "PerturbationBatch",
+    "Realisation",
     "Store",
     "Study",
     "load_study",

@@ -9,15 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.console import make_app, print_json, run_app
+from lensdesign.errors import InputError
+from tolerancing import cli_tolerances
+from tolerancing.cli_tolerances import Json, StorePath
 
 if TYPE_CHECKING:
     from tolerancing.merit import Merit
-    from tolerancing.summary import Summary, Yield
+    from tolerancing.single_trial import SingleTrial
+    from tolerancing.store import Store
+    from tolerancing.summary import Summary
+    from tolerancing.yields import Yield
 
-app = make_app("Monte Carlo tolerancing of transfer lenses: studies, yields, reports.")
+app = make_app("Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.")
 
-StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+app.command()(cli_tolerances.start)
 
 
 @app.command()
@@ -27,28 +32,32 @@ def run(
     workers: Annotated[int | None, typer.Option(help="Processes; by default as many as processors.")] = None,
     trials: Annotated[int | None, typer.Option(help="Trials in the end; by default the study's.")] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do it.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Run a study's trials and sweeps into a store.
+    """Run a study's trials, sweeps and sensitivities into a store.
 
     An interrupted run goes on where it stopped.
     """
     from lensdesign.console import progress_bar
     from tolerancing.run import run_study
     from tolerancing.store import open_store
-    from tolerancing.study import load_study
+    from tolerancing.study_files import load_study
     from tolerancing.summary import summarize
 
     loaded = load_study(study)
     try:
         with progress_bar() as bar:
-            task = bar.add_task("trials and sweeps", total=None)
+            task = bar.add_task("trials and steps", total=None)
             outcome = run_study(
                 loaded,
                 store,
                 workers=workers,
                 trials=trials,
                 fresh=fresh,
+                cluster=cluster,
                 report=lambda done, total: bar.update(task, completed=done, total=total),
             )
     except KeyboardInterrupt:
@@ -61,27 +70,61 @@ def run(
         print_json({"store": str(store), "run": vars(outcome), **summary.as_dict()})
         return
     _print_summary(summary)
-    if outcome.trials_run + outcome.steps_run == 0:
+    done = {
+        "trials": outcome.trials_run,
+        "steps": outcome.steps_run,
+        "trials by dear merits": outcome.dear_run,
+    }
+    if not any(done.values()):
         print(f"nothing was missing: {store}")
         return
-    print(
-        f"{outcome.trials_run} trials and {outcome.steps_run} sweep steps in {outcome.seconds:.1f} s by "
-        f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}: {store}"
-    )
+    what = ", ".join(f"{count} {name}" for name, count in done.items() if count)
+    whom = cluster or f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}"
+    print(f"{what} in {outcome.seconds:.1f} s by {whom}: {store}")
 
 
 @app.command()
-def show(store: StorePath, as_json: Json = False) -> None:
-    """Show the yield that a store holds, merit by merit."""
+def show(
+    store: StorePath,
+    trial: Annotated[int | None, typer.Option(help="Draw, trace and score this trial again.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="With --trial: its picture (png, svg or pdf).")
+    ] = None,
+    dear: Annotated[bool, typer.Option("--dear", help="With --trial: by the dear merits too.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show the yield that a store holds, merit by merit, or one of its trials.
+
+    A store holds its study's files; merits in Python among them are run again with a trial.
+    """
     from tolerancing.store import open_store
     from tolerancing.summary import summarize
 
+    if trial is None and (output is not None or dear):
+        raise InputError("--output and --dear go with --trial")
     with open_store(store) as opened:
+        if trial is not None:
+            _show_trial(opened, trial, output, dear, as_json)
+            return
         summary = summarize(opened)
     if as_json:
         print_json({"store": str(store), **summary.as_dict()})
     else:
         _print_summary(summary)
+
+
+def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
+    from tolerancing.single_trial import single_trial, write_trial_figure
+
+    trial = single_trial(store, number, dear=dear)
+    if output is not None:
+        write_trial_figure(trial, output)
+    if as_json:
+        print_json({"store": str(store.path), **trial.as_dict()})
+        return
+    _print_trial(trial)
+    if output is not None:
+        print(f"wrote {output}")
 
 
 @app.command()
@@ -92,7 +135,8 @@ def report(
 ) -> None:
     """Write a store's report.
 
-    report.html needs nothing beside itself; trials.csv and sweeps.csv are for other programs.
+    report.html needs nothing beside itself, report.pdf is the same on paper; trials.csv and steps.csv are for
+    other programs.
     """
     from tolerancing.report import write_report
     from tolerancing.store import open_store
@@ -102,7 +146,68 @@ def report(
     if as_json:
         print_json({name: str(path) for name, path in vars(files).items()})
     else:
-        print(f"wrote {files.html}, {files.trials_csv} and {files.sweeps_csv}")
+        print(f"wrote {', '.join(str(path) for path in vars(files).values())}")
+
+
+@app.command()
+def export(
+    store: StorePath,
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="File to write, .csv or .parquet.")],
+    steps: Annotated[bool, typer.Option("--steps", help="Sweeps, grids and the like, not trials.")] = False,
+) -> None:
+    """Write a store's trials as one table."""
+    from tolerancing.export import export_steps, export_store
+    from tolerancing.store import open_store
+
+    with open_store(store) as opened:
+        (export_steps if steps else export_store)(opened, output)
+    print(f"wrote {output}")
+
+
+app.command()(cli_tolerances.sensitivity)
+app.command()(cli_tolerances.inverse)
+app.command()(cli_tolerances.budget)
+
+
+def _print_trial(trial: SingleTrial) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    study, again = trial.study, trial.again
+    console = Console()
+    title = f"trial {trial.number} of {study.title or study.design}"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("perturbation")
+    table.add_column("deviation", justify="right")
+    table.add_column("in std. dev.", justify="right")
+    for perturbation, value in zip(study.perturbations, again.values[0], strict=True):
+        shape = perturbation.distribution
+        share = (value - shape.centre) / shape.standard_deviation
+        table.add_row(perturbation.column, f"{value:+.5g} {perturbation.unit}".strip(), f"{share:+.2f}")
+    console.print(table)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("merit")
+    table.add_column("limit")
+    for heading in ("stored", "again", ""):
+        table.add_column(heading, justify="right")
+    for k, merit in enumerate(study.merits):
+        stored = "-" if trial.stored is None else f"{trial.stored.scores[0, k]:.6g}"
+        good = bool(merit.passed(again.scores[0, k]))
+        table.add_row(
+            merit.column, _limit(merit), stored, f"{again.scores[0, k]:.6g}", "good" if good else "bad"
+        )
+    for name, value in zip(study.extra_columns, again.extras[0], strict=True):
+        table.add_row(name, "", "", f"{value:.6g}", "")
+    for name, value in trial.dear.items():
+        table.add_row(name, "", "", f"{value:.6g}", "")
+    console.print(table)
+    if again.messages[0]:
+        print(again.messages[0])
+    if trial.same is None:
+        print("not in the store yet")
+    else:
+        print("the same as stored" if trial.same else "NOT the same as stored: another toolkit or machine")
 
 
 def _print_summary(summary: Summary) -> None:
@@ -133,7 +238,7 @@ def _print_summary(summary: Summary) -> None:
     if not summary.complete:
         print(
             f"not finished: {summary.trials} of {planned} trials, "
-            f"{summary.steps} of {summary.planned_steps} sweep steps"
+            f"{summary.steps} of {summary.planned_steps} steps of sweeps and the like"
         )
 
 

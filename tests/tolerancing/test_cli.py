@@ -26,7 +26,7 @@ def test_run_show_and_report(write_study, full_study, tmp_path):
     assert ran.returncode == 0, ran.stderr
     data = json.loads(ran.stdout)
     assert data["run"]["trials_run"] == 12
-    assert data["run"]["steps_run"] == 3
+    assert data["run"]["steps_run"] == 3 + 8
     assert data["complete"] is True
     assert data["trials"] == data["planned_trials"] == 12
     good = data["yield"]
@@ -44,13 +44,14 @@ def test_run_show_and_report(write_study, full_study, tmp_path):
     reported = command("report", store, "-o", out)
     assert reported.returncode == 0, reported.stderr
     assert str(out / "report.html") in reported.stdout
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
     assert (out / "trials.csv").read_text().count("\n") == 13
 
 
 def test_run_ends_by_saying_what_was_done_and_where_it_lies(write_study, ray_study, tmp_path):
     store = tmp_path / "a.store"
     ran = command("run", write_study(ray_study), "--store", store, "--workers", "1")
-    assert ran.stdout.splitlines()[-1].startswith("40 trials and 0 sweep steps in ")
+    assert ran.stdout.splitlines()[-1].startswith("40 trials, 8 steps in ")
     assert ran.stdout.splitlines()[-1].endswith(str(store))
     again = command("run", write_study(ray_study), "--store", store, "--workers", "1")
     assert again.stdout.splitlines()[-1] == f"nothing was missing: {store}"
@@ -71,6 +72,84 @@ def test_faulty_study_is_one_message_and_status_2(write_study, ray_study, tmp_pa
     assert ran.stderr.startswith(f"error: {path}: {message}")
     assert len(ran.stderr.splitlines()) == 1
     assert not (tmp_path / "a.store").exists()
+
+
+def test_one_trial_is_shown_again(write_study, full_study, tmp_path):
+    store, picture = tmp_path / "a.store", tmp_path / "trial.svg"
+    command("run", write_study(full_study), "--store", store, "--workers", "1", "--trials", "4")
+    shown = command("show", store, "--trial", "2", "-o", picture)
+    assert shown.returncode == 0, shown.stderr
+    assert "the same as stored" in shown.stdout
+    assert "strehl_uncompensated" in shown.stdout
+    assert picture.read_text().startswith("<?xml")
+    data = json.loads(command("show", store, "--trial", "2", "--json").stdout)
+    assert data["same_as_stored"] is True
+    for arguments, message in (
+        (("--trial", "9"), "error: trial = 9: the study has trials 0 to 3"),
+        (("-o", picture), "error: --output and --dear go with --trial"),
+        (("--trial", "1", "-o", tmp_path / "a.gif"), "error: cannot write "),
+    ):
+        refused = command("show", store, *arguments)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert refused.stderr.startswith(message)
+
+
+def test_a_study_is_started_run_ranked_inverted_and_budgeted(paper_design, tmp_path):
+    study, store, out = tmp_path / "study.toml", tmp_path / "a.db", tmp_path / "budget.toml"
+    started = command("start", paper_design, "-o", study, "--grade", "high_precision")
+    assert started.returncode == 0, started.stderr
+    again = command("start", paper_design, "-o", study)
+    assert (again.returncode, again.stderr) == (
+        2,
+        f"error: {study} is there already; give another name, or --force to replace it\n",
+    )
+    assert command("start", paper_design, "-o", tmp_path / "b", "--grade", "poor").returncode == 2
+    # Rays alone, and few, are enough here.
+    head = study.read_text().partition("[[merit]]")[0]
+    study.write_text(head + '[[merit]]\nkind = "largest_spread_deg"\nat_most = 4.83\n')
+    ran = command("run", study, "--store", store, "--workers", "1", "--trials", "250")
+    assert ran.returncode == 0, ran.stderr
+    ranked = command("sensitivity", store)
+    assert ranked.returncode == 0, ranked.stderr
+    assert "root sum square" in ranked.stdout
+    rows = json.loads(command("sensitivity", store, "--json").stdout)["merits"]["largest_spread_deg"]
+    harm = [max(row["change_at_minus_tolerance"], row["change_at_plus_tolerance"]) for row in rows]
+    assert harm == sorted(harm, reverse=True)
+    inverted = command("inverse", study, "--json")
+    assert inverted.returncode == 0, inverted.stderr
+    limits = json.loads(inverted.stdout)["limits"]["largest_spread_deg"]
+    assert limits["lens_decenter_y_mm"]["above"] > 0.0
+    found = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "100")
+    assert found.returncode == 0, found.stderr
+    assert "100 fresh trials" in found.stdout
+    assert command("run", out, "--store", tmp_path / "c.db", "--trials", "4").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("sensitivity", "STORE", "--merit", "speed"),
+            "--merit 'speed': there is no such merit; allow",
+        ),
+        (("inverse", "STUDY", "--change", "-1.0"), "change = -1: must be above 0"),
+        (
+            ("budget", "STORE", "--yield", "0.9", "-o", "OUT", "--weight", "a=x"),
+            "--weight 'a=x': must be COLUMN",
+        ),
+        (("budget", "STORE", "--yield", "1.5", "-o", "OUT"), "required yield = 1.5"),
+        (("export", "STORE", "OUT"), "cannot write"),
+    ],
+)
+def test_faulty_questions_are_one_message_and_status_2(write_study, ray_study, tmp_path, arguments, message):
+    study, store = write_study(ray_study), tmp_path / "a.store"
+    command("run", study, "--store", store, "--workers", "1", "--trials", "40")
+    places = {"STORE": store, "STUDY": study, "OUT": tmp_path / "out.txt"}
+    ran = command(*(places.get(a, a) for a in arguments))
+    assert ran.returncode == 2
+    assert ran.stderr.startswith("error: ")
+    assert message in ran.stderr
+    assert not (tmp_path / "out.txt").exists()
 
 
 @pytest.mark.parametrize("arguments", [("show",), ("report", "-o", "out")])
@@ -133,4 +212,6 @@ def test_an_interrupted_run_says_so_and_goes_on(write_study, ray_study, tmp_path
 def finished(path):
     """All trials of a store."""
     with sqlite3.connect(path) as connection:
-        return connection.execute("SELECT * FROM trial ORDER BY trial").fetchall()
+        columns = [row[1] for row in connection.execute("PRAGMA table_info(trial)")]
+        lasting = ", ".join(f'"{c}"' for c in columns if c not in ("seconds", "finished"))
+        return connection.execute(f"SELECT {lasting} FROM trial ORDER BY trial").fetchall()
