@@ -151,6 +151,15 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     if material.strip().upper() in _AIR_NAMES:
         return _constant(1.0, name=material.strip().upper())
     files = tuple(Path(path) for path in catalogs)
+    return _find(material, files) if files else _find_in_database(material)
+
+
+@lru_cache(maxsize=256)
+def _find_in_database(material: str) -> Material:
+    return _find(material, ())
+
+
+def _find(material: str, files: tuple[Path, ...]) -> Material:
     maker, name = _split(material)
     for entries in _sources(files):
         found = [

@@ -67,6 +67,8 @@ class PerturbationBatch:
         shape (trials, terms).
     numbers : tuple of int
         Of the trials; empty where they have none.
+    origin : tuple of PerturbationBatch and int, or None
+        The batch, and the place in it, that a batch of one trial was taken from.
     """
 
     parameters: tuple[PerturbedParameter, ...]
@@ -74,6 +76,7 @@ class PerturbationBatch:
     pivot_z_mm: float = 0.0
     shapes: Mapping[int, Array] = field(default_factory=dict)
     numbers: tuple[int, ...] = ()
+    origin: tuple[PerturbationBatch, int] | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -83,7 +86,7 @@ class PerturbationBatch:
         one = slice(i, i + 1)
         shapes = {column: shape[one] for column, shape in self.shapes.items()}
         return PerturbationBatch(
-            self.parameters, self.values[one], self.pivot_z_mm, shapes, self.numbers[one]
+            self.parameters, self.values[one], self.pivot_z_mm, shapes, self.numbers[one], (self, i)
         )
 
     def single_trials(self) -> list[PerturbationBatch]:

@@ -142,8 +142,8 @@ def model_pupils(
         effect = float(np.sqrt(np.mean(slopes[-1] ** 2))) * 1e3 / sampler.grid.wavelength_um
         if effect < LEAST_EFFECT_WAVES:
             raise InputError(
-                f"compensator {compensator.column}: at its limit of {compensator.limit:g} {compensator.unit} it "
-                f"changes the pupil by {effect:.2g} waves rms beside shift and refocus, at least "
+                f"compensator {compensator.column}: at its limit of {compensator.limit:g} {compensator.unit} "
+                f"it changes the pupil by {effect:.2g} waves rms beside shift and refocus, at least "
                 f"{LEAST_EFFECT_WAVES:g} is needed: leave it out, or give it a larger limit"
             )
     return ModelPupils(sampler, compensators, pivot_z_mm, np.array(slopes))

@@ -270,8 +270,11 @@ class Context:
         )
 
     def _once(self, batch: PerturbationBatch, key: Any, work: Callable[[], Result]) -> Result:
+        """Something that is worked out once for a batch, or once for the batch that a trial is from."""
         shared = self._shared.setdefault(batch, {})
         if key not in shared:
-            shared[key] = work()
+            parent, place = batch.origin or (None, 0)
+            whole = self._shared.get(parent, {}).get(key) if parent is not None else None
+            shared[key] = [whole[place]] if isinstance(whole, list) else work()
         result: Result = shared[key]
         return result

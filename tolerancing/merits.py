@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lensdesign.files import validate
+from tolerancing.chain_merit import ReconstructedContrast
 from tolerancing.line_pair_merit import LinePairContrast
 from tolerancing.merit import Merit
 from tolerancing.pupil_merits import (
@@ -28,6 +29,7 @@ MERITS: dict[str, type[Merit]] = {
     "mtf": ModulationTransfer,
     "smallest_resolved_line_um": SmallestResolvedLine,
     "image_shift_um": ImageShift,
+    "reconstructed_contrast": ReconstructedContrast,
     "python": PythonMerit,
 }
 """Merits by the kind that a study file gives."""
