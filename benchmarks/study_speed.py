@@ -22,7 +22,8 @@ from typing import Any
 from benchmarks.timing import DESIGNS, Row, print_table
 
 ROUNDS = 3
-RAY_TRIALS, PUPIL_TRIALS, MOST_TRIALS = 60_000, 600, 1_000_000
+RAY_TRIALS, PUPIL_TRIALS, LINE_TRIALS, WAVE_TRIALS = 60_000, 600, 1000, 200
+MOST_TRIALS = 1_000_000
 SLEEPS, TRIALS_PER_TASK = 40, 16
 SHARE_LEFT_OUT = 0.1
 MOST_MEGABYTES = 500.0
@@ -86,6 +87,20 @@ at_least = 0.5
 field_points_mm = [[0.0, 0.0], [0.0, 0.7], [0.0, 1.4]]
 """
 )
+WAVES = (
+    HEAD
+    + """
+[[merit]]
+kind = "line_pair_contrast"
+level = "wave"
+patch_um = 34.0
+line_width_um = 0.775
+orientation = "y"
+at_least = 0.5
+"""
+)
+# What happens on the meridional line stays on it.
+LINE = WAVES.replace("decenter_x_mm", "despace_mm").replace("patch_um", "line = true\npatch_um")
 SLEEPING = (
     HEAD
     + """
@@ -95,6 +110,7 @@ function = "sleeping.py:score"
 at_most = 1.0
 """
 )
+TEXTS = {"rays": RAYS, "pupils": PUPILS, "line": LINE, "waves": WAVES, "sleeping": SLEEPING}
 SLEEPING_SOURCE = f"""
 import time
 
@@ -113,11 +129,13 @@ def main() -> None:
         folder = Path(name)
         shutil.copy(DESIGNS / "paper_singlet.toml", folder)
         (folder / "sleeping.py").write_text(SLEEPING_SOURCE)
-        for study, text in (("rays", RAYS), ("pupils", PUPILS), ("sleeping", SLEEPING)):
+        for study, text in TEXTS.items():
             (folder / f"{study}.toml").write_text(text)
         title = f"Studies, store included, best of {ROUNDS} runs of each in turn"
         print_table(title, [*speeds(folder, "rays", RAY_TRIALS, 5000.0)])
         print_table(title, [*speeds(folder, "pupils", PUPIL_TRIALS, 50.0)])
+        print_table(title, [*speeds(folder, "line", LINE_TRIALS, 50.0)])
+        print_table(title, [*speeds(folder, "waves", WAVE_TRIALS, 10.0)])
         print_table(f"{SLEEPS} tasks of 1 s, two workers", cluster_rows(folder))
         print_table(f"{MOST_TRIALS} trials of rays, two workers", many_rows(folder))
 
@@ -157,6 +175,23 @@ def many_rows(folder: Path) -> list[Row]:
         Row("largest memory of the process with the store", found["megabytes"], "MB", at_most=MOST_MEGABYTES),
         Row("largest memory of a worker", found["worker_megabytes"], "MB", at_most=MOST_MEGABYTES),
         Row("store", (folder / "store").stat().st_size / 1e6, "MB"),
+        *report_rows(folder),
+    ]
+
+
+def report_rows(folder: Path) -> list[Row]:
+    """What the report of that store takes, in a process of its own."""
+    code = (
+        "import resource, sys; from tolerancing import open_store, write_report\n"
+        "with open_store(sys.argv[1]) as store: write_report(store, sys.argv[2])\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)"
+    )
+    start = time.perf_counter()
+    command = [sys.executable, "-c", code, folder / "store", folder / "report"]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
+    return [
+        Row("its report, as page, PDF and tables", time.perf_counter() - start, "s", at_most=30.0),
+        Row("largest memory of the report", float(done.stdout), "MB", at_most=MOST_MEGABYTES),
     ]
 
 
