@@ -13,7 +13,7 @@ import pytest
 
 from lensdesign.files import validate
 from lensdesign.specification import Specification
-from tolerancing.study import study_from_tables
+from tolerancing.study_files import study_from_tables
 
 ROOT = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent
@@ -69,5 +69,9 @@ def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
     tables = tomllib.loads(design)
     (specification,) = blocks(ROOT / "docs" / "specifications.md", "toml")
     validate(Specification, tables | tomllib.loads(specification), "docs/specifications.md")
-    (study,) = blocks(ROOT / "docs" / "tolerancing.md", "toml")
+    study, *parts = blocks(ROOT / "docs" / "tolerancing.md", "toml")
     assert study_from_tables(tomllib.loads(study), "docs/tolerancing.md").trials == 500
+    whole = study_from_tables(tomllib.loads("\n".join([study, *parts])), "docs/tolerancing.md")
+    assert whole.correlations
+    assert whole.compensators
+    assert whole.dear_merits
