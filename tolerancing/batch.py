@@ -49,6 +49,18 @@ class Realisation:
     sensor_tilt_deg: tuple[float, float]
     wavelength_um: float
 
+    @property
+    def placement(self) -> dict[str, Any]:
+        """Arguments of :meth:`wavesim.PupilSampler.pupil` and :meth:`wavesim.PatchChain.perturbed`."""
+        return {
+            "pose": self.pose,
+            "surface_perturbations": self.surface_perturbations,
+            "object_shift_mm": self.object_shift_mm,
+            "sensor_shift_mm": self.sensor_shift_mm,
+            "sensor_tilt_deg": self.sensor_tilt_deg,
+            "wavelength_um": self.wavelength_um,
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class PerturbationBatch:

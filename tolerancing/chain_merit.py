@@ -22,7 +22,7 @@ from lensdesign.errors import InputError
 from lensdesign.system import Lens, Positive
 from tolerancing.bar_chain import SIDE, Chain, Ground, Method, Point
 from tolerancing.batch import PerturbationBatch, Realisation
-from tolerancing.context import Context, perturbed_pupil
+from tolerancing.context import Context
 from tolerancing.line_pair_merit import NOISE_STREAM
 from tolerancing.merit import Merit
 from tolerancing.pupil_merits import Axis, Orientation
@@ -163,7 +163,7 @@ class ReconstructedContrast(Merit):
         """Contrast of the worse set of bars in what is reconstructed from one trial's planes."""
         from wavesim import refocus, remove_shift
 
-        seen = (refocus if refocused else remove_shift)(perturbed_pupil(chain.sampler, system))
+        seen = (refocus if refocused else remove_shift)(chain.sampler.pupil(**system.placement))
         found = chain.reconstructed(
             planes, seen.refocus_um, self.method, self.iterations or ITERATIONS[self.method]
         )

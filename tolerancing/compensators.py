@@ -85,10 +85,8 @@ def model_pupil(
     sampler: PupilSampler, compensators: tuple[Compensator, ...], values: Array, pivot_z_mm: float
 ) -> ReconstructionPupil:
     """Reconstruction pupil between a model with compensators at some values and the nominal lens."""
-    from tolerancing.context import perturbed_pupil
-
     wavelength = sampler.grid.wavelength_um
-    return perturbed_pupil(sampler, _model(sampler.lens, compensators, values, pivot_z_mm, wavelength))
+    return sampler.pupil(**_model(sampler.lens, compensators, values, pivot_z_mm, wavelength).placement)
 
 
 def _model(
@@ -110,13 +108,11 @@ def less_model_patch(
 
     The model's path takes the place of the nominal lens's; its directions are taken as the nominal ones.
     """
-    from tolerancing.context import perturbed_patch
-
     if not np.any(values):
         return patch
     wavelength = patch.patch.wavelength_um
-    model = perturbed_patch(chain, _model(chain.lens, compensators, values, pivot_z_mm, wavelength)).pupil
-    pupil = patch.pupil
+    system = _model(chain.lens, compensators, values, pivot_z_mm, wavelength)
+    pupil, model = patch.pupil, chain.perturbed(**system.placement).pupil
     left = replace(pupil, opd_mm=pupil.opd_mm - model.opd_mm, valid=pupil.valid & model.valid)
     return replace(patch, pupil=left)
 

@@ -45,30 +45,6 @@ class Sampling(Section):
     plane_distance_mm: Positive = 3.0
 
 
-def perturbed_pupil(sampler: PupilSampler, system: Realisation) -> ReconstructionPupil:
-    """Reconstruction pupil of one perturbed system."""
-    return sampler.pupil(
-        system.pose,
-        system.surface_perturbations,
-        system.object_shift_mm,
-        system.sensor_shift_mm,
-        system.sensor_tilt_deg,
-        system.wavelength_um,
-    )
-
-
-def perturbed_patch(chain: PatchChain, system: Realisation) -> PerturbedPatch:
-    """A patch carried through one perturbed system."""
-    return chain.perturbed(
-        system.pose,
-        system.surface_perturbations,
-        system.object_shift_mm,
-        system.sensor_shift_mm,
-        system.sensor_tilt_deg,
-        system.wavelength_um,
-    )
-
-
 class Context:
     """The nominal lens with all that is worked out only once in a process.
 
@@ -171,7 +147,7 @@ class Context:
 
         def raw() -> list[ReconstructionPupil]:
             sampler = self.sampler(field_mm, wavelength)
-            return [perturbed_pupil(sampler, one) for one in self.realisations(batch, wavelength)]
+            return [sampler.pupil(**one.placement) for one in self.realisations(batch, wavelength)]
 
         pupils = self._once(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):
@@ -192,7 +168,7 @@ class Context:
         """A patch carried through each trial's lens and back through the nominal one or the adapted model."""
 
         def work() -> list[PerturbedPatch]:
-            return [perturbed_patch(chain, one) for one in self.realisations(batch, wavelength_um)]
+            return [chain.perturbed(**one.placement) for one in self.realisations(batch, wavelength_um)]
 
         patches = self._once(batch, ("patches", chain), work)
         if not (compensated and self.compensators):

@@ -72,7 +72,6 @@ from .point_characteristic import (
     FoldError,
     PointCharacteristic,
     PupilSampler,
-    RayAimError,
 )
 from .pupil import (
     PupilGrid,
@@ -85,6 +84,7 @@ from .pupil import (
     rms_waves,
     strehl,
 )
+from .ray_aiming import RayAimError
 from .reconstruction import Reconstructed, prox_tv, reconstruct
 from .refocusing import Refocusing, refocus_field, svfg
 from .resolving import LineContrast, Resolved, bars_field, resolve

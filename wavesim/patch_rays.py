@@ -2,7 +2,7 @@
 
 The nominal rays form a regular grid in object-side direction cosines p. Each ends at a sensor point s(p); the
 rays through a perturbed lens that end there leave the object in directions p'(s), and carry the path V'(s)
-and the amplitude a'(s) = sqrt(|dp'/ds| cos(t_obj) / (n cos(t_out))), all exact but for `AIM_TOLERANCE_WAVES`.
+and the amplitude a'(s) = sqrt(|dp'/ds| cos(t_obj) / (n cos(t_out))), exact but for `PATH_TOLERANCE_WAVES`.
 On a meridional line there is only y, and dp'/ds is that of y alone.
 """
 
@@ -18,21 +18,11 @@ from numpy.typing import NDArray
 from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
 from lensdesign.system import Lens
-from lensdesign.tracing import RayTrace, trace_compiled
-from wavesim.point_characteristic import (
-    FoldError,
-    PointCharacteristic,
-    RayAimError,
-    point_characteristic,
-    tilted_points,
-)
+from wavesim.point_characteristic import FoldError, PointCharacteristic, point_characteristic
+from wavesim.ray_aiming import Aimed, AimingMap, shoot
 
 Array = NDArray[np.float64]
 
-AIM_TOLERANCE_WAVES = 1e-4
-"""What aiming at a sensor point may leave in an optical path."""
-
-AIM_STEPS = 8
 STEP = 1e-5
 """Of direction cosines, for one-sided differences; their error is some 1e-5 of the derivative."""
 
@@ -85,9 +75,14 @@ class NominalRays:
         return [1] if self.line else [0, 1]
 
     @cached_property
+    def map(self) -> AimingMap:
+        """What perturbed rays are aimed from; FoldError if the map of rays folds."""
+        return self.base.aiming_map()
+
+    @property
     def inverse(self) -> Array:
-        """dp/ds in 1/mm, shape (2, 2, n); FoldError if the map of rays folds."""
-        return np.ascontiguousarray(np.moveaxis(self.base.inverse_jacobian, 0, -1))
+        """dp/ds in 1/mm, shape (2, 2, n)."""
+        return self.map.inverse_per_mm
 
     @cached_property
     def spread(self) -> Array:
@@ -109,7 +104,7 @@ class NominalRays:
         for axis in self.axes:
             step = BEND_STEP_MM * np.eye(3)[axis]
             low, high = (
-                _shoot(
+                shoot(
                     self.system, base.object_point_mm + move, base.grid.cosines.T, base.plane_z_mm, clip=False
                 )[0].position
                 for move in (-step, step)
@@ -144,50 +139,22 @@ class NominalRays:
         InputError
             If on a line the rays leave its plane, or none arrives.
         """
-        base, point = self.base, self.base.object_point_mm + object_shift_mm
-        plane_z = base.plane_z_mm + float(sensor_shift_mm[2])
-        points = tilted_points(base.sensor_points_mm.T, sensor_tilt_deg)
-        targets, depth = points[:2] + sensor_shift_mm[:2, None], points[2]
-        curvature = max(base.wavefront_curvature_per_mm, 1e-12)
-        reach_mm = np.sqrt(2e-3 * AIM_TOLERANCE_WAVES * base.grid.wavelength_um / curvature)
-        cosines, furthest = base.grid.cosines.T, np.inf
-        for step in range(AIM_STEPS):
-            # Only aimed rays tell what the perturbed stop lets through.
-            rays, arrived = _shoot(system, point, cosines, plane_z, clip=step > 0)
-            self._refuse_skew(rays, arrived)
-            further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
-            ends = rays.position[:, :2].T + further * rays.direction[:, :2].T
-            miss = np.where(arrived, targets - ends, 0.0)
-            change = self.inverse[:, 0] * miss[0] + self.inverse[:, 1] * miss[1]
-            furthest = float(np.sqrt(np.max(np.sum(miss**2, axis=0))))
-            if step > 0 and furthest <= reach_mm:
-                aimed = self._bridged(system, point, plane_z, rays, arrived, cosines, miss, change)
-                return replace(aimed, path_mm=aimed.path_mm + float(system.index[0, -1]) * further)
-            cosines = cosines + change
-        raise RayAimError(
-            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
-            f"steps (allowed: {reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
-        )
+        found = self.map.aim(system, object_shift_mm, sensor_shift_mm, sensor_tilt_deg)
+        self._refuse_skew(found)
+        point = self.base.object_point_mm + object_shift_mm
+        return self._with_amplitude(system, point, self.base.plane_z_mm + float(sensor_shift_mm[2]), found)
 
-    def _bridged(
-        self,
-        system: CompiledSystem,
-        point: Array,
-        plane_z_mm: float,
-        rays: RayTrace,
-        arrived: NDArray[np.bool_],
-        cosines: Array,
-        miss: Array,
-        change: Array,
+    def _with_amplitude(
+        self, system: CompiledSystem, point: Array, plane_z_mm: float, found: Aimed
     ) -> AimedRays:
-        """Aimed rays, with what is left of the way to their points."""
+        """Aimed rays with what is left of their way, and their amplitude."""
+        rays, cosines, miss = found.rays, found.cosines, found.miss_mm
         index = float(system.index[0, -1])
-        path = rays.opl + index * (rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1])
-        slopes, valid = [], arrived.copy()
+        slopes, valid = [], found.arrived.copy()
         for axis in self.axes:
             moved = cosines + STEP * np.eye(2)[axis][:, None]
-            ends, there = _shoot(system, point, moved, plane_z_mm, clip=False)
-            valid &= there
+            ends, real = shoot(system, point, moved, plane_z_mm, clip=False)
+            valid &= ends.ok & real
             slopes.append((ends.position[:, :2] - rays.position[:, :2])[:, self.axes].T / STEP)
         spread = slopes[0][0] if self.line else slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0]
         if not np.any(valid):
@@ -204,10 +171,11 @@ class NominalRays:
             where=valid,
             out=np.zeros(len(valid)),
         )
-        return AimedRays(path, cosines + change, np.sqrt(power), valid)
+        change = self.inverse[:, 0] * miss[0] + self.inverse[:, 1] * miss[1]
+        return AimedRays(found.path_mm, cosines + change, np.sqrt(power), valid)
 
-    def _refuse_skew(self, rays: RayTrace, arrived: NDArray[np.bool_]) -> None:
-        if self.line and np.any(np.abs(rays.position[arrived, 0]) > 1e-9):
+    def _refuse_skew(self, found: Aimed) -> None:
+        if self.line and np.any(np.abs(found.rays.position[found.arrived, 0]) > 1e-9):
             raise InputError(
                 "the rays of the meridional line leave the plane x = 0: use the plane in place of the line, "
                 "or only decenter_y_mm, despace_mm and tilt_x_deg, and no shift along x"
@@ -236,7 +204,7 @@ def nominal_rays(
     if line:
         base = _meridian(base)
     rays = NominalRays(base, line, compile_system(lens, base.grid.wavelength_um))
-    _ = rays.inverse
+    _ = rays.map
     return rays
 
 
@@ -264,16 +232,3 @@ def _meridian(base: PointCharacteristic) -> PointCharacteristic:
         jacobian_mm=base.jacobian_mm[column],
         direction_jacobian=base.direction_jacobian[column],
     )
-
-
-def _shoot(
-    system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float, *, clip: bool
-) -> tuple[RayTrace, NDArray[np.bool_]]:
-    """Trace from one point along direction cosines, shape (2, n); and which rays arrive."""
-    axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
-    real = axial_square > 0.0
-    directions = np.empty((cosines.shape[1], 3))
-    directions[:, :2] = np.where(real, cosines, 0.0).T
-    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
-    rays = trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1)
-    return rays, np.asarray(rays.ok & real)

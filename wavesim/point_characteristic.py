@@ -18,18 +18,12 @@ from numpy.typing import NDArray
 from lensdesign.bundles import launch
 from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import InputError
-from lensdesign.poses import Pose, SurfacePerturbation, rotation_matrix
+from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.system import Lens
-from lensdesign.tracing import RayTrace, trace_compiled
 from wavesim.pupil import PupilGrid, ReconstructionPupil
+from wavesim.ray_aiming import AimingMap, reach_for, shoot
 
 Array = NDArray[np.float64]
-
-PATH_TOLERANCE_WAVES = 1e-4
-"""What aiming at a sensor point may leave in an optical path difference."""
-
-AIM_STEPS = 8
-"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
 
 DIFFERENCE_STEP = 1e-4
 """Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""
@@ -39,10 +33,6 @@ RIM_POINTS = 256
 
 class FoldError(InputError):
     """The map from directions at the object to sensor points folds: no single ray per sensor point."""
-
-
-class RayAimError(InputError):
-    """Rays through a perturbed lens could not be aimed at their sensor points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +110,17 @@ class PointCharacteristic:
         hessian = self.index_behind * (self.direction_jacobian @ self.inverse_jacobian)
         return float(np.max(np.linalg.norm(hessian, axis=(1, 2))))
 
+    def aiming_map(self) -> AimingMap:
+        """What perturbed rays are aimed from; FoldError if the map of rays folds."""
+        return AimingMap(
+            cosines=np.ascontiguousarray(self.grid.cosines.T),
+            points_mm=np.ascontiguousarray(self.sensor_points_mm.T),
+            inverse_per_mm=np.ascontiguousarray(np.moveaxis(self.inverse_jacobian, 0, -1)),
+            object_point_mm=self.object_point_mm,
+            plane_z_mm=self.plane_z_mm,
+            reach_mm=reach_for(self.grid.wavelength_um, self.wavefront_curvature_per_mm),
+        )
+
 
 def point_characteristic(
     lens: Lens,
@@ -163,7 +164,7 @@ def point_characteristic(
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm
     centre, spacing = _bounding_square(lens, field, wavelength, samples)
     whole = PupilGrid(centre, spacing, np.ones((samples, samples), bool), wavelength)
-    rays, _ = _shoot(system, point, whole.cosines.T, plane_z, clip=True)
+    rays, _ = shoot(system, point, whole.cosines.T, plane_z, clip=True)
     if not np.any(rays.ok):
         raise InputError(
             f"no ray from the object point ({field[0]:g}, {field[1]:g}) mm gets through the lens: "
@@ -196,37 +197,16 @@ def _bounding_square(
     return (float(centre[0]), float(centre[1])), float(np.max(high - low)) / samples
 
 
-def _shoot(
-    system: CompiledSystem,
-    point: Array,
-    cosines: Array,
-    plane_z_mm: float,
-    clip: bool,
-    out: RayTrace | None = None,
-) -> tuple[RayTrace, NDArray[np.bool_]]:
-    """Trace from one point along direction cosines, shape (2, n).
-
-    Also tells which cosines are those of a real ray; the others go along the axis, and count for nothing.
-    """
-    axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
-    real = axial_square > 0.0
-    directions = np.empty((cosines.shape[1], 3))
-    directions[:, 0] = np.where(real, cosines[0], 0.0)
-    directions[:, 1] = np.where(real, cosines[1], 0.0)
-    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
-    return trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1, out=out), real
-
-
 def _derivatives(
     system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float
 ) -> tuple[Array, Array]:
     """ds/dp and dq/dp by central differences, one-sided where a neighbour does not arrive."""
-    base, _ = _shoot(system, point, cosines, plane_z_mm, clip=False)
+    base, _ = shoot(system, point, cosines, plane_z_mm, clip=False)
     parts: list[tuple[Array, Array]] = []
     for axis in np.eye(2):
         ends = []
         for sign in (-1.0, 1.0):
-            rays, real = _shoot(
+            rays, real = shoot(
                 system, point, cosines + sign * DIFFERENCE_STEP * axis[:, None], plane_z_mm, clip=False
             )
             arrived = rays.ok & real
@@ -275,10 +255,7 @@ class PupilSampler:
         self.lens = lens
         self.nominal = point_characteristic(lens, field_mm, wavelength_um, plane_distance_mm, samples)
         self.grid = self.nominal.grid
-        inverse = self.nominal.inverse_jacobian
-        self._inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
-        self._cosines = np.ascontiguousarray(self.grid.cosines.T)
-        self._points = np.ascontiguousarray(self.nominal.sensor_points_mm.T)
+        self._map = self.nominal.aiming_map()
 
     def pupil(
         self,
@@ -320,73 +297,10 @@ class PupilSampler:
         system = compile_system(self.lens, wavelength, pose, surface_perturbations)
         if system.trials is not None:
             raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
-        point = self.nominal.object_point_mm + _shift(object_shift_mm, "object_shift_mm")
-        sensor = _shift(sensor_shift_mm, "sensor_shift_mm")
-        path, valid = self._aimed_path(system, point, sensor, tilted_points(self._points, sensor_tilt_deg))
+        shifts = _shift(object_shift_mm, "object_shift_mm"), _shift(sensor_shift_mm, "sensor_shift_mm")
+        aimed = self._map.aim(system, *shifts, sensor_tilt_deg)
         scale = 1.0 if wavelength_um is None else wavelength / wavelength_um
-        return ReconstructionPupil(self.grid, scale * path - self.nominal.path_mm, valid)
-
-    def _aimed_path(
-        self, system: CompiledSystem, point: Array, sensor: Array, own_points: Array
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """V' at the sensor's points, and which rays arrive."""
-        inverse, plane_z = self._inverse, self.nominal.plane_z_mm + sensor[2]
-        targets, depth = own_points[:2] + sensor[:2, None], own_points[2]
-        flat = not np.any(depth)
-        curvature = self.nominal.wavefront_curvature_per_mm
-        reach_mm = np.sqrt(2e-3 * PATH_TOLERANCE_WAVES * self.grid.wavelength_um / max(curvature, 1e-12))
-        index = float(system.index[0, -1])
-        cosines = self._cosines
-        for step in range(AIM_STEPS):
-            # Only aimed rays tell what the perturbed stop lets through.
-            rays, real = _shoot(system, point, cosines, plane_z, clip=step > 0)
-            arrived = rays.ok & real
-            miss = targets - rays.position[:, :2].T
-            if not flat:
-                further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
-                miss -= further * rays.direction[:, :2].T
-            miss[:, ~arrived] = 0.0
-            if step > 0 and np.max(miss[0] ** 2 + miss[1] ** 2) <= reach_mm**2:
-                bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1]
-                if not flat:
-                    bridge += further
-                return rays.opl + index * bridge, arrived
-            cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
-        furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
-        raise RayAimError(
-            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
-            f"steps (allowed: {reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
-        )
-
-
-def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
-    """Sensor points on a sensor that is tilted about the middle of its plane.
-
-    Parameters
-    ----------
-    points_mm : ndarray, shape (2, n)
-        x and y on the sensor.
-    tilt_deg
-        Right-handed rotation about x, then about the y axis that turned with it.
-
-    Returns
-    -------
-    ndarray, shape (3, n)
-        From the middle of the sensor's plane.
-
-    Raises
-    ------
-    InputError
-        If the tilt is not two finite numbers.
-    """
-    tilt = np.asarray(tilt_deg, float)
-    if tilt.shape != (2,) or not np.all(np.isfinite(tilt)):
-        raise InputError(f"sensor_tilt_deg = {tilt_deg!r}: must be two finite numbers, about x and y")
-    flat = np.vstack([points_mm, np.zeros((1, points_mm.shape[1]))])
-    if not np.any(tilt):
-        return flat
-    (rotation,) = rotation_matrix(*np.deg2rad(tilt[:, None]))
-    return np.asarray(rotation @ flat)
+        return ReconstructionPupil(self.grid, scale * aimed.path_mm - self.nominal.path_mm, aimed.arrived)
 
 
 def _shift(values: Sequence[float], name: str) -> Array:

@@ -217,7 +217,7 @@ def test_a_failing_trial_says_why_and_spoils_no_other(context, batch):
 
 def test_trials_scored_singly_share_what_the_batch_has_traced(context, batch, monkeypatch):
     context.raw_pupils(batch, (0.0, 0.0), None)
-    monkeypatch.setattr("tolerancing.context.perturbed_pupil", None)
+    monkeypatch.setattr("wavesim.PupilSampler.pupil", None)
     alone = [context.raw_pupils(one, (0.0, 0.0), None)[0] for one in batch.single_trials()]
     assert alone == context.raw_pupils(batch, (0.0, 0.0), None)
 

@@ -19,8 +19,9 @@ from wavesim.fields import Field, Grid, correlation
 from wavesim.line_pairs import line_pair_contrast
 from wavesim.patch_chain import PatchChain, chain_contrast
 from wavesim.patch_return import PerturbedPatch, ReturnedPatch
-from wavesim.point_characteristic import FoldError, PupilSampler, RayAimError
+from wavesim.point_characteristic import FoldError, PupilSampler
 from wavesim.pupil import Orientation, refocus
+from wavesim.ray_aiming import RayAimError
 from wavesim.scenes import exit_grid
 from wavesim.targets import band_limit
 

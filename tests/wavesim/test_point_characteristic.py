@@ -25,8 +25,9 @@ from lensdesign import (
 from lensdesign.compiled import compile_system
 from lensdesign.status import Status
 from lensdesign.tracing import RayTrace, trace, trace_compiled
-from wavesim.point_characteristic import FoldError, PupilSampler, RayAimError, point_characteristic
+from wavesim.point_characteristic import FoldError, PupilSampler, point_characteristic
 from wavesim.pupil import ReconstructionPupil, refocus, rms_waves
+from wavesim.ray_aiming import RayAimError
 
 Array = NDArray[np.float64]
 Surfaces = Mapping[int, SurfacePerturbation] | None
