@@ -123,6 +123,8 @@ def progress_bar(*extra_columns: Any) -> Progress:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = message_console()
+    # Older releases of rich end even a disabled bar with an empty line.
+    console.quiet = not console.is_terminal
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

@@ -189,6 +189,8 @@ def test_an_interrupted_run_says_so_and_goes_on(write_study, ray_study, tmp_path
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # What is started in the background of a shell ignores interrupts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     until = time.monotonic() + 60.0
     while time.monotonic() < until and not (path.exists() and finished(path)):
