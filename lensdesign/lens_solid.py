@@ -219,7 +219,7 @@ def closed_elements(lens: Lens) -> list[Element]:
     """
     elements = glass_elements(lens)
     for element in elements:
-        _refuse_open(element)
+        refuse_open(element)
     return elements
 
 
@@ -265,7 +265,14 @@ def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
     return float(r[where]), float(gap[where])
 
 
-def _refuse_open(element: Element) -> None:
+def refuse_open(element: Element) -> None:
+    """Refuse a body with an edge thickness of 0 or less, or with surfaces that cross.
+
+    Raises
+    ------
+    InputError
+        Saying where.
+    """
     t = np.linspace(0.0, 1.0, 1025)
     r, gap = smallest_gap(*element.profiles(t, t))
     thickness = element.edge_thickness_mm

@@ -50,17 +50,22 @@ def assert_closed(mesh: trimesh.Trimesh) -> None:
 
 
 def largest_distance_mm(lens: Lens, mesh: trimesh.Trimesh, count: int = 20_000) -> tuple[float, float]:
-    """Largest distance of random facet points to a dense meridian, and its sampling error."""
+    """Largest distance of random points on optical facets to a dense meridian, and its sampling error."""
     edge = mechanical_semi_diameter_mm(lens)
     outline = []
     for surface, z in zip(lens.surfaces, lens.vertex_z_mm, strict=True):
         r = edge * np.sin(np.linspace(0.0, 0.5 * math.pi, 40_001))
         outline.append(np.stack([r, z + surface.sag_mm(r)], axis=-1))
-    ground = np.linspace(outline[0][-1, 1], outline[-1][-1, 1], 20_001)
-    outline.append(np.stack([np.full_like(ground, edge), ground], axis=-1))
+        # Rings reach past the rim, by the sagitta of the edge at most; the tangent goes on there.
+        slope = float(surface.slope(edge))
+        if math.isfinite(slope):
+            beyond = edge * np.linspace(0.0, 0.04, 2001)
+            rim = z + surface.sag_mm(edge) + beyond * slope
+            outline.append(np.stack([edge + beyond, rim], axis=-1))
     rng = np.random.default_rng(1)
     share = rng.dirichlet([0.6, 0.6, 0.6], count)
-    corners = mesh.triangles[rng.integers(0, len(mesh.faces), count)]
+    optical = np.flatnonzero(np.abs(mesh.face_normals[:, 2]) > 1e-9)
+    corners = mesh.triangles[rng.choice(optical, count)]
     points: NDArray[np.float64] = np.einsum("nk,nkd->nd", share, corners)
     radial = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
     spacing = max(float(np.max(np.linalg.norm(np.diff(part, axis=0), axis=1))) for part in outline)
@@ -71,19 +76,29 @@ def largest_distance_mm(lens: Lens, mesh: trimesh.Trimesh, count: int = 20_000) 
 def test_paper_lens(paper_lens: Lens) -> None:
     result = lens_mesh(paper_lens)
     assert_closed(result.mesh)
-    assert 0.5e-3 < result.chord_error_mm <= 1e-3
-    assert result.volume_mm3 < result.exact_volume_mm3
-    assert abs(result.volume_error) < min(result.volume_tolerance, 5e-4)
-    assert result.mesh.bounds == pytest.approx(np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 9.7]]), abs=1e-12)
+    assert 0.5e-4 < result.chord_error_mm <= 1e-4
+    assert result.edge_error_mm <= 1e-2
+    assert abs(result.volume_error) < min(result.volume_tolerance, 1e-8)
+    assert result.mesh.bounds == pytest.approx(np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 9.7]]), abs=1e-4)
 
 
-def test_volume_error_falls_with_the_chord_error(paper_lens: Lens) -> None:
-    coarse, fine = lens_mesh(paper_lens, 4e-2), lens_mesh(paper_lens, 4e-4)
-    assert fine.volume_error / coarse.volume_error == pytest.approx(0.01, rel=0.15)
+def test_volume_error_falls_with_the_square_of_the_chord_error(paper_lens: Lens) -> None:
+    coarse, fine = lens_mesh(paper_lens, 1e-2), lens_mesh(paper_lens, 1e-3)
+    assert abs(fine.volume_error) < 0.03 * abs(coarse.volume_error) < 1e-7
+
+
+@pytest.mark.parametrize("chord_error", [1e-2, 1e-3])
+def test_facets_lie_to_both_sides(paper_lens: Lens, chord_error: float) -> None:
+    mesh = lens_mesh(paper_lens, chord_error).mesh
+    front = mesh.triangles_center[mesh.face_normals[:, 2] < -0.5]
+    at_corners = mesh.vertices[np.unique(mesh.faces[mesh.face_normals[:, 2] < -0.5])]
+    sag = paper_lens.surfaces[0].sag_mm
+    assert np.all(front[:, 2] > sag(np.hypot(*front[:, :2].T)))
+    assert np.all(at_corners[:, 2] < sag(np.hypot(*at_corners[:, :2].T)))
 
 
 def test_facets_are_where_the_stated_chord_error_says(paper_lens: Lens) -> None:
-    for asked in (0.1, 1e-2):
+    for asked in (0.1, 1e-2, 1e-3):
         result = lens_mesh(paper_lens, asked)
         found, sampling = largest_distance_mm(paper_lens, result.mesh)
         assert found <= 1.002 * result.chord_error_mm + sampling
@@ -115,7 +130,7 @@ def test_hemisphere_up_to_its_upright_edge() -> None:
     expected = math.pi * 64.0 * (2.0 / 3.0 + 0.25)
     assert result.volume_mm3 == pytest.approx(expected, rel=result.volume_tolerance)
     ball = result.mesh.vertices[result.mesh.vertices[:, 2] < 4.0 - 1e-9]
-    assert np.linalg.norm(ball - [0.0, 0.0, 4.0], axis=1) == pytest.approx(4.0, rel=1e-13)
+    assert np.linalg.norm(ball - [0.0, 0.0, 4.0], axis=1) == pytest.approx(4.0, abs=2e-3)
 
 
 def test_flat_annulus() -> None:
@@ -134,8 +149,12 @@ def test_plane_parallel_plate_is_a_prism() -> None:
     )
     result = lens_mesh(lens)
     sides = result.triangles // 4
-    assert result.chord_error_mm == pytest.approx(5.0 * (1.0 - math.cos(math.pi / sides)))
-    assert result.volume_mm3 == pytest.approx(3.0 * 0.5 * sides * 25.0 * math.sin(2.0 * math.pi / sides))
+    assert result.chord_error_mm < 1e-14
+    # A regular polygon with the area of the circle: its corners stand out by two thirds of its sagitta.
+    sagitta = 5.0 * (1.0 - math.cos(math.pi / sides))
+    assert result.edge_error_mm == pytest.approx(2.0 / 3.0 * sagitta, rel=0.01)
+    assert 0.3e-2 < result.edge_error_mm <= 1e-2
+    assert result.volume_mm3 == pytest.approx(75.0 * math.pi, rel=1e-14)
 
 
 def test_asphere_with_an_inflection() -> None:
@@ -188,7 +207,7 @@ def test_random_conics(
     assert found <= 1.002 * result.chord_error_mm + sampling
 
 
-@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+@pytest.mark.parametrize("suffix", sorted({*MESH_SUFFIXES} - {".3mf"}))
 def test_files_read_back(paper_lens: Lens, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"lens{suffix}"
     written = export_mesh(paper_lens, path, 1e-2)
@@ -249,13 +268,13 @@ def test_too_many_triangles_are_refused_with_their_number(paper_lens: Lens) -> N
 
 def test_chord_error_too_coarse_for_a_thin_meniscus() -> None:
     lens = lens_of(
-        {"radius_mm": 10.0, "thickness_mm": 0.1, "material": "N-BK7", "semi_diameter_mm": 8.0},
+        {"radius_mm": 10.0, "thickness_mm": 0.02, "material": "N-BK7", "semi_diameter_mm": 8.0},
         {"radius_mm": 9.8, "semi_diameter_mm": 8.0},
     )
     # One chord will do for the front, from vertex to edge, but not for the steeper back.
     one_chord = 10.0 * (1.0 - math.cos(0.5 * math.asin(0.8)))
     with pytest.raises(InputError, match=r"too coarse for element 1 .* cross at a radial height of"):
-        lens_mesh(lens, 2.065 * one_chord)
+        lens_mesh(lens, 1.5 * one_chord)
     assert_closed(lens_mesh(lens, 1e-2).mesh)
 
 
@@ -268,7 +287,7 @@ def test_nothing_is_written_where_the_lens_does_not_close(tmp_path: Path, paper_
 
 
 def test_unknown_suffix_names_the_allowed_ones(tmp_path: Path, paper_lens: Lens) -> None:
-    with pytest.raises(InputError, match=r"'\.step'; allowed: \.stl, \.ply, \.obj, \.glb"):
+    with pytest.raises(InputError, match=r"'\.step'; allowed: \.stl, \.ply, \.obj, \.glb, \.3mf"):
         export_mesh(paper_lens, tmp_path / "lens.step")
     assert not list(tmp_path.iterdir())
 

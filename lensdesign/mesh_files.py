@@ -1,0 +1,137 @@
+"""Meshes as bytes of a file: STL, PLY, OBJ and GLB by trimesh, and 3MF with units and glasses.
+
+A 3MF file (3D Manufacturing Format, Core Specification 1.3) is a zip archive of one XML model and two files
+that say so.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
+
+if TYPE_CHECKING:
+    import trimesh
+
+MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb", ".3mf")
+"""Formats that meshes are written in."""
+
+GLASS_RGBA = (0xA9, 0xD3, 0xEE, 0x66)
+"""Colour of glass, translucent, where a format has colours."""
+
+_CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
+<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
+<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
+<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
+</Types>
+"""
+
+_RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
+<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
+<Relationship Id="model" Target="/3D/3dmodel.model" \
+Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
+</Relationships>
+"""
+
+
+def encode_meshes(
+    suffix: str, meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str], whole: trimesh.Trimesh
+) -> bytes:
+    """Bytes of a mesh file.
+
+    Parameters
+    ----------
+    suffix
+        One of :data:`MESH_SUFFIXES`.
+    meshes, glasses
+        Each body in mm, and the name of its material.
+    whole
+        All bodies as one mesh, for formats that know no bodies.
+    """
+    if suffix == ".glb":
+        return _glb(meshes, glasses)
+    if suffix == ".3mf":
+        return _three_mf(meshes, glasses)
+    data = whole.export(file_type=suffix[1:], **({"digits": 12} if suffix == ".obj" else {}))
+    return data.encode() if isinstance(data, str) else bytes(data)
+
+
+def glass_visuals(glass: str) -> trimesh.visual.TextureVisuals:
+    """Translucent look of a body, by the name of its glass."""
+    return _visuals(glass, GLASS_RGBA, False)
+
+
+def plain_visuals(color: str, opacity: float = 1.0) -> trimesh.visual.TextureVisuals:
+    """Look of a thing seen from both sides, in a colour such as ``#E6B800``."""
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return _visuals(color, (red, green, blue, round(255 * opacity)), True)
+
+
+def _visuals(name: str, rgba: tuple[int, int, int, int], both_sides: bool) -> trimesh.visual.TextureVisuals:
+    import trimesh
+
+    material = trimesh.visual.material.PBRMaterial(
+        name=name,
+        baseColorFactor=[*map(_linear, rgba[:3]), rgba[3]],
+        alphaMode="OPAQUE" if rgba[3] == 255 else "BLEND",
+        doubleSided=both_sides,
+        metallicFactor=0.0,
+        roughnessFactor=0.3,
+    )
+    return trimesh.visual.TextureVisuals(material=material)
+
+
+def _linear(part: int) -> int:
+    """An sRGB component (IEC 61966-2-1) as linear light, which glTF wants; both from 0 to 255."""
+    share = part / 255.0
+    return round(255.0 * (share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4))
+
+
+def _glb(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
+    import trimesh
+
+    scene = trimesh.Scene()
+    for number, (mesh, glass) in enumerate(zip(meshes, glasses, strict=True), start=1):
+        scaled = trimesh.Trimesh(1e-3 * mesh.vertices, mesh.faces, process=False)
+        scaled.visual = glass_visuals(glass)
+        scene.add_geometry(scaled, geom_name=f"element_{number}", node_name=f"element_{number}")
+    return bytes(scene.export(file_type="glb"))
+
+
+def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
+    names = list(dict.fromkeys(glasses))
+    color = "".join(f"{part:02X}" for part in GLASS_RGBA)
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<model unit="millimeter" xml:lang="en-US" '
+        'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">',
+        "<resources>",
+        '<basematerials id="1">',
+        *(f'<base name={quoteattr(name)} displaycolor="#{color}"/>' for name in names),
+        "</basematerials>",
+    ]
+    for number, (mesh, glass) in enumerate(zip(meshes, glasses, strict=True), start=1):
+        lines.append(
+            f'<object id="{number + 1}" type="model" name="element {number}" pid="1" '
+            f'pindex="{names.index(glass)}"><mesh><vertices>'
+        )
+        lines += [f'<vertex x="{x:.12g}" y="{y:.12g}" z="{z:.12g}"/>' for x, y, z in mesh.vertices.tolist()]
+        lines.append("</vertices><triangles>")
+        lines += [f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces.tolist()]
+        lines.append("</triangles></mesh></object>")
+    items = "".join(f'<item objectid="{number + 1}"/>' for number in range(1, len(meshes) + 1))
+    lines += ["</resources>", f"<build>{items}</build>", "</model>"]
+    packed = io.BytesIO()
+    parts = {
+        "[Content_Types].xml": _CONTENT_TYPES,
+        "_rels/.rels": _RELATIONSHIPS,
+        "3D/3dmodel.model": "\n".join(lines),
+    }
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name, text in parts.items():
+            # A fixed time, so that the same lens gives the same file.
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            archive.writestr(entry, text, zipfile.ZIP_DEFLATED, 1)
+    return packed.getvalue()
