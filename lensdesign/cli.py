@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensdesign import cli_making
 from lensdesign.console import make_app, message_console, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 
@@ -112,39 +113,10 @@ def draw(
     _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
 
 
-@app.command()
-def export(
-    design: Design,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh to write: .stl, .ply, .obj or .glb.")],
-    chord_error_um: Annotated[
-        float, typer.Option(help="Largest distance between the mesh and the true surface.")
-    ] = 1.0,
-    as_json: Json = False,
-) -> None:
-    """Write the lens's glass as a closed mesh.
-
-    Surfaces have their nominal shape; a note names those whose measured figure is left out.
-    """
-    from lensdesign.files import load_design
-    from lensdesign.mesh import export_mesh
-
-    lens = load_design(design)
-    mesh = export_mesh(lens, file, 1e-3 * chord_error_um, report=lambda note: typer.echo(note, err=True))
-    figures = {
-        "file": str(file),
-        "triangles": mesh.triangles,
-        "chord_error_um": 1e3 * mesh.chord_error_mm,
-        "volume_mm3": mesh.volume_mm3,
-        "exact_volume_mm3": mesh.exact_volume_mm3,
-        "surfaces_without_their_figure": [i for i, s in enumerate(lens.surfaces, start=1) if s.figure],
-    }
-    if as_json:
-        print_json(figures)
-        return
-    typer.echo(
-        f"wrote {file}: {mesh.triangles} triangles, within {figures['chord_error_um']:.3g} um of the true "
-        f"surface, volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
-    )
+app.command()(cli_making.export)
+app.command()(cli_making.scene)
+app.command()(cli_making.drawing)
+app.command()(cli_making.sag)
 
 
 @app.command()

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from lensdesign.drawing import DrawingOptions
 from lensdesign.files import validate
 from lensdesign.specification import Specification
 from tolerancing.study_files import study_from_tables
@@ -75,3 +76,5 @@ def test_files_that_pages_show_are_valid(tmp_path: Path) -> None:
     assert whole.correlations
     assert whole.compensators
     assert whole.dear_merits
+    (sheet,) = blocks(ROOT / "docs" / "making.md", "toml")
+    validate(DrawingOptions, tomllib.loads(sheet), "docs/making.md")

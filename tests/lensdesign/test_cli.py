@@ -199,6 +199,31 @@ def test_draw_writes_pictures(command: Command, paper_design: Path, tmp_path: Pa
     assert "Traceback" not in err
 
 
+def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    scene, sheet, table = tmp_path / "lens.glb", tmp_path / "sheet.svg", tmp_path / "sag.csv"
+    code, out, _ = command("scene", paper_design, "-o", scene, "--json")
+    assert code == 0
+    assert "sensor_plane_2" in json.loads(out)["nodes"]
+    assert scene.read_bytes().startswith(b"glTF")
+    refused(command("scene", paper_design, "-o", tmp_path / "lens.stl"), ".glb")
+    code, out, _ = command("drawing", paper_design, "-o", sheet)
+    assert (code, out) == (0, f"wrote {sheet}: 1 sheet\n")
+    assert sheet.read_text(encoding="utf-8").startswith("<?xml")
+    refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dxf"), ".pdf or .svg")
+    own = tmp_path / "sheet.toml"
+    own.write_text('number = "TL-001"\n[[tolerances]]\nthickness_mm = 0.05\n')
+    assert command("drawing", paper_design, "-o", sheet, "--sheet", own)[0] == 0
+    assert "TL-001" in sheet.read_text(encoding="utf-8")
+    own.write_text("thicknes = 3\n")
+    refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
+    code, out, _ = command("sag", paper_design, "--surface", 2, "-o", table, "--json")
+    assert code == 0
+    assert json.loads(out)["best_fit_radius_mm"] == pytest.approx(-13.4964, abs=1e-3)
+    assert len(table.read_text().splitlines()) == 102
+    refused(command("sag", paper_design, "--surface", 3, "-o", table), "surfaces 1 to 2")
+    refused(command("sag", paper_design, "--surface", 1, "-o", tmp_path / "sag.txt"), ".csv")
+
+
 def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Path) -> None:
     file = tmp_path / "lens.stl"
     code, out, _ = command("export", paper_design, file, "--chord-error-um", 20, "--json")
@@ -266,7 +291,7 @@ def test_help_is_quick_and_lists_the_commands() -> None:
     began = time.perf_counter()
     done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=True)
     assert time.perf_counter() - began < 5.0  # well under 1 s where nothing else runs
-    for name in ("check", "optimize", "draw", "export", "glass"):
+    for name in ("check", "optimize", "draw", "export", "scene", "drawing", "sag", "glass"):
         assert f"\n  {name} " in done.stdout
 
 
