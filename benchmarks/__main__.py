@@ -21,6 +21,7 @@ SCRIPTS = (
     "study_speed",
     "study_faults",
     "two_levels",
+    "exchange",
     "import_time",
 )
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign import cli_making
+from lensdesign import cli_exchange, cli_making
 from lensdesign.console import make_app, message_console, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 
@@ -113,6 +113,7 @@ def draw(
     _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
 
 
+app.command("import")(cli_exchange.import_file)
 app.command()(cli_making.export)
 app.command()(cli_making.scene)
 app.command()(cli_making.drawing)

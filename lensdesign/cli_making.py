@@ -17,7 +17,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 def export(
     design: Design,
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Mesh to write: .stl, .ply, .obj, .glb or .3mf.")
+        Path,
+        typer.Argument(metavar="FILE", help="Mesh (.stl, .ply, .obj, .glb, .3mf) or lens file (.zmx, .seq)."),
     ],
     chord_error_um: Annotated[
         float, typer.Option(help="Largest distance between mesh and true surface, on the optical surfaces.")
@@ -27,13 +28,18 @@ def export(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the lens's glass as a closed mesh.
+    """Write the lens's glass as a closed mesh, or the lens as another program's file.
 
-    Surfaces have their nominal shape unless --measured is given; a note names those whose figure is left out.
+    A mesh's surfaces have their nominal shape unless --measured is given; a note names those whose figure is
+    left out.
     """
+    from lensdesign.cli_exchange import FORMATS, write_exchange
     from lensdesign.files import load_design
     from lensdesign.mesh import export_mesh
 
+    if file.suffix.lower() in FORMATS:
+        write_exchange(design, file, as_json)
+        return
     lens = load_design(design)
     mesh = export_mesh(
         lens,
@@ -129,6 +135,6 @@ def sag(
         return
     departure_um = 1e3 * float(abs(table.departure_mm).max())
     typer.echo(
-        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from the best-fit sphere of "
-        f"{table.best_fit_radius_mm:.6g} mm"
+        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from the best-fit sphere "
+        f"of {table.best_fit_radius_mm:.6g} mm"
     )

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from lensdesign import load_design
+from lensdesign import Pose, load_design
 from lensdesign.cli import main
+from lensdesign.zemax import write_zmx
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -224,6 +225,39 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     refused(command("sag", paper_design, "--surface", 1, "-o", tmp_path / "sag.txt"), ".csv")
 
 
+@pytest.mark.parametrize("suffix", ["zmx", "seq"])
+def test_other_programs_files_go_round(
+    command: Command, paper_design: Path, tmp_path: Path, suffix: str
+) -> None:
+    file, back = tmp_path / f"lens.{suffix}", tmp_path / "lens.toml"
+    code, out, _ = command("export", paper_design, file)
+    assert (code, out) == (0, f"wrote {file}: 2 surfaces\n")
+    code, out, _ = command("import", file, "-o", back, "--json")
+    assert code == 0
+    assert json.loads(out)["dropped"] == []
+    assert load_design(back) == load_design(paper_design)
+    assert command("import", file, "-o", back, "--pixels", 100, 50, "--pixel-pitch-um", 2.0)[0] == 0
+    assert load_design(back).sensor.pixels == (100, 50)
+    refused(command("import", paper_design, "-o", back), ".zmx or .seq")
+    refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
+
+
+def test_a_lens_off_its_axis_is_imported_with_a_loss(
+    command: Command, paper_design: Path, tmp_path: Path
+) -> None:
+    file, back = tmp_path / "lens.zmx", tmp_path / "lens.toml"
+    write_zmx(load_design(paper_design), file, Pose(decenter_y_mm=0.25))
+    code, out, err = command("import", file, "-o", back)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"error: {file}: a design cannot hold all of it")
+    assert "decenter_y_mm = 0.25" in err
+    assert not back.exists()
+    code, _, err = command("import", file, "-o", back, "--lossy")
+    assert code == 0
+    assert "left out: pose: decenter_y_mm = 0.25" in err
+    assert load_design(back) == load_design(paper_design)
+
+
 def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Path) -> None:
     file = tmp_path / "lens.stl"
     code, out, _ = command("export", paper_design, file, "--chord-error-um", 20, "--json")
@@ -291,7 +325,7 @@ def test_help_is_quick_and_lists_the_commands() -> None:
     began = time.perf_counter()
     done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=True)
     assert time.perf_counter() - began < 5.0  # well under 1 s where nothing else runs
-    for name in ("check", "optimize", "draw", "export", "scene", "drawing", "sag", "glass"):
+    for name in ("check", "optimize", "draw", "export", "import", "scene", "drawing", "sag", "glass"):
         assert f"\n  {name} " in done.stdout
 
 

@@ -1,0 +1,93 @@
+"""Written Zemax and CODE V files, read by Optiland: the same rays through its lens and through ours.
+
+A cone of rays goes from the object through the design, and through what Optiland makes of the file; this says
+by how much they part at the first sensor plane. Left out is what that reader (0.6.3) passes over or
+takes otherwise: the order flag of coordinate breaks (a pose is a decenter or one tilt here), CODE V's REV and
+its asphere terms, and model glasses without dispersion.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import warnings
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.others import HOW_TO_GET, missing_packages
+from lensdesign import Lens, Pose, load_design, trace
+from lensdesign.codev import write_seq
+from lensdesign.zemax import write_zmx
+
+Array = NDArray[np.float64]
+
+DESIGN = Path(__file__).parent.parent / "designs" / "paper_singlet.toml"
+TOLERANCE_MM = 1e-9
+RAYS = 1000
+
+
+def ray_cone(lens: Lens) -> tuple[Array, Array]:
+    """Rays from the axis of the object, and from the edge of the field, well within the aperture."""
+    rng = np.random.default_rng(1)
+    slopes = rng.uniform(-0.1, 0.1, (RAYS, 2))
+    heights = np.where(np.arange(RAYS) % 2, lens.half_field_mm, 0.0)
+    origins = np.column_stack([np.zeros(RAYS), heights, np.full(RAYS, lens.object_z_mm)])
+    directions = np.column_stack([slopes, np.ones(RAYS)])
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def optiland_hits(path: Path, lens: Lens, origins: Array, directions: Array) -> Array:
+    """Where Optiland's reading of a file has the rays end; shape (rays, 2)."""
+    fileio = import_module("optiland.fileio")
+    load = fileio.load_zemax_file if path.suffix == ".zmx" else fileio.load_codev_file
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optic: Any = load(str(path))
+        columns = [np.ascontiguousarray(column) for column in (*origins.T, *directions.T)]
+        columns += [np.ones(RAYS), np.full(RAYS, lens.wavelengths_um[0])]
+        rays = import_module("optiland.rays").RealRays(*columns)
+        # In a file with a pose Optiland puts the object at 0, in one without the front vertex.
+        start = float(np.ravel(optic.surfaces[0].geometry.cs.position_in_gcs[2])[0])
+        rays.z = rays.z - lens.object_z_mm + start
+        optic.surfaces.trace(rays, skip=1)
+    return np.column_stack([rays.x, rays.y])
+
+
+POSES = {
+    "nominal": Pose(),
+    "decentered": Pose(decenter_x_mm=0.1, decenter_y_mm=-0.2, despace_mm=0.05),
+    "tilted about x": Pose(tilt_x_deg=0.5, pivot_z_mm=4.0),
+    "tilted about y": Pose(tilt_y_deg=-0.7, pivot_z_mm=4.0),
+}
+
+
+def difference_mm(lens: Lens, pose: Pose, path: Path) -> float:
+    """Largest distance between our rays and Optiland's at the first sensor plane."""
+    (write_zmx if path.suffix == ".zmx" else write_seq)(lens, path, pose)
+    origins, directions = ray_cone(lens)
+    wavelength, plane = lens.wavelengths_um[0], lens.sensor_z_mm[0]
+    ours = trace(lens, origins, directions, wavelength, pose, plane, clip=False).position[:, :2]
+    return float(np.max(np.abs(optiland_hits(path, lens, origins, directions) - ours)))
+
+
+def main() -> int:
+    """Print, for each format and pose, by how much the rays part; 1 if that is too much."""
+    if "optiland" in missing_packages():
+        print(f"left out: optiland is missing; {HOW_TO_GET}")
+        return 0
+    lens = load_design(DESIGN)
+    differences = []
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix, poses in ((".zmx", POSES), (".seq", {"nominal": Pose()})):
+            for name, pose in poses.items():
+                differences.append(difference_mm(lens, pose, Path(folder) / f"lens{suffix}"))
+                print(f"{suffix} {name}: {RAYS} rays end within {differences[-1]:.2g} mm of each other")
+    return int(not max(differences) <= TOLERANCE_MM)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
