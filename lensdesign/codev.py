@@ -11,11 +11,9 @@ Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import replace
 from decimal import Decimal
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -106,9 +104,7 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
     if 1 <= reader.reference <= len(waves):
         waves.insert(0, waves.pop(reader.reference - 1))
     draft.wavelengths_um = waves
-    heights = [reader.heights.get(axis, []) for axis in ("XOB", "YOB")]
-    pairs = zip_longest(*heights, fillvalue=0.0)
-    draft.half_field_mm = max((math.hypot(*pair) for pair in pairs), default=None)
+    draft.take_heights(*(reader.heights.get(axis, []) for axis in ("XOB", "YOB")))
     materials = draft.notes.get("materials")
     named = list(materials) if isinstance(materials, list) else []
     glass_before = ""
@@ -120,12 +116,7 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         draft.rows += _rows(reader, surface, material, dummy)
         glass_before = surface.glass
     if reader.surfaces:
-        first, last = draft.rows[0], draft.rows[-1]
-        for row, what in ((first, "object"), (last, "image")):
-            if row.radius_mm is not None:
-                reader.lose(f"{row.name}: curved {what} surface")
-        if first.material is not None:
-            reader.lose(f"{first.name}: object in {first.material}, read as air")
+        draft.lose_ends()
     return draft
 
 
@@ -152,7 +143,7 @@ def _rows(reader: FileReader, surface: FileSurface, material: Any, dummy: bool) 
         return [row]
     x, y, z, a, b, c = (surface.moves.get(key, 0.0) for key in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"))
     if z or surface.moved_how not in ("", "DAR", "REV"):
-        reader.lose(f"{surface.name}: {'ZDE ' if z else ''}{surface.moved_how}".rstrip())
+        reader.draft.lose(f"{surface.name}: {'ZDE ' if z else ''}{surface.moved_how}".rstrip())
     axes = Break((x, y), (-a, -b, c))
 
     def change(which: Break, thickness_mm: float) -> Row:
@@ -179,7 +170,7 @@ def _material(
     if not token or token.upper() == "AIR":
         return None
     if token.upper() == "REFL":
-        reader.lose(f"{surface.name}: mirror, read as a surface in air")
+        reader.draft.lose(f"{surface.name}: mirror, read as a surface in air")
         return None
     name, _, maker = token.rpartition("_") if "_" in token else (token, "", "")
     if token.upper() in reader.private:
@@ -189,13 +180,13 @@ def _material(
         if not indices:
             raise InputError(f"{surface.glass_where}: private glass {shown(token)} has no index")
         if len(set(indices)) > 1:
-            reader.lose(f"{surface.name}: dispersion of the private glass {token}")
+            reader.draft.lose(f"{surface.name}: dispersion of the private glass {token}")
         primary_nm = 1000.0 * reader.draft.wavelengths_um[0] if reader.draft.wavelengths_um else 0.0
         pairs = zip(reader.private_nm, indices, strict=False)
         return min(pairs, key=lambda pair: abs(pair[0] - primary_nm), default=(0.0, indices[0]))[1]
     model = _model_glass(token, surface.glass_where)
     if model is not None:
-        reader.lose(f"{surface.name}: dispersion of the fictitious glass {token}")
+        reader.draft.lose(f"{surface.name}: dispersion of the fictitious glass {token}")
         return model
     if isinstance(noted, str) and same_name(noted.rpartition(":")[2]) == same_name(name):
         return noted

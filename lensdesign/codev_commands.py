@@ -72,11 +72,6 @@ class FileReader:
     private: dict[str, tuple[float, ...]] = field(default_factory=dict)
     private_nm: tuple[float, ...] = ()
 
-    def lose(self, what: str) -> None:
-        """List something that a design cannot hold, once."""
-        if what not in self.draft.dropped:
-            self.draft.dropped.append(what)
-
 
 def commands(lines: Sequence[str], source: str) -> Iterator[tuple[int, list[str]]]:
     """Commands of a file, each as its words, with the line on which it starts.
@@ -128,7 +123,7 @@ def take_command(reader: FileReader, words: list[str], where: str) -> None:
         reader.draft.remarks.append(f"{name}: {word} solve replaced by its present value")
     elif word not in _IDLE:
         place = reader.surfaces[-1].name if reader.surfaces else where.rpartition(", ")[2]
-        reader.lose(f"{place}: {shown(' '.join(words))}")
+        reader.draft.lose(f"{place}: {shown(' '.join(words))}")
 
 
 def _take_private(reader: FileReader, words: list[str], where: str) -> None:
@@ -223,7 +218,7 @@ def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[
     if kind == "EDG":
         return
     if kind != "CLR":
-        reader.lose(f"{surface.name}: aperture CIR {shown(' '.join(values))}")
+        reader.draft.lose(f"{surface.name}: aperture CIR {shown(' '.join(values))}")
         return
     value = _value(values[-1:], where)
     surface.semi_diameter_mm = value if value > 0.0 else None
@@ -240,7 +235,7 @@ def _move(reader: FileReader, surface: FileSurface, word: str, values: list[str]
 def _move_kind(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
     surface.moved_how = word
     if word not in ("DAR", "REV"):
-        reader.lose(f"{surface.name}: {word}")
+        reader.draft.lose(f"{surface.name}: {word}")
 
 
 _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], None]] = {
@@ -298,17 +293,17 @@ def _heights(axis: str) -> Callable[[FileReader, list[str], str], None]:
 
 def _vignetting(reader: FileReader, values: list[str], where: str) -> None:
     if any(number(v, where) for v in values):
-        reader.lose("vignetting factors")
+        reader.draft.lose("vignetting factors")
 
 
 def _temperature(reader: FileReader, values: list[str], where: str) -> None:
     if any(number(v, where) not in (20.0, 22.0) for v in values):
-        reader.lose(f"temperature of {shown(' '.join(values))} degrees C")
+        reader.draft.lose(f"temperature of {shown(' '.join(values))} degrees C")
 
 
 def _pressure(reader: FileReader, values: list[str], where: str) -> None:
     if any(number(v, where) != 760.0 for v in values):
-        reader.lose(f"pressure of {shown(' '.join(values))} mmHg")
+        reader.draft.lose(f"pressure of {shown(' '.join(values))} mmHg")
 
 
 def _private(reader: FileReader, values: list[str], where: str) -> None:

@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,24 @@ class Draft:
     notes: dict[str, Any] = field(default_factory=dict)
     dropped: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+
+    def lose(self, what: str) -> None:
+        """List something that a design cannot hold, once."""
+        if what not in self.dropped:
+            self.dropped.append(what)
+
+    def lose_ends(self) -> None:
+        """List what object and image are beyond planes in air."""
+        for row, what in zip((self.rows[0], self.rows[-1]), ("object", "image"), strict=True):
+            if row.radius_mm is not None:
+                self.lose(f"{row.name}: curved {what} surface")
+        if self.rows[0].material is not None:
+            self.lose(f"{self.rows[0].name}: object in {self.rows[0].material}, read as air")
+
+    def take_heights(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> None:
+        """The field reaches to the highest of these object points; none is no field."""
+        pairs = zip_longest(x_mm, y_mm, fillvalue=0.0)
+        self.half_field_mm = max((math.hypot(*pair) for pair in pairs), default=None)
 
 
 def read_lines(path: str | os.PathLike[str]) -> list[str]:

@@ -11,10 +11,8 @@ OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
 from __future__ import annotations
 
 import codecs
-import math
 import os
 from decimal import Decimal
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -91,22 +89,14 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         numbers.sort(key=lambda n: n != reader.primary)
     draft.wavelengths_um = [reader.waves[n] for n in numbers]
     if reader.field_kind == 1:
-        x, y = (reader.heights.get(axis, [])[: reader.field_count] for axis in "xy")
-        draft.half_field_mm = max(
-            (math.hypot(*pair) for pair in zip_longest(x, y, fillvalue=0.0)), default=None
-        )
+        draft.take_heights(*(reader.heights.get(axis, [])[: reader.field_count] for axis in "xy"))
     materials = draft.notes.get("materials")
     named = iter(materials if isinstance(materials, list) else [])
     for i, surface in enumerate(reader.surfaces):
         inner = 0 < i < len(reader.surfaces) - 1 and surface.kind != "COORDBRK"
         draft.rows.append(_row(reader, surface, next(named, None) if inner else None, supplement))
     if reader.surfaces:
-        first, last = draft.rows[0], draft.rows[-1]
-        for row, what in ((first, "object"), (last, "image")):
-            if row.radius_mm is not None:
-                reader.lose(f"{row.name}: curved {what} surface")
-        if first.material is not None:
-            reader.lose(f"{first.name}: object in {first.material}, read as air")
+        draft.lose_ends()
     return draft
 
 
@@ -117,10 +107,10 @@ def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Suppl
         return Row(surface.name, surface.where, thickness_mm=surface.thickness_mm, axes=axes)
     terms = surface.terms if surface.kind == "EVENASPH" else {}
     if terms.get(1):
-        reader.lose(f"{surface.name}: asphere term in r^2 of {terms[1]:g}")
+        reader.draft.lose(f"{surface.name}: asphere term in r^2 of {terms[1]:g}")
     for i in sorted(surface.terms):
         if surface.terms[i] and (surface.kind != "EVENASPH" or not 1 <= i <= MOST_TERMS + 1):
-            reader.lose(f"{surface.name}: PARM {i} of {surface.terms[i]:g}")
+            reader.draft.lose(f"{surface.name}: PARM {i} of {surface.terms[i]:g}")
     return Row(
         surface.name,
         surface.where,
@@ -142,14 +132,14 @@ def _material(
         return None
     name, *values = surface.glass
     if name.upper() == "MIRROR":
-        reader.lose(f"{surface.name}: mirror, read as a surface in air")
+        reader.draft.lose(f"{surface.name}: mirror, read as a surface in air")
         return None
     kind = integer_at(values, 0, surface.glass_where) if values else 0
     if kind == 1 or name.upper() in ("___BLANK", "MODEL"):
         index = value_at(values, 2, surface.glass_where)
         abbe = value_at(values, 3, surface.glass_where) if len(values) > 3 else 0.0
         if abbe:
-            reader.lose(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
+            reader.draft.lose(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
         return index
     if kind > 1:
         reader.draft.remarks.append(

@@ -63,11 +63,6 @@ class FileReader:
     indents: bool = False
     in_tail: bool = False
 
-    def lose(self, what: str) -> None:
-        """List something that a design cannot hold, once."""
-        if what not in self.draft.dropped:
-            self.draft.dropped.append(what)
-
 
 def take_record(reader: FileReader, word: str, values: list[str], where: str, indented: bool) -> None:
     """Take one record: of the header, of a surface, or behind the last one.
@@ -89,13 +84,13 @@ def take_record(reader: FileReader, word: str, values: list[str], where: str, in
     elif word in _IDLE or reader.in_tail:
         return
     elif surface is None:
-        reader.lose(f"{word} {shown(' '.join(values))} ({where.rpartition(', ')[2]})")
+        reader.draft.lose(f"{word} {shown(' '.join(values))} ({where.rpartition(', ')[2]})")
     elif word in _OF_SURFACE:
         _OF_SURFACE[word](reader, surface, values, where)
     elif word in _SOLVES:
         reader.draft.remarks.append(f"{surface.name}: {word} solve or pickup replaced by its present value")
     else:
-        reader.lose(f"{surface.name}: {word} {shown(' '.join(values))}")
+        reader.draft.lose(f"{surface.name}: {word} {shown(' '.join(values))}")
 
 
 def _start_surface(reader: FileReader, values: list[str], where: str) -> None:
@@ -124,7 +119,7 @@ def integer_at(values: Sequence[str], index: int, where: str) -> int:
 def _type(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
     surface.kind = values[0] if values else ""
     if surface.kind not in ("STANDARD", "EVENASPH", "COORDBRK"):
-        reader.lose(f"{surface.name}: surface type {shown(surface.kind)}, read as STANDARD")
+        reader.draft.lose(f"{surface.name}: surface type {shown(surface.kind)}, read as STANDARD")
 
 
 def _curvature(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
@@ -155,14 +150,14 @@ def _diameter(reader: FileReader, surface: FileSurface, values: list[str], where
 
 def _aperture(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
     if value_at(values, 0, where) > 0.0:
-        reader.lose(f"{surface.name}: central obscuration of radius {values[0]}")
+        reader.draft.lose(f"{surface.name}: central obscuration of radius {values[0]}")
     value = value_at(values, 1, where)
     surface.aperture_mm = value if value > 0.0 else None
 
 
 def _shift(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
     if any(number(v, where) for v in values):
-        reader.lose(f"{surface.name}: decentered aperture")
+        reader.draft.lose(f"{surface.name}: decentered aperture")
 
 
 def _stop(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
@@ -220,7 +215,7 @@ def _floating(reader: FileReader, values: list[str], where: str) -> None:
 def _field_type(reader: FileReader, values: list[str], where: str) -> None:
     reader.field_kind = integer_at(values, 0, where)
     if len(values) > 1 and integer_at(values, 1, where):
-        reader.lose("telecentric object space")
+        reader.draft.lose("telecentric object space")
     if len(values) > 3:
         reader.field_count, reader.wave_count = integer_at(values, 2, where), integer_at(values, 3, where)
 
@@ -234,7 +229,7 @@ def _fields(axis: str) -> Callable[[FileReader, list[str], str], None]:
 
 def _vignetting(reader: FileReader, values: list[str], where: str) -> None:
     if any(number(v, where) for v in values):
-        reader.lose("vignetting factors")
+        reader.draft.lose("vignetting factors")
 
 
 def _wave(reader: FileReader, values: list[str], where: str) -> None:
@@ -256,12 +251,14 @@ def _catalogues(reader: FileReader, values: list[str], where: str) -> None:
 def _environment(reader: FileReader, values: list[str], where: str) -> None:
     celsius, atmospheres = value_at(values, 0, where), value_at(values, 1, where)
     if (celsius, atmospheres) != (20.0, 1.0):
-        reader.lose(f"environment of {celsius:g} degrees C and {atmospheres:g} atm; a design has 20 and 1")
+        reader.draft.lose(
+            f"environment of {celsius:g} degrees C and {atmospheres:g} atm; a design has 20 and 1"
+        )
 
 
 def _configurations(reader: FileReader, values: list[str], where: str) -> None:
     if integer_at(values, 0, where) > 1:
-        reader.lose(f"{values[0]} configurations; the one whose values the surfaces hold is read")
+        reader.draft.lose(f"{values[0]} configurations; the one whose values the surfaces hold is read")
 
 
 _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import tomli_w
 
+from lensdesign.drawing_tolerances import GENERAL, DrawingTolerances
 from lensdesign.errors import InputError
 from lensdesign.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.files import did_you_mean
@@ -86,12 +87,24 @@ class GeneralTolerance:
     tilt_deg: float
 
 
-ISO_10110_11 = (
-    GeneralTolerance(10.0, 0.1, 5.0, 1.0, 10.0, 0.5),
-    GeneralTolerance(30.0, 0.2, 10.0, 2.0, 30.0, 20.0 / 60.0),
-    GeneralTolerance(100.0, 0.4, 10.0, 2.0, 30.0, 10.0 / 60.0),
-    GeneralTolerance(300.0, 0.8, 10.0, 2.0, 60.0, 10.0 / 60.0),
-)
+def _general(up_to_mm: float, row: DrawingTolerances) -> GeneralTolerance:
+    form = row.left
+    # The table states all of them.
+    assert row.thickness_mm is not None
+    assert form.radius_fringes is not None
+    assert form.irregularity_fringes is not None
+    assert form.centring_arcmin is not None
+    return GeneralTolerance(
+        up_to_mm=up_to_mm,
+        thickness_mm=row.thickness_mm,
+        sagitta_fringes=form.radius_fringes,
+        irregularity_fringes=form.irregularity_fringes,
+        test_diameter_mm=form.test_diameter_mm or up_to_mm,
+        tilt_deg=form.centring_arcmin / 60.0,
+    )
+
+
+ISO_10110_11 = tuple(_general(up_to_mm, row) for up_to_mm, row in GENERAL.items())
 
 FRINGE_UM = 0.54607 / 2.0
 """Fringe spacing of ISO 10110-5: half a wavelength of the green mercury line."""

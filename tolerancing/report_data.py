@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.errors import InputError
 from tolerancing.correlation import RankCorrelation, rank_correlation
-from tolerancing.one_at_a_time import LABEL
 from tolerancing.results import DearResults, StepResults, TrialResults
-from tolerancing.sensitivity import STEPS, Sensitivity, sensitivities
+from tolerancing.scorer import study_sensitivities
+from tolerancing.sensitivity import Sensitivity
 from tolerancing.study import Study
 from tolerancing.summary import Summary
 
 if TYPE_CHECKING:
     from lensdesign.system import Lens
-    from tolerancing.distributions import Distribution
     from tolerancing.store import StudyRecord
     from tolerancing.study_files import LoadedStudy
 
@@ -114,24 +114,12 @@ class ReportData:
     @cached_property
     def sensitivity(self) -> Sensitivity | None:
         """What each perturbation does alone; None where a step or a nominal score is missing."""
-        study = self.study
-        shape = (len(study.perturbations), len(STEPS), len(study.merits))
-        scores = np.full((shape[0] * shape[1], shape[2]), np.nan)
-        own = [s for s in self.steps if s.series == LABEL]
-        nominal = [self.nominal.get(m.label) for m in study.merits]
-        if not study.sensitivity or len(own) < len(scores) or None in nominal:
+        if any(self.nominal.get(m.label) is None for m in self.study.merits):
             return None
-        for step in own:
-            scores[step.step] = [step.scores.get(m.label, np.nan) for m in study.merits]
-        scatter = [p.distribution for p in study.perturbations]
-        return sensitivities(
-            np.array(nominal, float),
-            scores.reshape(shape),
-            [d.largest for d in scatter],
-            [d.standard_deviation for d in scatter],
-            [d.centre for d in scatter],
-            [kurtosis(d) for d in scatter],
-        )
+        try:
+            return study_sensitivities(self.study, self.nominal, self.steps)
+        except InputError:
+            return None
 
     @cached_property
     def variance_shares(self) -> Array | None:
@@ -171,11 +159,3 @@ class ReportData:
             f"{p.column} {value:.3g} ({sigmas:+.1f} σ)".replace("-", "−")
             for sigmas, p, value in found[:count]
         )
-
-
-def kurtosis(distribution: Distribution) -> float:
-    """Fourth central moment over the squared variance, from quantiles."""
-    middle: Array = (np.arange(4000.0) + 0.5) / 4000.0
-    away = distribution.quantile(middle) - distribution.centre
-    variance = float(np.mean(away**2))
-    return float(np.mean(away**4)) / variance**2 if variance > 0.0 else 3.0

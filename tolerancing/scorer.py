@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,18 +77,20 @@ def scatter_of(study: Study) -> Scatter:
         tolerance=np.array([d.largest for d in shapes]),
         mean=np.array([d.centre for d in shapes]),
         standard_deviation=np.array([d.standard_deviation for d in shapes]),
-        kurtosis=np.array([_kurtosis(d) for d in shapes]),
+        kurtosis=np.array([kurtosis(d) for d in shapes]),
     )
 
 
-def _kurtosis(distribution: Distribution) -> float:
+def kurtosis(distribution: Distribution) -> float:
     """Fourth central moment over the squared variance, from the quantiles."""
     values = distribution.quantile((np.arange(QUANTILES) + 0.5) / QUANTILES)
     values = values - values.mean()
     return float(np.mean(values**4) / np.mean(values**2) ** 2)
 
 
-def study_sensitivities(study: Study, nominal: dict[str, float], steps: list[StepResults]) -> Sensitivity:
+def study_sensitivities(
+    study: Study, nominal: Mapping[str, float], steps: Sequence[StepResults]
+) -> Sensitivity:
     """Sensitivities from the steps that a store holds.
 
     Parameters

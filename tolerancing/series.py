@@ -11,7 +11,6 @@ from pydantic import field_validator, model_validator
 from lensdesign.system import Finite, Lens, Positive, Section, tuples
 from tolerancing.line_pair_merit import LinePairContrast
 from tolerancing.merit import Merit, check_field_point
-from tolerancing.perturbations import Name
 from tolerancing.pupil_merits import Orientation
 
 if TYPE_CHECKING:
@@ -134,6 +133,3 @@ def score_batch_step(
         pictures=pictures,
         seconds=time.perf_counter() - start,
     )
-
-
-__all__ = ["Coordinates", "LinePairSection", "Name", "Series", "refuse_twice", "score_batch_step"]

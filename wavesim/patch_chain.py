@@ -35,6 +35,7 @@ from wavesim.patch_rays import NominalRays, nominal_rays
 from wavesim.patch_return import PatchGrid, PerturbedPatch
 from wavesim.point_characteristic import point_characteristic
 from wavesim.pupil import Array, ComplexArray, Orientation, ReconstructionPupil, axis_of
+from wavesim.ray_aiming import shift_vector
 
 WINDOW = {True: 6.0, False: 3.0}
 """Period of what comes back, in widths of the patch, on a line and in the plane. The pupil's phase is held up
@@ -170,8 +171,8 @@ class PatchChain:
         system = compile_system(self.lens, base.grid.wavelength_um, pose, surface_perturbations)
         if system.trials is not None:
             raise InputError(f"a trial is that of one lens: the perturbation holds {system.trials} trials")
-        object_shift = _shift(object_shift_mm, "object_shift_mm")
-        sensor_shift = _shift(sensor_shift_mm, "sensor_shift_mm")
+        object_shift = shift_vector(object_shift_mm, "object_shift_mm")
+        sensor_shift = shift_vector(sensor_shift_mm, "sensor_shift_mm")
         aimed = self.rays.aimed(system, object_shift, sensor_shift, sensor_tilt_deg)
         if wavelength_um is not None:
             # What counts is path and direction in waves.
@@ -264,10 +265,3 @@ def chain_contrast(
     rows = np.abs(field.reshape(count)) ** 2
     bright, dark = rows[0::2].mean(), rows[1::2].mean()
     return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0
-
-
-def _shift(values: Sequence[float], name: str) -> Array:
-    shift = np.asarray(values, float)
-    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
-        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
-    return shift

@@ -21,7 +21,7 @@ from lensdesign.errors import InputError
 from lensdesign.poses import Pose, SurfacePerturbation
 from lensdesign.system import Lens
 from wavesim.pupil import PupilGrid, ReconstructionPupil
-from wavesim.ray_aiming import AimingMap, reach_for, shoot
+from wavesim.ray_aiming import AimingMap, reach_for, shift_vector, shoot
 
 Array = NDArray[np.float64]
 
@@ -297,14 +297,10 @@ class PupilSampler:
         system = compile_system(self.lens, wavelength, pose, surface_perturbations)
         if system.trials is not None:
             raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
-        shifts = _shift(object_shift_mm, "object_shift_mm"), _shift(sensor_shift_mm, "sensor_shift_mm")
+        shifts = (
+            shift_vector(object_shift_mm, "object_shift_mm"),
+            shift_vector(sensor_shift_mm, "sensor_shift_mm"),
+        )
         aimed = self._map.aim(system, *shifts, sensor_tilt_deg)
         scale = 1.0 if wavelength_um is None else wavelength / wavelength_um
         return ReconstructionPupil(self.grid, scale * aimed.path_mm - self.nominal.path_mm, aimed.arrived)
-
-
-def _shift(values: Sequence[float], name: str) -> Array:
-    shift = np.asarray(values, float)
-    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
-        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
-    return shift

@@ -183,3 +183,11 @@ def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
         return flat
     (rotation,) = rotation_matrix(*np.deg2rad(tilt[:, None]))
     return np.asarray(rotation @ flat)
+
+
+def shift_vector(values: Sequence[float], name: str) -> Array:
+    """A shift (x, y, z) as an array; an InputError that names it where it is not three finite numbers."""
+    shift = np.asarray(values, float)
+    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
+        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
+    return shift

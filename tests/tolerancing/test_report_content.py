@@ -23,7 +23,7 @@ from tolerancing.report_blocks import (
     plain,
     table,
 )
-from tolerancing.report_data import MOST_POINTS, WORST_POINTS, ReportData, kurtosis
+from tolerancing.report_data import MOST_POINTS, WORST_POINTS, ReportData
 from tolerancing.report_html import html_page, safe_json
 from tolerancing.report_pdf import write_pdf
 from tolerancing.report_pdf_style import FONT, register_fonts
@@ -31,6 +31,7 @@ from tolerancing.report_pdf_tables import broken_lines
 from tolerancing.report_sections_series import series_section
 from tolerancing.report_sections_trials import SCALES, pictured_trials, scale_section
 from tolerancing.results import Picture, StepResults, TrialResults
+from tolerancing.scorer import kurtosis
 from tolerancing.sensitivity import STEPS
 from tolerancing.study_files import load_study
 from tolerancing.summary import summary_of
