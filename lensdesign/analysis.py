@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,9 @@ from lensdesign.bundles import launch_pairs, pupil_rings
 from lensdesign.compiled import CompiledSystem, compile_system
 from lensdesign.errors import DesignError, InputError
 from lensdesign.extremes import Extremes, extremes
+from lensdesign.lens_solid import glass_element
 from lensdesign.poses import Pose, SurfacePerturbation
-from lensdesign.surfaces import edge_radius_mm
-from lensdesign.system import Lens, Surface, mechanical_semi_diameter_mm
+from lensdesign.system import Lens
 from lensdesign.tracing import RayTrace, trace_compiled
 
 __all__ = [
@@ -268,27 +267,12 @@ def throughput(
 
 
 def edge_thickness_mm(lens: Lens) -> float | None:
-    """Smallest thickness of any glass element at its ground edge.
+    """Smallest length of the edge cylinder of any glass element; None without one.
 
-    The edge is the largest clear semi-diameter of the lens; a surface goes on to it with its own sag, or,
-    if its conic ends before, as a flat ring from its clear edge. None where nothing stands between two
-    surfaces but air.
+    As :class:`lensdesign.lens_solid.Element` has it: bevels are taken off.
     """
-    radius = mechanical_semi_diameter_mm(lens)
-    edges = [
-        front.thickness_mm + _prolonged_sag(back, radius) - _prolonged_sag(front, radius)
-        for front, back in pairwise(lens.surfaces)
-        if front.material is not None and front.thickness_mm is not None
-    ]
-    return min(edges, default=None)
-
-
-def _prolonged_sag(surface: Surface, radius_mm: float) -> float:
-    value = float(surface.sag_mm(radius_mm))
-    if math.isnan(value):
-        clear_edge = surface.semi_diameter_mm or edge_radius_mm(surface.curvature, surface.conic)
-        value = float(surface.sag_mm(clear_edge))
-    return value
+    elements = (glass_element(lens, number) for number in range(len(lens.glass_fronts)))
+    return min((e.edge_thickness_mm for e in elements), default=None)
 
 
 def _angle(rays: RayTrace) -> Array:

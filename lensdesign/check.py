@@ -22,7 +22,7 @@ from lensdesign.bundles import launch
 from lensdesign.first_order import first_order
 from lensdesign.form_error import FormError, form_errors
 from lensdesign.matching import Matching, match, smallest_exit_beam_diameter_mm
-from lensdesign.system import Lens, mechanical_semi_diameter_mm
+from lensdesign.system import Lens
 
 SPOT_PLANE_MM = 3.0
 """Distance of the plane of the spot diagrams from the exit vertex, that of the paper's Fig. 2c."""
@@ -207,7 +207,7 @@ def check_design(lens: Lens) -> CheckReport:
         *_light_on_sensor(traced),
         _nothing_clipped(traced),
         _aperture_reached(lens, traced),
-        *_edge_of_glass(lens, edge),
+        *_edge_of_glass(edge),
     )
     return CheckReport(
         title=lens.title,
@@ -359,7 +359,7 @@ def _aperture_reached(lens: Lens, traced: list[_Traced]) -> Constraint:
     )
 
 
-def _edge_of_glass(lens: Lens, edge: float | None) -> list[Constraint]:
+def _edge_of_glass(edge: float | None) -> list[Constraint]:
     """None for a lens without a glass element."""
     if edge is None:
         return []
@@ -371,8 +371,7 @@ def _edge_of_glass(lens: Lens, edge: float | None) -> list[Constraint]:
             0.0,
             "mm",
             edge > 0.0,
-            f"edge thickness: {edge:.4f} mm at the ground edge, a radial height of "
-            f"{mechanical_semi_diameter_mm(lens):g} mm; must be greater than 0",
+            f"edge thickness: {edge:.4f} mm is the length of the edge cylinder; must be greater than 0",
         )
     ]
 

@@ -122,10 +122,9 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
         items += asphere_panel(lens, i, name, panel)
     media = lens.indices(lens.wavelengths_um[0])
     first, last = element.surfaces
-    pair = element.front.surface, element.back.surface
     cemented = bool(media[first] != 1.0), bool(media[last + 1] != 1.0)
     table = Area(FRAME.left, TITLE_TOP, FRAME.right, TABLE_TOP)
-    items += data_table(pair, cemented, material, tolerances, table)
+    items += data_table(element, cemented, material, tolerances, table)
     items += _title_block(lens, element, options, (material, tolerances), view.scale_text, sheets)
     return Sheet(tuple(items))
 

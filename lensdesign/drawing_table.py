@@ -59,7 +59,7 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
 
 
 def data_table(
-    surfaces: tuple[Surface, Surface],
+    element: Element,
     cemented: tuple[bool, bool],
     material: Material,
     tolerances: DrawingTolerances,
@@ -69,8 +69,8 @@ def data_table(
 
     Parameters
     ----------
-    surfaces
-        Left and right.
+    element
+        Its surfaces, left and right, and their bevels.
     cemented
         Whether glass touches them from outside.
     material
@@ -80,8 +80,9 @@ def data_table(
     area
         Where the table stands.
     """
-    left = _surface_rows(surfaces[0], tolerances.left, 1.0, cemented[0])
-    right = _surface_rows(surfaces[1], tolerances.right, -1.0, cemented[1])
+    (_, front_bevel), (_, back_bevel) = element.edge.sides()
+    left = _surface_rows(element.front.surface, tolerances.left, 1.0, cemented[0], front_bevel)
+    right = _surface_rows(element.back.surface, tolerances.right, -1.0, cemented[1], back_bevel)
     columns = (("Left surface (L)", left), ("Material", material.rows), ("Right surface (R)", right))
     step = area.height / (len(left) + 1)
     width = area.width / len(columns)
@@ -112,20 +113,26 @@ def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
 
 
 def _surface_rows(
-    surface: Surface, tolerances: SurfaceTolerances, outward: float, cemented: bool
+    surface: Surface, tolerances: SurfaceTolerances, outward: float, cemented: bool, bevel_mm: float
 ) -> tuple[str, ...]:
-    chamfer = tolerances.chamfer_mm
     semi, centring = surface.semi_diameter_mm, tolerances.centring_arcmin
     return (
         _radius(surface, tolerances, outward),
         f"Øₑ {2.0 * semi:.6g}" if semi is not None else f"Øₑ {OPEN}",
-        f"Prot. chamfer {f'{chamfer[0]:g} - {chamfer[1]:g}' if chamfer else OPEN}",
+        f"Prot. chamfer {_chamfer(bevel_mm, tolerances.chamfer_mm)}",
         tolerances.coating or ("cemented" if cemented else OPEN),
         _form(tolerances),
         f"4/ {f'{centring:g}′' if centring is not None else OPEN}",
         f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}",
         f"6/ {tolerances.laser_damage or OPEN}",
     )
+
+
+def _chamfer(bevel_mm: float, allowed_mm: tuple[float, float] | None) -> str:
+    """The design's bevel, else what the tolerances allow."""
+    if bevel_mm:
+        return f"{bevel_mm:g} × 45°"
+    return f"{allowed_mm[0]:g} - {allowed_mm[1]:g}" if allowed_mm else OPEN
 
 
 def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float) -> str:

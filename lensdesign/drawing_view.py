@@ -22,6 +22,7 @@ from lensdesign.drawing_shapes import (
     text_width_mm,
 )
 from lensdesign.drawing_tolerances import DrawingTolerances
+from lensdesign.edges import Flange
 from lensdesign.lens_solid import Element
 
 Array = NDArray[np.float64]
@@ -34,6 +35,9 @@ LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 24.0, 42.0, 20.0, 18.0
 
 CLEAR_OFFSET_MM, GROUND_OFFSET_MM, THICKNESS_OFFSET_MM = 13.0, 26.0, 9.0
 """From the body to the dimension lines of clear and ground diameters and of thicknesses."""
+
+FLANGE_ROOM_MM, FLANGE_ROW_MM = 13.0, 9.0
+"""More room at the left and below for a flange's dimensions."""
 
 TEXT_MM, NAME_MM, ARROW_MM = 3.2, 4.2, 2.4
 HATCH_MM, HATCH_STROKE_MM = 5.0, 4.0
@@ -65,16 +69,23 @@ class _Body:
         y of the axis.
     clear
         x and height of the rim of both clear apertures, None where there is none.
+    flange : ndarray, shape (0 or 4, 2)
+        Corners of the flange, as the profiles.
     """
 
     front: Array
     back: Array
     axis_y: float
     clear: tuple[tuple[float, float] | None, tuple[float, float] | None]
+    flange: Array
 
     @property
     def half(self) -> float:
         return float(self.front[-1, 0])
+
+    @property
+    def outer(self) -> float:
+        return float(np.max(self.flange[:, 0], initial=self.half))
 
     @property
     def left(self) -> float:
@@ -105,8 +116,10 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
     t = np.linspace(0.0, 1.0, 129)
     front, back = element.profiles(t, t)
     length = float(np.max(back[:, 1]) - np.min(front[:, 1]))
+    if element.edge.flange is not None:
+        area = area._replace(left=area.left + FLANGE_ROOM_MM, bottom=area.bottom + FLANGE_ROW_MM)
     room = (area.width - LEFT_MM - RIGHT_MM, area.height - TOP_MM - BOTTOM_MM)
-    largest = min(room[0] / length, room[1] / (2.0 * element.edge_mm))
+    largest = min(room[0] / length, room[1] / (2.0 * element.outer_mm))
     scale = max((s for s in SCALES if s <= largest), default=SCALES[0])
     body = _placed(element, front, back, scale, area)
     thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
@@ -115,6 +128,7 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
     items += _ground_diameter(body, _toleranced(2.0 * element.edge_mm, tolerances.diameter_mm, "Ø "))
     items += _thickness(body, _toleranced(thickness, tolerances.thickness_mm))
     items += _edge_thickness(body, f"({element.edge_thickness_mm:.4g})")
+    items += _flange(body, element.edge.flange)
     return SectionView(tuple(items), scale)
 
 
@@ -135,14 +149,14 @@ def _placed(element: Element, front: Array, back: Array, scale: float, area: Are
             return None
         return float(np.interp(scale * semi, *meridian_profile.T)), scale * semi
 
-    profiles = on_paper(front), on_paper(back)
+    profiles, flange = (on_paper(front), on_paper(back)), on_paper(element.flange_corners)
     sides = zip(profiles, (element.front, element.back), strict=True)
     left, right = (rim(profile, meridian.surface.semi_diameter_mm) for profile, meridian in sides)
-    return _Body(*profiles, axis_y, (left, right))
+    return _Body(*profiles, axis_y, (left, right), flange)
 
 
 def _outline(body: _Body) -> list[Item]:
-    half = np.concatenate([body.front, body.back[::-1]])
+    half = np.concatenate([body.front, body.flange, body.back[::-1]])
     around = np.concatenate([half, half[::-1] * [-1.0, 1.0]])
     points = tuple((float(x), body.axis_y + float(r)) for r, x in around)
     return [Stroke(points, THICK_MM, closed=True)]
@@ -241,11 +255,14 @@ def _vertical(
 
 
 def _horizontal(
-    y: float, x0: float, x1: float, from_y: tuple[float, float], text: str, beside: float
+    y: float, x0: float, x1: float, from_y: tuple[float, float], text: str, beside: float, clear: bool = True
 ) -> list[Item]:
-    """A dimension line from x0 to x1 at y; a text that does not fit goes to one side of it (-1 or 1)."""
+    """A dimension line from x0 to x1 at y; its text goes to one side (-1 or 1) if there is no room between.
+
+    Nor is there if other lines cross between, and it is not clear.
+    """
     width = text_width_mm(text, TEXT_MM)
-    inside = x1 - x0 > width + 2.0 * ARROW_MM
+    inside = clear and x1 - x0 > width + 2.0 * ARROW_MM
     items: list[Item] = []
     for x, start in zip((x0, x1), from_y, strict=True):
         side = math.copysign(1.0, y - start)
@@ -268,9 +285,9 @@ def _horizontal(
 
 def _clear_diameters(body: _Body, element: Element) -> list[Item]:
     items: list[Item] = []
-    # The ground diameter's extension line passes the right one.
+    # The ground diameter's extension line passes the right one, a flange's the left one.
     places = (
-        (body.left - CLEAR_OFFSET_MM, -math.inf),
+        (body.left - CLEAR_OFFSET_MM, body.axis_y + body.outer if len(body.flange) else -math.inf),
         (body.right + CLEAR_OFFSET_MM, body.axis_y + body.half),
     )
     for (x, crossing), rim, meridian in zip(places, body.clear, (element.front, element.back), strict=True):
@@ -297,14 +314,34 @@ def _ground_diameter(body: _Body, text: str) -> list[Item]:
 
 
 def _thickness(body: _Body, text: str) -> list[Item]:
-    y = body.axis_y - body.half - THICKNESS_OFFSET_MM
+    y = body.axis_y - body.outer - THICKNESS_OFFSET_MM
     x0, x1 = float(body.front[0, 1]), float(body.back[0, 1])
-    return _horizontal(y, x0, x1, (body.axis_y, body.axis_y), text, beside=1.0)
+    clear = len(body.flange) == 0
+    # A flange's extension lines cross this dimension.
+    left_of_flange = not clear and float(np.mean(body.flange[:, 1])) > 0.5 * (x0 + x1)
+    beside = -1.0 if left_of_flange else 1.0
+    return _horizontal(y, x0, x1, (body.axis_y, body.axis_y), text, beside, clear)
 
 
 def _edge_thickness(body: _Body, text: str) -> list[Item]:
     """In brackets: it follows from the other dimensions."""
     edge = body.axis_y + body.half
     x0, x1 = float(body.front[-1, 1]), float(body.back[-1, 1])
-    y = edge + TOP_MM - 3.0 - 2.0 * ASCENT * TEXT_MM
+    y = body.axis_y + body.outer + TOP_MM - 3.0 - 2.0 * ASCENT * TEXT_MM
     return _horizontal(y, x0, x1, (edge, edge), text, beside=-1.0)
+
+
+def _flange(body: _Body, flange: Flange | None) -> list[Item]:
+    """Its diameter at the left; below, where its front face lies behind the vertex, and its thickness."""
+    if flange is None:
+        return []
+    x = body.left - CLEAR_OFFSET_MM - FLANGE_ROOM_MM
+    low, high = body.axis_y - body.outer, body.axis_y + body.outer
+    front, back = float(body.flange[0, 1]), float(body.flange[-1, 1])
+    items = list(_vertical(x, low, high, front, f"Ø {2.0 * flange.semi_diameter_mm:.6g}").items)
+    vertex = (float(body.front[0, 1]), body.axis_y)
+    y = low - THICKNESS_OFFSET_MM - FLANGE_ROW_MM
+    (x0, y0), (x1, y1) = sorted([vertex, (front, low)])
+    items += _horizontal(y, x0, x1, (y0, y1), f"{flange.distance_mm:.6g}", beside=-1.0)
+    items += _horizontal(y, front, back, (low, low), f"{flange.thickness_mm:.6g}", beside=1.0)
+    return items

@@ -1,110 +1,28 @@
 """The glass bodies of a lens as exact solids of revolution: meridian, edge, closure, volume.
 
-An element is bounded by two optical surfaces, each prolonged with its own sag to the mechanical
-semi-diameter of the lens, and by the ground edge cylinder between them. Where a conic ends before that
-edge, a flat annulus goes on from its clear semi-diameter.
+An element is bounded by two optical surfaces, each prolonged with its own sag, and by its edge: a cylinder,
+with flat rings, bevels at 45 degrees and a flange where the design has them. A surface whose conic ends
+before that edge goes on as a flat ring from its clear semi-diameter.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign import surfaces as shapes
+from lensdesign.edges import Edge
 from lensdesign.errors import InputError
-from lensdesign.system import Lens, Surface, mechanical_semi_diameter_mm
+from lensdesign.meridian import SurfaceMeridian, ring_volume_mm3
+from lensdesign.system import Lens, mechanical_semi_diameter_mm
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class SurfaceMeridian:
-    """Meridian of one optical surface, from its vertex to a radial height.
-
-    The parameter t runs from 0 at the vertex to 1 at `end_mm`. It is proportional to the eccentric angle
-    of an ellipse, so that the meridian stays smooth where a conic's tangent stands upright.
-
-    Attributes
-    ----------
-    surface
-        The surface.
-    vertex_z_mm
-        z of its vertex.
-    end_mm
-        Radial height at which the meridian ends.
-    """
-
-    surface: Surface
-    vertex_z_mm: float
-    end_mm: float
-
-    @property
-    def _edge_mm(self) -> float:
-        return shapes.edge_radius_mm(self.surface.curvature, self.surface.conic)
-
-    @property
-    def _scale(self) -> float:
-        """Eccentric angle (or radial height, where the conic has no edge) at t = 1."""
-        edge = self._edge_mm
-        return math.asin(min(1.0, self.end_mm / edge)) if math.isfinite(edge) else self.end_mm
-
-    def points(self, t: Any) -> Array:
-        """Radial height and z in mm at parameters t, shape (..., 2)."""
-        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
-        u = self._scale * np.asarray(t, float)
-        edge = self._edge_mm
-        r, root = (
-            (edge * np.sin(u), np.cos(u))
-            if math.isfinite(edge)
-            else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
-        )
-        z = self.vertex_z_mm + c * r * r / (1.0 + root) + shapes.sag(r * r, 0.0, 0.0, asphere)
-        return np.stack([r, z], axis=-1)
-
-    def tangents(self, t: Any) -> Array:
-        """Derivatives of :meth:`points` with respect to t, in mm."""
-        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
-        u = self._scale * np.asarray(t, float)
-        edge = self._edge_mm
-        if math.isfinite(edge):
-            r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
-        else:
-            r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
-        dz = dz + dr * shapes.sag_slope(r, 0.0, 0.0, asphere)
-        return self._scale * np.stack([dr, dz], axis=-1)
-
-    def parameters(self, r_mm: Any) -> Array:
-        """Parameters t at radial heights, clipped to 0 ... 1."""
-        r, edge = np.asarray(r_mm, float), self._edge_mm
-        u = np.arcsin(np.clip(r / edge, 0.0, 1.0)) if math.isfinite(edge) else r
-        return np.clip(u / self._scale, 0.0, 1.0)
-
-    def distances(self, points_rz_mm: Array) -> Array:
-        """Shortest distances in mm of points (radial height, z), shape (n, 2), to the meridian."""
-        t = self.parameters(points_rz_mm[:, 0])
-        for _ in range(20):
-            tangent = self.tangents(t)
-            step = np.sum((self.points(t) - points_rz_mm) * tangent, axis=-1) / np.sum(tangent**2, axis=-1)
-            before, t = t, np.clip(t - step, 0.0, 1.0)
-            if np.max(np.abs(t - before), initial=0.0) < 1e-9:
-                break
-        return np.asarray(np.linalg.norm(self.points(t) - points_rz_mm, axis=-1))
-
-    def integral_mm3(self, edge_mm: float) -> float:
-        """Integral of 2 pi r z dr from the axis to `edge_mm`, with a flat annulus from `end_mm` on."""
-        nodes, weights = np.polynomial.legendre.leggauss(16)
-        panels = np.linspace(0.0, 1.0, 65)
-        half = 0.5 * np.diff(panels)[:, None]
-        t = panels[:-1, None] + half * (nodes + 1.0)
-        r, z = np.moveaxis(self.points(t), -1, 0)
-        dr = self.tangents(t)[..., 0]
-        curved = float(np.sum(half * weights * r * z * dr))
-        rim_z = float(self.points(1.0)[1])
-        return 2.0 * math.pi * curved + math.pi * rim_z * (edge_mm**2 - self.end_mm**2)
+SHARP = Edge()
+"""Neither flats, bevels nor flange."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +38,9 @@ class Element:
     front, back
         Meridians of the two surfaces; z from the front vertex of the lens.
     edge_mm
-        Radius of the ground edge cylinder.
+        Radius of the edge cylinder.
+    edge
+        Flats, bevels and flange.
     """
 
     number: int
@@ -128,6 +48,7 @@ class Element:
     front: SurfaceMeridian
     back: SurfaceMeridian
     edge_mm: float
+    edge: Edge = SHARP
 
     @property
     def name(self) -> str:
@@ -135,17 +56,73 @@ class Element:
         return f"element {self.number + 1} (surfaces {self.surfaces[0] + 1} and {self.surfaces[1] + 1})"
 
     @property
+    def ends(self) -> tuple[Array, Array]:
+        """From the rim of each surface to the edge cylinder: radial height, and z from that rim's.
+
+        Flat ring and bevel of front and back, shape (n, 2) with n of 0 to 2; the rim itself is left out.
+        """
+        front, back = (
+            self._end(m, bevel)
+            for m, (_, bevel) in zip((self.front, self.back), self.edge.sides(), strict=True)
+        )
+        return front, back * [1.0, -1.0]
+
+    def _end(self, meridian: SurfaceMeridian, bevel_mm: float) -> Array:
+        inner = self.edge_mm - bevel_mm
+        corners = [(inner, 0.0)] if meridian.end_mm < inner else []
+        return np.array(corners + ([(self.edge_mm, bevel_mm)] if bevel_mm else [])).reshape(-1, 2)
+
+    @property
+    def cylinder_z_mm(self) -> tuple[float, float]:
+        """z at which the edge cylinder begins and ends."""
+        (front, _), (back, _) = (
+            (float(m.points(1.0)[1] + (end[-1, 1] if len(end) else 0.0)), m)
+            for m, end in zip((self.front, self.back), self.ends, strict=True)
+        )
+        return front, back
+
+    @property
     def edge_thickness_mm(self) -> float:
-        """Length of the ground edge cylinder."""
-        return float(self.back.points(1.0)[1] - self.front.points(1.0)[1])
+        """Length of the edge cylinder."""
+        front, back = self.cylinder_z_mm
+        return back - front
+
+    @property
+    def outer_mm(self) -> float:
+        """Largest radius of the body: that of the flange, or of the edge cylinder."""
+        return self.edge_mm if self.edge.flange is None else self.edge.flange.semi_diameter_mm
+
+    @property
+    def rim(self) -> Array:
+        """Corners from the rim of the front surface round the edge to that of the back surface.
+
+        Radial height and z in mm, shape (n, 2): flat rings, bevels, edge cylinder and flange.
+        """
+        profiles = (
+            np.concatenate([m.points(1.0)[None], m.points(1.0) * [0.0, 1.0] + end])
+            for m, end in zip((self.front, self.back), self.ends, strict=True)
+        )
+        front, back = profiles
+        return np.concatenate([front, self.flange_corners, back[::-1]])
+
+    @property
+    def flange_corners(self) -> Array:
+        """Radial height and z of the flange's four corners, front to back; empty without one."""
+        ring = self.edge.flange
+        if ring is None:
+            return np.empty((0, 2))
+        front = self.front.vertex_z_mm + ring.distance_mm
+        back = front + ring.thickness_mm
+        radii = (self.edge_mm, ring.semi_diameter_mm)
+        return np.array([(radii[0], front), (radii[1], front), (radii[1], back), (radii[0], back)])
 
     @property
     def volume_mm3(self) -> float:
-        """Volume by Gauss-Legendre quadrature over the two meridians."""
-        return self.back.integral_mm3(self.edge_mm) - self.front.integral_mm3(self.edge_mm)
+        """Volume by Gauss-Legendre quadrature over the two meridians, and exactly round the edge."""
+        return self.back.integral_mm3() - self.front.integral_mm3() + ring_volume_mm3(self.rim)
 
     def profiles(self, front_t: Array, back_t: Array) -> tuple[Array, Array]:
-        """Both surfaces from the axis to the edge, flat annulus included.
+        """Both sides from the axis to the edge cylinder, flat ring and bevel included.
 
         Parameters
         ----------
@@ -157,7 +134,11 @@ class Element:
         front, back : ndarray, shape (n, 2)
             Radial height (rising, from 0 to `edge_mm`) and z in mm.
         """
-        return self._profile(self.front, front_t), self._profile(self.back, back_t)
+        front, back = (
+            _profile(m, t, end)
+            for m, t, end in zip((self.front, self.back), (front_t, back_t), self.ends, strict=True)
+        )
+        return front, back
 
     def outline(self, points: int = 129) -> Array:
         """Meridian of the body, from the front vertex round the edge to the back vertex.
@@ -174,14 +155,13 @@ class Element:
         """
         t = np.linspace(0.0, 1.0, points)
         front, back = self.profiles(t, t)
-        return np.concatenate([front, back[::-1]])
+        return np.concatenate([front, self.flange_corners, back[::-1]])
 
-    def _profile(self, meridian: SurfaceMeridian, t: Array) -> Array:
-        points = meridian.points(t)
-        points[0, 0], points[-1, 0] = 0.0, meridian.end_mm
-        if meridian.end_mm < self.edge_mm:
-            points = np.concatenate([points, [[self.edge_mm, points[-1, 1]]]])
-        return points
+
+def _profile(meridian: SurfaceMeridian, t: Array, end: Array) -> Array:
+    points = meridian.points(t)
+    points[0, 0], points[-1, 0] = 0.0, meridian.end_mm
+    return np.concatenate([points, points[-1] * [0.0, 1.0] + end])
 
 
 def glass_elements(lens: Lens) -> list[Element]:
@@ -202,11 +182,52 @@ def glass_elements(lens: Lens) -> list[Element]:
         If the lens holds no glass, or an element has no size (neither of its surfaces has a
         semi_diameter_mm).
     """
-    index = lens.indices(lens.wavelengths_um[0])
-    fronts = [i for i in range(len(lens.surfaces) - 1) if index[i + 1] != 1.0]
-    if not fronts:
+    if not lens.glass_fronts:
         raise InputError("the lens holds no glass: no surface but the last is followed by a material")
-    return [_element(lens, number, i) for number, i in enumerate(fronts)]
+    elements = [glass_element(lens, number) for number in range(len(lens.glass_fronts))]
+    for element in elements:
+        _refuse_endless(element)
+    return elements
+
+
+def glass_element(lens: Lens, number: int) -> Element:
+    """One body of glass, counted from 0, whether or not its size is well defined.
+
+    A surface whose conic ends before the edge goes on as a flat ring from its clear semi-diameter, or from
+    where it ends if it has none.
+    """
+    i = lens.glass_fronts[number]
+    radius = mechanical_semi_diameter_mm(lens, number)
+    edge = lens.edges[number] if lens.edges else SHARP
+    front, back = (
+        _meridian(lens, j, radius - bevel if flat is None else flat)
+        for j, (flat, bevel) in zip((i, i + 1), edge.sides(), strict=True)
+    )
+    return Element(number, (i, i + 1), front, back, radius, edge)
+
+
+def _meridian(lens: Lens, i: int, asked_mm: float) -> SurfaceMeridian:
+    surface = lens.surfaces[i]
+    ends = shapes.edge_radius_mm(surface.curvature, surface.conic)
+    end = asked_mm if ends >= asked_mm else surface.semi_diameter_mm or ends
+    return SurfaceMeridian(surface, float(lens.vertex_z_mm[i]), end)
+
+
+def _refuse_endless(element: Element) -> None:
+    front, back = element.surfaces
+    pair = (element.front, element.back)
+    if all(m.surface.semi_diameter_mm is None for m in pair) and element.edge.semi_diameter_mm is None:
+        raise InputError(
+            f"element {element.number + 1} has no size: give surface {front + 1} or {back + 1} a "
+            "semi_diameter_mm"
+        )
+    for i, meridian in zip(element.surfaces, pair, strict=True):
+        ends = shapes.edge_radius_mm(meridian.surface.curvature, meridian.surface.conic)
+        if meridian.surface.semi_diameter_mm is None and meridian.end_mm == ends < element.edge_mm:
+            raise InputError(
+                f"surface {i + 1} ends at a radial height of {ends:.6g} mm, inside the edge at "
+                f"{element.edge_mm:g} mm; give it a semi_diameter_mm of at most {ends:.6g}"
+            )
 
 
 def closed_elements(lens: Lens) -> list[Element]:
@@ -221,29 +242,6 @@ def closed_elements(lens: Lens) -> list[Element]:
     for element in elements:
         refuse_open(element)
     return elements
-
-
-def _element(lens: Lens, number: int, i: int) -> Element:
-    edge = mechanical_semi_diameter_mm(lens)
-    pair = (lens.surfaces[i], lens.surfaces[i + 1])
-    if all(s.semi_diameter_mm is None for s in pair):
-        raise InputError(
-            f"element {number + 1} has no size: give surface {i + 1} or {i + 2} a semi_diameter_mm"
-        )
-    front, back = (_meridian(lens, j, edge) for j in (i, i + 1))
-    return Element(number, (i, i + 1), front, back, edge)
-
-
-def _meridian(lens: Lens, i: int, edge_mm: float) -> SurfaceMeridian:
-    surface = lens.surfaces[i]
-    ends = shapes.edge_radius_mm(surface.curvature, surface.conic)
-    end = edge_mm if ends >= edge_mm else surface.semi_diameter_mm
-    if end is None:
-        raise InputError(
-            f"surface {i + 1} ends at a radial height of {ends:.6g} mm, inside the mechanical semi-diameter "
-            f"of {edge_mm:g} mm; give it a semi_diameter_mm of at most {ends:.6g}"
-        )
-    return SurfaceMeridian(surface, float(lens.vertex_z_mm[i]), end)
 
 
 def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
@@ -276,14 +274,47 @@ def refuse_open(element: Element) -> None:
     t = np.linspace(0.0, 1.0, 1025)
     r, gap = smallest_gap(*element.profiles(t, t))
     thickness = element.edge_thickness_mm
-    if thickness > 0.0 and gap > 0.0:
-        return
-    where = (
-        f"its edge thickness is {thickness:.6g} mm"
-        if not thickness > 0.0
-        else f"its surfaces cross at a radial height of {r:.6g} mm (gap {gap:.6g} mm)"
-    )
-    raise InputError(
-        f"{element.name} does not close: {where}, with the ground edge at the mechanical semi-diameter of "
-        f"{element.edge_mm:g} mm; raise thickness_mm or lower semi_diameter_mm"
-    )
+    if not (thickness > 0.0 and gap > 0.0):
+        where = (
+            f"its edge thickness is {thickness:.6g} mm"
+            if not thickness > 0.0
+            else f"its surfaces cross at a radial height of {r:.6g} mm (gap {gap:.6g} mm)"
+        )
+        raise InputError(
+            f"{element.name} does not close: {where}, with the edge cylinder at a radial height of "
+            f"{element.edge_mm:g} mm; raise thickness_mm or lower semi_diameter_mm"
+        )
+
+
+def refuse_impossible_edge(element: Element) -> None:
+    """Refuse bevels that cut nothing off, and a flange that stands off the edge cylinder.
+
+    Raises
+    ------
+    InputError
+        Saying what is allowed.
+    """
+    _refuse_bevels(element)
+    front, back = element.cylinder_z_mm
+    corners = element.flange_corners[:, 1]
+    if len(corners) and not (front <= corners[0] and corners[-1] <= back):
+        lead = front - element.front.vertex_z_mm
+        raise InputError(
+            f"{element.name}: its flange stands off the edge cylinder, which runs from {lead:.6g} to "
+            f"{lead + back - front:.6g} mm behind the front vertex; allowed: distance_mm of at least "
+            f"{lead:.6g}, and distance_mm + thickness_mm of at most {lead + back - front:.6g}"
+        )
+
+
+def _refuse_bevels(element: Element) -> None:
+    """A bevel cuts nothing off a surface that falls away by 45 degrees or more."""
+    sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
+    for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
+        end = meridian.end_mm
+        slope = inward * float(meridian.surface.slope(end))
+        if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
+            raise InputError(
+                f"{element.name}: a bevel at 45 degrees cuts nothing off surface {i + 1}, which "
+                f"falls away by {math.degrees(math.atan(slope)):.4g} degrees there; leave the bevel out, or end "
+                "the surface in a flat ring"
+            )

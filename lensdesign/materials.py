@@ -113,6 +113,13 @@ class Material:
         return index
 
 
+def is_air(material: str | float | None) -> bool:
+    """Whether a design file's material is air or a vacuum: none, their names, or the index 1."""
+    if isinstance(material, str):
+        return material.strip().upper() in _AIR_NAMES
+    return material is None or material == 1.0
+
+
 def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Material:
     """Find a material by name, or make one with a constant index.
 
@@ -148,7 +155,7 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     """
     if not isinstance(material, str):
         return _constant(material)
-    if material.strip().upper() in _AIR_NAMES:
+    if is_air(material):
         return _constant(1.0, name=material.strip().upper())
     files = tuple(Path(path) for path in catalogs)
     return _find(material, files) if files else _find_in_database(material)

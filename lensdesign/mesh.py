@@ -205,5 +205,5 @@ def _azimuths(elements: Sequence[Element], error_mm: float, asked_mm: float) -> 
     """Number of meridians, the same for all elements so that cemented surfaces fit."""
     slopes = max(sloping_radius_mm(m) for e in elements for m in (e.front, e.back))
     # Facets of the edge stand off by two thirds of their sagitta.
-    edge = azimuths(elements[0].edge_mm, 1.45 * max(EDGE_ERROR_MM, asked_mm))
+    edge = azimuths(max(e.outer_mm for e in elements), 1.45 * max(EDGE_ERROR_MM, asked_mm))
     return max(edge, azimuths(slopes, BALANCE * error_mm))

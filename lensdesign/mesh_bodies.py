@@ -78,7 +78,7 @@ class HeightSurface:
     index
         Which of its surfaces, from 0.
     end_mm
-        Radial height beyond which the surface goes on as a flat annulus; inf where it needs none.
+        Radial height beyond which the surface counts as flat; inf where it goes on with its own sag.
     """
 
     system: CompiledSystem
@@ -161,24 +161,13 @@ class PerturbedBodies:
         return bool(self.system.tilted[i] or np.any(self.system.vertex[0, i, :2]))
 
     def surfaces(self, number: int) -> tuple[HeightSurface, HeightSurface]:
-        """Front and back surface of a body.
-
-        Raises
-        ------
-        InputError
-            If a decentered or tilted surface would need a flat annulus.
-        """
+        """Front and back surface of a body."""
         element = self.elements[number]
-        pair = []
-        for i, meridian in zip(element.surfaces, (element.front, element.back), strict=True):
-            ends = meridian.end_mm < element.edge_mm
-            if ends and self._displaced(i):
-                raise InputError(
-                    f"surface {i + 1} ends at a radial height of {meridian.end_mm:g} mm, inside the ground "
-                    f"edge of {element.edge_mm:g} mm; decentered or tilted, it bounds no closed body"
-                )
-            pair.append(HeightSurface(self.system, i, meridian.end_mm if ends else np.inf))
-        return pair[0], pair[1]
+        front, back = (
+            HeightSurface(self.system, i, m.end_mm if len(end) and not self._displaced(i) else np.inf)
+            for i, m, end in zip(element.surfaces, (element.front, element.back), element.ends, strict=True)
+        )
+        return front, back
 
 
 def perturbed_bodies(

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.lens_solid import SurfaceMeridian
+from lensdesign.meridian import SurfaceMeridian
 
 Array = NDArray[np.float64]
 ChordErrors = Callable[[Array], Array]
@@ -109,7 +109,7 @@ def edge_error(radius_mm: float, count: int) -> float:
     return radius_mm * max(factor - 1.0, 1.0 - factor * math.cos(math.pi / count))
 
 
-def balanced_profile(meridian: SurfaceMeridian, t: Array, edge_mm: float) -> Array:
+def balanced_profile(meridian: SurfaceMeridian, t: Array, movable_rim: bool) -> Array:
     """Corners of a polygon that straddles a meridian, so that as much lies to either side of it.
 
     Parameters
@@ -118,13 +118,13 @@ def balanced_profile(meridian: SurfaceMeridian, t: Array, edge_mm: float) -> Arr
         The exact meridian.
     t
         Parameters of the corners, from 0 to 1.
-    edge_mm
-        Where a meridian that ends before this goes on as a flat annulus.
+    movable_rim
+        Whether the rim may move along z: it ends on the edge cylinder, and no flat ring or bevel goes on.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Radial height (rising, from 0 to `edge_mm`) and z in mm.
+        Radial height (rising, from 0 to the rim's) and z in mm.
     """
     points, tangent = meridian.points(t), meridian.tangents(t)
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -136,10 +136,10 @@ def balanced_profile(meridian: SurfaceMeridian, t: Array, edge_mm: float) -> Arr
     moved = points + shift[:, None] * normal
     moved[0, 0] = 0.0
     # The rim stays at its radial height, and where the tangent stands upright also at its z.
-    upright, annulus = normal[-1, 1] < 0.1, meridian.end_mm < edge_mm
-    rise = 0.0 if upright or annulus else shift[-1] / normal[-1, 1]
+    upright = normal[-1, 1] < 0.1
+    rise = shift[-1] / normal[-1, 1] if movable_rim and not upright else 0.0
     moved[-1] = meridian.end_mm, points[-1, 1] + rise
-    return np.concatenate([moved, [[edge_mm, points[-1, 1]]]]) if annulus else moved
+    return moved
 
 
 def revolve(profile: Array, count: int) -> tuple[Array, NDArray[np.int64]]:

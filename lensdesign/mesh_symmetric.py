@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens_solid import Element, SurfaceMeridian, smallest_gap
+from lensdesign.lens_solid import Element, smallest_gap
+from lensdesign.meridian import SurfaceMeridian
 from lensdesign.mesh_bodies import LensMesh
 from lensdesign.mesh_rings import (
     BALANCE,
@@ -44,20 +45,30 @@ def symmetric_mesh(element: Element, chord_error_mm: float, count: int) -> LensM
     import trimesh
 
     sides = (element.front, element.back)
-    front, back = (balanced_profile(m, _rings(m, BALANCE * chord_error_mm), element.edge_mm) for m in sides)
+    optical = [
+        balanced_profile(m, _rings(m, BALANCE * chord_error_mm), len(end) == 0)
+        for m, end in zip(sides, element.ends, strict=True)
+    ]
+    front, back = (
+        np.concatenate([p, m.points(1.0) * [0.0, 1.0] + end])
+        for m, p, end in zip(sides, optical, element.ends, strict=True)
+    )
     r, gap = smallest_gap(front, back)
     if gap <= 0.0:
         raise InputError(
             f"chord_error_mm = {chord_error_mm:g} is too coarse for {element.name}: facets of its "
             f"surfaces would cross at a radial height of {r:.6g} mm; ask for less"
         )
-    vertices, faces = revolve(np.concatenate([front, back[::-1]]), count)
+    vertices, faces = revolve(np.concatenate([front, element.flange_corners, back[::-1]]), count)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.units = "mm"
     return LensMesh(
         mesh,
-        max(_measured_error(m, p, count, element.edge_mm) for m, p in zip(sides, (front, back), strict=True)),
-        edge_error(element.edge_mm, count),
+        max(
+            _measured_error(m, p, count, len(end) > 0)
+            for m, p, end in zip(sides, optical, element.ends, strict=True)
+        ),
+        edge_error(element.outer_mm, count),
         float(mesh.volume),
         element.volume_mm3,
     )
@@ -68,18 +79,17 @@ def _rings(meridian: SurfaceMeridian, error_mm: float) -> Array:
     return ring_parameters(errors, ring_density(errors, end_mm), end_mm, error_mm)
 
 
-def _measured_error(meridian: SurfaceMeridian, profile: Array, count: int, edge_mm: float) -> float:
+def _measured_error(meridian: SurfaceMeridian, profile: Array, count: int, goes_on: bool) -> float:
     """Greatest distance of facets from the surface, at 231 points of every facet of one sector.
 
     All sectors are alike. What reaches past the end of the meridian is held against its tangent there; of
-    a flat annulus only the inner rim can stand off.
+    a flat ring or bevel that goes on from it only the inner rim can stand off.
     """
-    rings = len(profile) if meridian.end_mm >= edge_mm else len(profile) - 1
-    points = _sector_points(profile[:rings], count)
+    points = _sector_points(profile, count)
     radial = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
     beyond = radial[:, 0] > meridian.end_mm
     greatest = float(np.max(meridian.distances(radial[~beyond]), initial=0.0))
-    if rings < len(profile):
+    if goes_on:
         inner = meridian.end_mm * area_factor(count) * math.cos(math.pi / count)
         return max(greatest, float(meridian.distances(np.array([[inner, profile[-1, 1]]]))[0]))
     tangent, off = meridian.tangents(1.0), radial[beyond] - meridian.points(1.0)

@@ -48,17 +48,17 @@ def ray_paths(
     rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=lens.sensor_z_mm[-1], record_hits=True)
     assert rays.hits is not None  # asked for above
     paths = np.concatenate([origins[:, None], rays.hits, rays.position[:, None]], axis=1)
-    in_glass = lens.indices(wavelength_um) != 1.0
     for ray in np.flatnonzero(rays.status == Status.CLIPPED):
         surface = int(rays.failed_surface[ray])
-        if in_glass[surface]:
-            paths[ray, surface + 1 :] = _to_edge(paths[ray, surface], paths[ray, surface + 1], lens)
+        if surface - 1 in lens.glass_fronts:
+            radius = mechanical_semi_diameter_mm(lens, lens.glass_fronts.index(surface - 1))
+            paths[ray, surface + 1 :] = _to_edge(paths[ray, surface], paths[ray, surface + 1], radius)
     return paths
 
 
-def _to_edge(start: Array, end: Array, lens: Lens) -> Array:
-    """The point where a line from `start` to `end` meets the ground edge cylinder, or `end` within it."""
-    radius, step = mechanical_semi_diameter_mm(lens), end - start
+def _to_edge(start: Array, end: Array, radius: float) -> Array:
+    """The point where a line from `start` to `end` meets the edge cylinder, or `end` within it."""
+    step = end - start
     a, b = step[:2] @ step[:2], start[:2] @ step[:2]
     c = start[:2] @ start[:2] - radius**2
     if end[:2] @ end[:2] <= radius**2 or c >= 0.0:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+from lensdesign.edges import Edge
 from lensdesign.errors import DesignError
+from lensdesign.section import Section
 from lensdesign.system import Lens, Surface
 
 
@@ -40,7 +42,17 @@ def scaled(lens: Lens, factor: float) -> Lens:
             plane_distances_mm=tuple(factor * distance for distance in lens.sensor.plane_distances_mm),
             pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
         ),
+        edges=tuple(_edge(edge, factor) for edge in lens.edges),
     )
+
+
+def _edge(edge: Edge, factor: float) -> Edge:
+    def times(part: Section) -> dict[str, float]:
+        lengths = part.model_dump(exclude_none=True, exclude={"flange"})
+        return {name: factor * value for name, value in lengths.items()}
+
+    flange = None if edge.flange is None else edge.flange.replaced(**times(edge.flange))
+    return edge.replaced(**times(edge), flange=flange)
 
 
 def _surface(surface: Surface, factor: float) -> Surface:

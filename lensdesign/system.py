@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign import surfaces as shapes
+from lensdesign.edges import Edge
 from lensdesign.figure_source import FigureSource
 from lensdesign.section import Finite, Positive, Section, as_path, tuples
 
@@ -162,8 +163,9 @@ class Lens(Section):
     object: ObjectSpace
     sensor: Sensor
     surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
+    edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
 
-    _lists = field_validator("wavelengths_um", "surfaces", mode="before")(tuples)
+    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(tuples)
 
     @field_validator("glass_catalogs", mode="before")
     @classmethod
@@ -192,6 +194,7 @@ class Lens(Section):
             raise ValueError(f"surface {self.stop_index + 1} is the stop and needs a semi_diameter_mm")
         self._refuse_crossing()
         self._refuse_object_within()
+        self._refuse_impossible_edges()
         return self
 
     def _refuse_crossing(self) -> None:
@@ -221,6 +224,36 @@ class Lens(Section):
                 f"{self.object.working_distance_mm:g}, but surface 1 comes {reach:.4g} mm towards the object "
                 f"within its semi_diameter_mm of {front.semi_diameter_mm:g}; raise working_distance_mm"
             )
+
+    def _refuse_impossible_edges(self) -> None:
+        from lensdesign.lens_solid import glass_element, refuse_impossible_edge
+
+        fronts = self.glass_fronts
+        if self.edges and len(self.edges) != len(fronts):
+            raise ValueError(
+                f"edge: must hold one table for each glass element, front to back: {len(fronts)}, or none at "
+                f"all; {len(self.edges)} are given"
+            )
+        for number, (i, edge) in enumerate(zip(fronts, self.edges, strict=False), start=1):
+            radius = mechanical_semi_diameter_mm(self, number - 1)
+            for j, (flat_mm, bevel_mm) in zip((i, i + 1), edge.sides(), strict=True):
+                inner = radius - bevel_mm if flat_mm is None else flat_mm
+                clear = self.surfaces[j].semi_diameter_mm or 0.0
+                if inner < clear or inner <= 0.0 or inner > radius - bevel_mm:
+                    raise ValueError(
+                        f"edge {number}: the cylinder of semi_diameter_mm = {radius:g} leaves no room for "
+                        f"surface {j + 1} (clear semi-diameter {clear:g} mm), its "
+                        + (f"flat from {flat_mm:g} mm and " if flat_mm is not None else "")
+                        + f"bevel of {bevel_mm:g} mm"
+                    )
+            refuse_impossible_edge(glass_element(self, number - 1))
+
+    @property
+    def glass_fronts(self) -> tuple[int, ...]:
+        """Index of the front surface of every glass element, front to back."""
+        from lensdesign.materials import is_air
+
+        return tuple(i for i, s in enumerate(self.surfaces[:-1]) if not is_air(s.material))
 
     @property
     def stop_index(self) -> int:
@@ -291,6 +324,11 @@ class Lens(Section):
         return self.replaced(surfaces=surfaces)
 
 
-def mechanical_semi_diameter_mm(lens: Lens) -> float:
-    """Largest clear semi-diameter of all surfaces: the radius of the ground edge."""
-    return max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
+def mechanical_semi_diameter_mm(lens: Lens, element: int) -> float:
+    """Radius of the edge cylinder of a glass element, counted from 0.
+
+    The design file's, or else the largest clear semi-diameter of all surfaces of the lens.
+    """
+    given = lens.edges[element].semi_diameter_mm if lens.edges else None
+    largest = max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
+    return largest if given is None else given

@@ -16,7 +16,7 @@ from lensdesign.errors import InputError
 from lensdesign.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.files import did_you_mean
 from lensdesign.matching import match
-from lensdesign.system import Lens, mechanical_semi_diameter_mm
+from lensdesign.system import Lens
 
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
@@ -205,7 +205,7 @@ def _surface(lens: Lens, number: int, grade: str) -> str:
         text += _irregularity(target, waves, made.irregularity)
     if surface.kind in ("conic", "even asphere"):
         text += _asphere(lens, number, made)
-    if number > 0 and _is_glass(lens, number - 1):
+    if number - 1 in lens.glass_fronts:
         for axis in "xy":
             text += _perturbation(target, f"tilt_{axis}_deg", made.grade.wedge_deg, made.wedge)
     if number < len(lens.surfaces) - 1:
@@ -313,7 +313,7 @@ def _asphere(lens: Lens, number: int, made: _Made) -> str:
 
 def _space_behind(lens: Lens, number: int, made: _Made) -> str:
     target, grade = f"surface {number + 1}", made.grade
-    if not _is_glass(lens, number):
+    if number not in lens.glass_fronts:
         along = grade.distance_mm
         return _perturbation(target, "thickness_mm", along, f"+-{along:g} mm between parts, of the mount")
     text = _perturbation(target, "thickness_mm", grade.thickness_mm, made.thickness)
@@ -324,21 +324,18 @@ def _space_behind(lens: Lens, number: int, made: _Made) -> str:
     return text
 
 
-def _is_glass(lens: Lens, number: int) -> bool:
-    """Whether glass stands behind a surface, rather than air or the sensor's space."""
-    return number < len(lens.surfaces) - 1 and lens.surfaces[number].material not in (None, 1.0)
-
-
 def _largest_dimension_mm(lens: Lens, number: int) -> float:
     """Largest dimension of the glass part that a surface belongs to: its diameter, or its thickness."""
     first = last = number
-    while first > 0 and _is_glass(lens, first - 1):
+    while first - 1 in lens.glass_fronts:
         first -= 1
-    while _is_glass(lens, last):
+    while last in lens.glass_fronts:
         last += 1
-    part = lens.surfaces[first : last + 1]
-    semi_diameters = [s.semi_diameter_mm for s in part if s.semi_diameter_mm is not None]
-    semi_diameter = max(semi_diameters, default=mechanical_semi_diameter_mm(lens))
+    part = range(first, last + 1)
+    elements = [lens.glass_fronts.index(i) for i in part[:-1]]
+    given = [lens.edges[e].semi_diameter_mm for e in elements] if lens.edges else []
+    radii = [r for r in (*given, *(lens.surfaces[i].semi_diameter_mm for i in part)) if r is not None]
+    semi_diameter = max(radii, default=lens.stop_semi_diameter_mm)
     return max(2.0 * semi_diameter, float(lens.vertex_z_mm[last] - lens.vertex_z_mm[first]))
 
 

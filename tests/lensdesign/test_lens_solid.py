@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from lensdesign.lens_solid import SurfaceMeridian, closed_elements, glass_elements, smallest_gap
+from lensdesign.lens_solid import closed_elements, glass_elements, smallest_gap
+from lensdesign.meridian import SurfaceMeridian
 from lensdesign.system import Lens, Surface
 
 SECTIONS: dict[str, Any] = {

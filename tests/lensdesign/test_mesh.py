@@ -51,7 +51,7 @@ def assert_closed(mesh: trimesh.Trimesh) -> None:
 
 def largest_distance_mm(lens: Lens, mesh: trimesh.Trimesh, count: int = 20_000) -> tuple[float, float]:
     """Largest distance of random points on optical facets to a dense meridian, and its sampling error."""
-    edge = mechanical_semi_diameter_mm(lens)
+    edge = mechanical_semi_diameter_mm(lens, 0)
     outline = []
     for surface, z in zip(lens.surfaces, lens.vertex_z_mm, strict=True):
         r = edge * np.sin(np.linspace(0.0, 0.5 * math.pi, 40_001))

@@ -222,9 +222,13 @@ def test_figure_that_needs_too_many_triangles_is_named() -> None:
         (
             {"radius_mm": 5.01, "thickness_mm": 9.0},
             SurfacePerturbation(decenter_y_mm=0.1),
-            "inside the ground",
+            "inside its rim",
         ),
-        ({"radius_mm": 4.5, "semi_diameter_mm": 4.0}, SurfacePerturbation(tilt_y_deg=0.1), "no closed body"),
+        (
+            {"radius_mm": 4.0, "semi_diameter_mm": 4.0, "thickness_mm": 9.0},
+            SurfacePerturbation(tilt_y_deg=0.1),
+            "inside its rim",
+        ),
     ],
 )
 def test_what_makes_no_body_is_refused(
@@ -237,6 +241,17 @@ def test_what_makes_no_body_is_refused(
 def test_pose_of_many_trials_is_refused() -> None:
     with pytest.raises(InputError, match="pose holds 2 trials"):
         lens_mesh(singlet(), 1e-2, pose=Pose(tilt_x_deg=np.array([0.0, 1.0])))
+
+
+def test_a_tilted_surface_with_a_flat_ring_closes() -> None:
+    lens = singlet(radius_mm=4.5, semi_diameter_mm=4.0, thickness_mm=6.0)
+    change = SurfacePerturbation(tilt_y_deg=0.1)
+    result = lens_mesh(lens, 1e-3, surface_perturbations={0: change})
+    assert_closed(result.mesh)
+    points = optical_points(result, False)
+    optical = points[np.hypot(*points[:, :2].T) < 3.99]
+    assert np.max(distances(optical, lens, 0, change, 0.0)) <= 1e-3
+    assert abs(result.volume_error) < 0.05 * result.volume_tolerance
 
 
 def test_figure_on_a_surface_with_a_flat_annulus() -> None:

@@ -34,7 +34,7 @@ def test_geometry_of_the_paper_lens(paper_lens: Lens) -> None:
     assert paper_lens.sensor_z_mm == pytest.approx((11.7, 31.7))
     assert paper_lens.half_field_mm == 1.5
     assert paper_lens.sensor.size_mm == pytest.approx((29.9008, 22.4))
-    assert mechanical_semi_diameter_mm(paper_lens) == 10.0
+    assert mechanical_semi_diameter_mm(paper_lens, 0) == 10.0
     assert [s.kind for s in paper_lens.surfaces] == ["sphere", "conic"]
 
 
