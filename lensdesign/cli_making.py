@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,10 @@ def export(
     design: Design,
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="Mesh (.stl, .ply, .obj, .glb, .3mf) or lens file (.zmx, .seq)."),
+        typer.Argument(
+            metavar="FILE",
+            help="Mesh (.stl, .ply, .obj, .glb, .3mf), exact solid (.step, .stp) or lens file (.zmx, .seq).",
+        ),
     ],
     chord_error_um: Annotated[
         float, typer.Option(help="Largest distance between mesh and true surface, on the optical surfaces.")
@@ -28,18 +32,26 @@ def export(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the lens's glass as a closed mesh, or the lens as another program's file.
+    """Write the lens's glass as a mesh or as exact solids, or the lens as another program's file.
 
-    A mesh's surfaces have their nominal shape unless --measured is given; a note names those whose figure is
-    left out.
+    Surfaces have their nominal shape unless --measured is given, which only meshes take; a note names those
+    whose figure is left out.
     """
+    from lensdesign.cad import STEP_SUFFIXES
     from lensdesign.cli_exchange import FORMATS, write_exchange
-    from lensdesign.files import load_design
-    from lensdesign.mesh import export_mesh
 
     if file.suffix.lower() in FORMATS:
         write_exchange(design, file, as_json)
-        return
+    elif file.suffix.lower() in STEP_SUFFIXES:
+        _write_step(design, file, measured, as_json)
+    else:
+        _write_mesh(design, file, chord_error_um, measured, as_json)
+
+
+def _write_mesh(design: Path, file: Path, chord_error_um: float, measured: bool, as_json: bool) -> None:
+    from lensdesign.files import load_design
+    from lensdesign.mesh import export_mesh
+
     lens = load_design(design)
     mesh = export_mesh(
         lens,
@@ -64,6 +76,35 @@ def export(
     typer.echo(
         f"wrote {file}: {mesh.triangles} triangles, within {figures['chord_error_um']:.3g} um of the true "
         f"surface, volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
+    )
+
+
+def _write_step(design: Path, file: Path, measured: bool, as_json: bool) -> None:
+    from lensdesign.cad import export_step
+    from lensdesign.files import load_design
+
+    if measured:
+        raise InputError(
+            f"cannot write {file} with --measured: solids have nominal surfaces; a mesh takes it"
+        )
+    lens = load_design(design)
+    found = export_step(lens, file, report=lambda note: typer.echo(note, err=True))
+    if as_json:
+        print_json(
+            {
+                "file": str(file),
+                "bytes": found.bytes,
+                "solids": [asdict(body) for body in found.bodies],
+                "surfaces_without_their_figure": [
+                    i for i, s in enumerate(lens.surfaces, start=1) if s.figure
+                ],
+            }
+        )
+        return
+    typer.echo(
+        f"wrote {file}: {found.solids} {'solid' if found.solids == 1 else 'solids'}, read back within "
+        f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm^3 "
+        f"(exact {found.exact_volume_mm3:.9g} mm^3)"
     )
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from random_lenses import numbers
 
 from lensdesign.analysis import edge_thickness_mm
+from lensdesign.cad import export_step
 from lensdesign.check import check_design
 from lensdesign.drawing import lens_drawing
 from lensdesign.edges import Edge, Flange
@@ -241,3 +242,10 @@ def test_a_perturbed_surface_may_not_reach_into_the_flange(paper_lens: Lens) -> 
     assert lens_mesh(lens, 1e-2).mesh.is_watertight
     with pytest.raises(InputError, match="as perturbed: its edge cylinder runs at its narrowest from"):
         lens_mesh(lens, 1e-2, surface_perturbations={0: SurfacePerturbation(tilt_y_deg=0.5)})
+
+
+def test_solids_for_cad_have_the_edge(paper_lens: Lens, tmp_path: Path) -> None:
+    lens = moulded(paper_lens)
+    report = export_step(lens, tmp_path / "lens.step")
+    assert report.largest_error_mm < 1e-9
+    assert report.volume_mm3 == pytest.approx(closed_elements(lens)[0].volume_mm3, rel=1e-9)
