@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensdesign.analysis import ArrivalAngles, arrival_angles, rms_spot_diameter
-from lensdesign.bundles import launch, pupil_fan, pupil_hexapolar
+from lensdesign.bundles import launch, pupil_hexapolar
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.figure_plots import figure_map
-from lensdesign.lens_solid import glass_elements
+from lensdesign.layout_plot import layout_figure
 from lensdesign.matching import spread_limit_sine
-from lensdesign.ray_paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.ray_paths import FIELD_COLORS
 from lensdesign.scene3d import RenderingError, render_lens
+from lensdesign.spread_plot import spread_figure
 from lensdesign.system import Lens
 from lensdesign.tracing import trace
 
@@ -31,12 +31,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PICTURE_FORMATS = ("png", "svg")
-RAYS_PER_FIELD = 11
 DOTS_PER_INCH = 200
 OBSERVATION_DISTANCE_MM = 3.0
 """Plane of the spot diagrams and arrival angles, from the exit vertex."""
 
-_GLASS, _INK, _FAINT = "#CFE3F1", "#333333", "#8A8A8A"
+_INK = "#333333"
 
 
 def draw_all(
@@ -45,7 +44,7 @@ def draw_all(
     formats: Sequence[str] = ("png",),
     report: Callable[[str], None] = warnings.warn,
 ) -> list[Path]:
-    """Write every picture of a lens: layout, spots, incidence, measured figures, and the 3D view if possible.
+    """Write every picture of a lens: layout, spots, incidence, spread, measured figures, and a 3D view.
 
     Parameters
     ----------
@@ -75,6 +74,7 @@ def draw_all(
         "layout": layout_figure(lens),
         "spots": spot_figure(lens),
         "incidence": incidence_figure(lens),
+        "spread": spread_figure(lens),
     }
     for i, surface in enumerate(lens.surfaces):
         if surface.figure is not None:
@@ -96,7 +96,10 @@ def draw_all(
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG or SVG, by suffix; the same figure gives the same file."""
+    """Write a figure as PNG or SVG, by suffix; the same figure gives the same file.
+
+    Text in SVG stays text, so that a journal can set it in its own font.
+    """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -106,44 +109,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         raise InputError(f"cannot write {path}: allowed suffixes are .{', .'.join(PICTURE_FORMATS)}")
     canvas = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
     metadata: dict[str, Any] = {} if form == "png" else {"Date": None}
-    with atomic_path(path) as temporary, rc_context({"svg.hashsalt": "transferlens"}):
+    with atomic_path(path) as temporary, rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
         canvas.print_figure(temporary, format=form, dpi=DOTS_PER_INCH, metadata=metadata)
-
-
-def layout_figure(lens: Lens) -> Figure:
-    """Meridional section with rays of three fields, object and sensor planes, stop and scale (Fig. 2b).
-
-    Surfaces without a semi-diameter are drawn as large as their footprint. Failed rays end where they
-    failed.
-
-    Raises
-    ------
-    InputError
-        If a surface's size is neither given nor can be had from rays.
-    """
-    lens = sized_lens(lens)
-    half_height = max(
-        0.5 * lens.sensor.size_mm[1],
-        max(s.semi_diameter_mm or 0.0 for s in lens.surfaces),
-        lens.half_field_mm,
-    )
-    length = lens.sensor_z_mm[-1] - lens.object_z_mm
-    span_z = (lens.object_z_mm - 0.09 * length, lens.sensor_z_mm[-1] + 0.06 * length)
-    span_y = (-1.22 * half_height, 1.22 * half_height)
-    height = 9.3 * (span_y[1] - span_y[0]) / (span_z[1] - span_z[0])
-    figure = _figure((10.0, min(max(height, 2.4), 9.0) + 1.2))
-    axes = figure.add_subplot()
-    _draw_glass(axes, lens)
-    _draw_rays(axes, lens)
-    _draw_stop(axes, lens, 0.06 * half_height)
-    _draw_planes(axes, lens, length, span_y[1])
-    axes.plot([lens.object_z_mm, lens.sensor_z_mm[-1]], [0.0, 0.0], "-.", color=_FAINT, lw=0.6, zorder=0)
-    axes.set_aspect("equal")
-    axes.set(xlim=span_z, ylim=span_y)
-    _draw_scale_bar(axes, length, half_height)
-    _label(axes, "z (mm)", "y (mm)")
-    figure.legend(loc="outside lower center", ncols=len(FIELD_SHARES), frameon=False, fontsize=9)
-    return figure
 
 
 def spot_figure(lens: Lens, plane_distance_mm: float = OBSERVATION_DISTANCE_MM) -> Figure:
@@ -275,87 +242,3 @@ def _label(axes: Axes, x: str, y: str) -> None:
 
 def _length(value_mm: float) -> str:
     return f"{value_mm:.2f} mm" if value_mm >= 0.1 else f"{1e3 * value_mm:.3g} µm"
-
-
-def _mirrored(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A meridian (r, z) and its mirror image as one closed polygon (z, y)."""
-    upper = outline[:, ::-1]
-    return np.concatenate([upper, upper[::-1] * [1.0, -1.0]])
-
-
-def _draw_glass(axes: Axes, lens: Lens) -> None:
-    for element in glass_elements(lens):
-        outline = element.outline()
-        axes.fill(*_mirrored(outline).T, facecolor=_GLASS, edgecolor=_INK, lw=0.9, zorder=2)
-        edge = outline[outline[:, 0] >= element.edge_mm]
-        for sign in (1.0, -1.0):
-            axes.plot(edge[:, 1], sign * edge[:, 0], color=_INK, lw=2.4, solid_capstyle="butt", zorder=5)
-
-
-def _draw_rays(axes: Axes, lens: Lens) -> None:
-    from matplotlib.collections import LineCollection
-
-    for share, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
-        height = share * lens.half_field_mm
-        paths = ray_paths(lens, (0.0, height), pupil_fan(RAYS_PER_FIELD).points)
-        label = f"field height {height:.3g} mm"
-        axes.add_collection(
-            LineCollection([p[:, [2, 1]] for p in paths], colors=color, linewidths=0.8, zorder=3, label=label)
-        )
-
-
-def _draw_stop(axes: Axes, lens: Lens, size_mm: float) -> None:
-    """Two wedges that point at the rim of the stop."""
-    radius = lens.stop_semi_diameter_mm
-    z = lens.vertex_z_mm[lens.stop_index] + float(lens.surfaces[lens.stop_index].sag_mm(radius))
-    for sign in (1.0, -1.0):
-        wedge = [
-            (z, sign * radius),
-            (z - 0.5 * size_mm, sign * (radius + 1.6 * size_mm)),
-            (z + 0.5 * size_mm, sign * (radius + 1.6 * size_mm)),
-        ]
-        axes.fill(*zip(*wedge, strict=True), color="black", lw=0.0, zorder=6)
-    axes.annotate(
-        "stop",
-        (z - 0.5 * size_mm, radius + 1.6 * size_mm),
-        xytext=(-3, 0),
-        textcoords="offset points",
-        ha="right",
-        va="center",
-        fontsize=8,
-    )
-
-
-def _draw_planes(axes: Axes, lens: Lens, length: float, label_y: float) -> None:
-    """Object and sensor planes as far as they reach; labels of sensor planes close together alternate."""
-    line: dict[str, Any] = {"color": _INK, "lw": 2.0, "solid_capstyle": "butt", "zorder": 4}
-    text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
-    half = lens.half_field_mm
-    axes.plot([lens.object_z_mm] * 2, [-half, half], **line)
-    name = f"object\n⌀ {lens.object.field_diameter_mm:g} mm"
-    axes.annotate(name, (lens.object_z_mm, 0.0), xytext=(-5, 0), ha="right", va="center", **text)
-    half, before, raised = 0.5 * lens.sensor.size_mm[1], -math.inf, False
-    for number, distance in enumerate(lens.sensor.plane_distances_mm, start=1):
-        z = lens.exit_vertex_z_mm + distance
-        raised = z - before < 0.1 * length and not raised
-        before = z
-        axes.plot([z, z], [-half, half], **line)
-        axes.plot([z, z], [half, label_y], ":", color=_FAINT, lw=0.8, zorder=1)
-        name, lift = f"$H_{{{number}}}$ = {distance:g} mm", 13 if raised else 2
-        axes.annotate(name, (z, label_y), xytext=(0, lift), ha="center", va="bottom", **text)
-
-
-def _draw_scale_bar(axes: Axes, length: float, half_height: float) -> None:
-    exponent = 10.0 ** math.floor(math.log10(0.2 * length))
-    bar = max(s * exponent for s in (1.0, 2.0, 5.0) if s * exponent <= 0.2 * length)
-    left, y = axes.get_xlim()[0] + 0.03 * length, -1.12 * half_height
-    axes.plot([left, left + bar], [y, y], color=_INK, lw=2.0, solid_capstyle="butt")
-    axes.annotate(
-        f"{bar:g} mm",
-        (left + 0.5 * bar, y),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="center",
-        va="bottom",
-        fontsize=8,
-    )

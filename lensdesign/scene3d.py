@@ -1,7 +1,7 @@
-"""A rendered 3D view of a lens with its rays, object and sensor planes.
+"""The lens with its rays, object and sensor planes in 3D: as a picture, and in a window that turns.
 
-Off-screen rendering needs OpenGL libraries; where they are missing, the library that renders brings the
-whole process down. So a child process tries first.
+Off-screen rendering needs OpenGL libraries, and a window a display; where they are missing, the library that
+renders brings the whole process down. So a child process renders first, or opens the window.
 """
 
 from __future__ import annotations
@@ -9,18 +9,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lensdesign.bundles import pupil_hexapolar
 from lensdesign.errors import TransferLensError, atomic_path
-from lensdesign.lens_solid import closed_elements
-from lensdesign.mesh import lens_mesh
-from lensdesign.ray_paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.scene_parts import SHARP_DEG, ScenePart, scene_parts
 from lensdesign.system import Lens
 
 if TYPE_CHECKING:
@@ -34,6 +32,11 @@ image = plotter.screenshot(None, return_img=True)
 raise SystemExit(0 if image.std() > 1.0 else 1)
 """
 PROBE_SECONDS = 60.0
+
+VIEW_CHORD_SHARE = 2e-4
+"""Chord error of the glass in pictures, as a share of the stop's semi-diameter."""
+
+GLASS_OPACITY = 0.3
 
 
 class RenderingError(TransferLensError):
@@ -73,26 +76,32 @@ def render_lens(
     InputError
         If an element does not close, or the file cannot be written.
     """
-    lens = sized_lens(lens)
-    elements = closed_elements(lens)
+    parts = scene_parts(lens, VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
     if not rendering_available():
         raise RenderingError("no off-screen rendering on this machine (OpenGL libraries missing?)")
-    import pyvista
-
     with _quiet_vtk():
-        plotter = pyvista.Plotter(off_screen=True, window_size=list(window_size_px), lighting="light kit")
+        plotter = _plotter(parts, window_size_px, off_screen=True)
         try:
-            plotter.set_background("white")
-            plotter.enable_anti_aliasing("ssaa")
-            for element in elements:
-                _add_glass(plotter, lens, element.number)
-            _add_rays(plotter, lens)
-            _add_planes(plotter, lens)
-            _place_camera(plotter)
             with atomic_path(path) as temporary:
                 plotter.screenshot(str(temporary))
         finally:
             plotter.close()
+
+
+def show_lens(lens: Lens) -> None:
+    """Open a window with what :func:`render_lens` renders, and return when it is closed.
+
+    Without a display this ends the process on some machines; :func:`lensdesign.window.open_window` is safe.
+
+    Raises
+    ------
+    InputError
+        If an element does not close.
+    """
+    parts = scene_parts(lens, VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    plotter = _plotter(parts, (1200, 800), off_screen=False)
+    plotter.add_axes(xlabel="x", ylabel="y", zlabel="z")
+    plotter.show(title=lens.title or "Lens")
 
 
 @contextmanager
@@ -108,52 +117,73 @@ def _quiet_vtk() -> Iterator[None]:
         vtkLogger.SetStderrVerbosity(before)
 
 
-def _add_glass(plotter: pyvista.Plotter, lens: Lens, element: int) -> None:
+def _plotter(
+    parts: Sequence[ScenePart], window_size_px: tuple[int, int], off_screen: bool
+) -> pyvista.Plotter:
     import pyvista
 
-    mesh = lens_mesh(lens, chord_error_mm=2e-4 * lens.stop_semi_diameter_mm, element=element).mesh
-    solid = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(window_size_px), lighting="light kit")
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")
+    for part in parts:
+        if part.glass:
+            _add_glass(plotter, part)
+        elif len(part.faces):
+            faces = pyvista.PolyData.from_regular_faces(part.vertices, part.faces)
+            plotter.add_mesh(faces, color=part.color, opacity=part.opacity, lighting=False)
+        if len(part.lines):
+            color, width = _LINES.get(part.kind, (part.color, 3.0))
+            plotter.add_mesh(_polylines(part.lines), color=color, line_width=width, lighting=False)
+    for below in (False, True):
+        _add_labels(plotter, [p for p in parts if p.kind != "rays" and p.label_below == below], below)
+    _place_camera(plotter)
+    return plotter
+
+
+_LINES = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
+"""Colour and width of the edges of bodies; rays have their own colour."""
+
+
+def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
+    import pyvista
+
     plotter.add_mesh(
-        solid,
-        color="#A9D3EE",
-        opacity=0.3,
+        pyvista.PolyData.from_regular_faces(part.vertices, part.faces),
+        color=part.color,
+        opacity=GLASS_OPACITY,
         ambient=0.45,
         smooth_shading=True,
         split_sharp_edges=True,
-        feature_angle=15.0,
+        feature_angle=SHARP_DEG,
         specular=0.5,
         specular_power=40,
     )
-    rims = solid.extract_feature_edges(feature_angle=15.0, boundary_edges=False, manifold_edges=False)
-    if rims.n_cells:
-        plotter.add_mesh(rims, color="#4A7FA5", line_width=4)
 
 
-def _add_rays(plotter: pyvista.Plotter, lens: Lens) -> None:
-    import pyvista
-
-    pupil = pupil_hexapolar(2).points
-    for share, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
-        paths = ray_paths(lens, (0.0, share * lens.half_field_mm), pupil)
-        count, corners, _ = paths.shape
-        numbers = np.arange(count * corners).reshape(count, corners)
-        cells = np.column_stack([np.full(count, corners), numbers])
-        lines = pyvista.PolyData(paths.reshape(-1, 3), lines=cells.ravel())
-        plotter.add_mesh(lines, color=color, line_width=3.0, lighting=False)
-
-
-def _add_planes(plotter: pyvista.Plotter, lens: Lens) -> None:
-    import pyvista
-
-    disc = pyvista.Disc(center=(0.0, 0.0, lens.object_z_mm), inner=0.0, outer=lens.half_field_mm, c_res=96)
-    plotter.add_mesh(disc, color="#E6B800", lighting=False)
-    width, height = lens.sensor.size_mm
-    for z in lens.sensor_z_mm:
-        plane = pyvista.Plane(
-            center=(0.0, 0.0, z), i_size=width, j_size=height, i_resolution=1, j_resolution=1
+def _add_labels(plotter: pyvista.Plotter, parts: Sequence[ScenePart], below: bool) -> None:
+    if parts:
+        plotter.add_point_labels(
+            [part.anchor for part in parts],
+            # VTK would take what stands between dollar signs for mathematics.
+            [part.label.replace("$", "") for part in parts],
+            show_points=False,
+            always_visible=True,
+            shape=None,
+            bold=False,
+            text_color="#333333",
+            font_size=round(plotter.window_size[0] / 70),
+            justification_horizontal="center",
+            justification_vertical="top" if below else "bottom",
         )
-        plotter.add_mesh(plane, color="#707070", opacity=0.18, lighting=False)
-        plotter.add_mesh(plane.extract_feature_edges(), color="#404040", line_width=4)
+
+
+def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
+    import pyvista
+
+    count, corners, _ = lines.shape
+    numbers = np.arange(count * corners).reshape(count, corners)
+    cells = np.column_stack([np.full(count, corners), numbers])
+    return pyvista.PolyData(lines.reshape(-1, 3), lines=cells.ravel())
 
 
 def _place_camera(plotter: pyvista.Plotter) -> None:

@@ -12,16 +12,23 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.image import imread
 from matplotlib.patches import Polygon
+from matplotlib.text import Text
+from random_lenses import lenses
 
 from lensdesign import Lens, plots
 from lensdesign.analysis import rms_spot_diameter
+from lensdesign.edges import Edge, Flange
 from lensdesign.errors import InputError
+from lensdesign.layout_plot import THICK, THIN
+from lensdesign.lens_solid import glass_elements
 from lensdesign.plots import draw_all, incidence_figure, layout_figure, save_figure, spot_figure
-from lensdesign.ray_paths import FIELD_COLORS
+from lensdesign.ray_paths import FIELD_COLORS, sized_lens
+from lensdesign.scaling import scaled
 from lensdesign.scene3d import RenderingError
 
 
@@ -68,11 +75,11 @@ def test_layout_shows_glass_rays_and_planes(paper_lens: Lens) -> None:
     glass = next(p for p in axes.patches if isinstance(p, Polygon))
     low, high = glass.get_xy().min(axis=0), glass.get_xy().max(axis=0)
     assert [*low, *high] == pytest.approx([0.0, -10.0, 9.7, 10.0])
-    planes = [line.get_xydata() for line in axes.lines if line.get_linewidth() == 2.0][:3]
+    planes = [line.get_xydata() for line in axes.lines if line.get_linewidth() == THICK][2:5]
     expected = [[[z, -half], [z, half]] for z, half in ((-13.5, 1.5), (11.7, 11.2), (31.7, 11.2))]
     assert np.array(planes) == pytest.approx(np.array(expected))
     texts = {t.get_text() for t in axes.texts}
-    assert {"object\n⌀ 3 mm", "$H_{1}$ = 2 mm", "$H_{2}$ = 22 mm", "stop", "5 mm"} == texts
+    assert {"object\nØ 3 mm", "$H_{1}$ = 2 mm", "$H_{2}$ = 22 mm", "stop", "N-BK7", "5 mm"} == texts
 
 
 def test_layout_of_several_elements(triplet: Lens) -> None:
@@ -96,15 +103,146 @@ def test_layout_of_a_lens_that_does_not_close_is_still_drawn(paper_lens: Lens) -
     assert layout_figure(paper_lens.with_surface(0, thickness_mm=4.5)).axes
 
 
-def test_labels_lie_within_the_figure_and_do_not_overlap(paper_lens: Lens, triplet: Lens) -> None:
-    for lens in (paper_lens, triplet):
+def crowded(lens: Lens) -> list[str]:
+    """What of the figure's text overlaps other text, or leaves the figure, by the renderer's extents."""
+    figure = layout_figure(lens)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    ticks = [t for axis in (axes.xaxis, axes.yaxis) for t in axis.get_ticklabels() if t.get_text()]
+    inside = [t for t in ticks if figure.bbox.contains(*t.get_window_extent().p0)]
+    texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, *inside]
+    boxes = [(t.get_text(), Text.get_window_extent(t)) for t in texts]
+    boxes += [("legend", legend.get_window_extent()) for legend in figure.legends]
+    found = [name for name, box in boxes if figure.bbox.count_contains(box.corners()) < 4]
+    for i, (name, box) in enumerate(boxes):
+        found += [f"{name} on {other}" for other, its in boxes[:i] if box.overlaps(its)]
+    return found
+
+
+def many_elements(count: int) -> Lens:
+    """A row of plates, a millimetre apart, with as many sensor planes."""
+    plates = [
+        {"thickness_mm": 1.0, "material": "N-LASF46A" if i % 2 == 0 else None, "semi_diameter_mm": 4.0}
+        for i in range(2 * count - 1)
+    ]
+    return Lens.model_validate(
+        {
+            "wavelengths_um": [0.532],
+            "object": {"field_diameter_mm": 2.0, "numerical_aperture": 0.1, "working_distance_mm": 15.0},
+            "sensor": {
+                "pixel_pitch_um": 3.2,
+                "pixels": [3000, 2000],
+                "plane_distances_mm": [round(0.1 + 0.05 * i, 2) for i in range(count)],
+            },
+            "surface": [*plates, {"semi_diameter_mm": 4.0}],
+        }
+    )
+
+
+def flanged(lens: Lens) -> Lens:
+    """With a bevel in front and a wide flange."""
+    flange = Flange(semi_diameter_mm=16.0, distance_mm=2.5, thickness_mm=2.0)
+    return lens.replaced(edges=(Edge(semi_diameter_mm=10.5, front_bevel_mm=0.3, flange=flange),))
+
+
+def test_layout_shows_the_whole_edge(paper_lens: Lens) -> None:
+    (axes,) = layout_figure(flanged(paper_lens)).axes
+    glass = next(p for p in axes.patches if isinstance(p, Polygon))
+    assert np.abs(glass.get_xy()[:, 1]).max() == pytest.approx(16.0)
+    assert axes.get_ylim()[0] < -16.0
+    assert axes.get_ylim()[1] > 16.0
+    (name,) = (t for t in axes.texts if t.get_text() == "N-BK7")
+    assert name.get_position()[1] < -16.0
+
+
+def test_labels_do_not_overlap(paper_lens: Lens, triplet: Lens) -> None:
+    def with_planes(*distances: float) -> Lens:
+        return paper_lens.replaced(
+            sensor=paper_lens.sensor.model_copy(update={"plane_distances_mm": distances})
+        )
+
+    def with_field(diameter_mm: float) -> Lens:
+        return paper_lens.replaced(
+            object=paper_lens.object.model_copy(update={"field_diameter_mm": diameter_mm})
+        )
+
+    lenses = {
+        "paper": paper_lens,
+        "triplet": triplet,
+        "planes 0.1 mm apart": with_planes(2.0, 2.1, 2.2),
+        "planes 1 um apart": with_planes(2.0, 2.001, 2.002, 2.003, 22.0),
+        "far plane": with_planes(0.1, 900.0),
+        "tiny field": with_field(1e-4),
+        "large field": with_field(17.5),
+        "small twin": scaled(paper_lens, 1e-3),
+        "large twin": scaled(paper_lens, 50.0),
+        "five elements": many_elements(5),
+        "twenty elements": many_elements(20),
+        "flange": flanged(paper_lens),
+    }
+    assert {name: crowded(lens) for name, lens in lenses.items()} == {name: [] for name in lenses}
+
+
+@settings(max_examples=15)
+@given(lenses())
+def test_labels_of_random_lenses_do_not_overlap(lens: Lens) -> None:
+    try:
+        sized_lens(lens)
+        glass_elements(lens)
+    except InputError:
+        assume(False)
+    assert crowded(lens) == []
+
+
+def test_names_are_no_mathematics(paper_lens: Lens, tmp_path: Path) -> None:
+    name = r"$\frac{_^\alpha"
+    catalogue = tmp_path / "odd.agf"
+    catalogue.write_text(f"CC test\nNM {name} 2 0 1.5 60\nCD 1.25 0.01 0 0 0 0\nLD 0.3 2.0\n")
+    odd = paper_lens.with_surface(0, material="N-BK7").replaced(
+        title=r"$\frac{ a_b^c \ & <svg>", glass_catalogs=(catalogue,)
+    )
+    odd = odd.with_surface(0, material=name)
+    figure = layout_figure(odd)
+    assert name in {t.get_text() for t in figure.axes[0].texts}
+    for suffix in ("png", "svg"):
+        save_figure(layout_figure(odd), tmp_path / f"layout.{suffix}")
+    assert name in (tmp_path / "layout.svg").read_text()
+    assert crowded(odd) == []
+
+
+def test_long_names_are_cut(paper_lens: Lens, tmp_path: Path) -> None:
+    catalogue = tmp_path / "odd.agf"
+    catalogue.write_text(f"CC test\nNM {'W' * 90} 2 0 1.5 60\nCD 1.25 0.01 0 0 0 0\nLD 0.3 2.0\n")
+    odd = paper_lens.replaced(glass_catalogs=(catalogue,)).with_surface(0, material="W" * 90)
+    assert "W" * 23 + "…" in {t.get_text() for t in layout_figure(odd).axes[0].texts}
+    assert crowded(odd) == []
+
+
+def test_text_in_svg_stays_text(paper_lens: Lens, tmp_path: Path) -> None:
+    save_figure(layout_figure(paper_lens), tmp_path / "layout.svg")
+    root = ElementTree.parse(tmp_path / "layout.svg").getroot()
+    shown = {"".join(e.itertext()).strip() for e in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"stop", "N-BK7", "5 mm", "z (mm)", "field height 1.05 mm"} <= shown
+
+
+def test_two_line_widths(triplet: Lens) -> None:
+    (axes,) = layout_figure(triplet).axes
+    widths = {line.get_linewidth() for line in axes.lines}
+    widths |= {width for c in axes.collections for width in np.atleast_1d(c.get_linewidth())}
+    widths |= {p.get_linewidth() for p in axes.patches}
+    assert widths == {0.0, THIN, THICK}
+
+
+def test_layout_is_to_scale(paper_lens: Lens, triplet: Lens) -> None:
+    for lens in (paper_lens, triplet, many_elements(20), scaled(paper_lens, 1e-3)):
         figure = layout_figure(lens)
+        (axes,) = figure.axes
         FigureCanvasAgg(figure).draw()
-        boxes = [t.get_window_extent() for t in figure.axes[0].texts]
-        boxes += [legend.get_window_extent() for legend in figure.legends]
-        for i, box in enumerate(boxes):
-            assert figure.bbox.count_contains(box.corners()) == 4
-            assert not any(box.overlaps(other) for other in boxes[:i])
+        across, up = np.diff(axes.transData.transform([(0.0, 0.0), (1.0, 1.0)]), axis=0)[0]
+        assert across == pytest.approx(up)
+        bar = next(t.get_text() for t in axes.texts if re.fullmatch(r"[\d.e-]+ mm", t.get_text()))
+        drawn = np.ptp([line for line in axes.lines if line.get_linewidth() == THICK][-1].get_xdata())
+        assert drawn == pytest.approx(float(bar.split()[0]))
 
 
 def test_spot_diameters_are_those_of_the_analysis(paper_lens: Lens) -> None:
@@ -165,7 +303,7 @@ def test_draw_all_without_rendering_says_so(
     no_rendering(monkeypatch)
     notes: list[str] = []
     paths = draw_all(paper_lens, tmp_path / "new", ("png", "svg"), report=notes.append)
-    names = [f"{n}.{f}" for n in ("layout", "spots", "incidence") for f in ("png", "svg")]
+    names = [f"{n}.{f}" for n in ("layout", "spots", "incidence", "spread") for f in ("png", "svg")]
     assert [p.name for p in paths] == names
     assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(names)
     assert notes == ["3D view left out: no off-screen rendering on this machine"]
@@ -191,14 +329,14 @@ def test_draw_all_with_rendering(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         paths = draw_all(paper_lens, tmp_path)
-    assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png", "view3d.png"]
+    assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png", "spread.png", "view3d.png"]
     assert all(p.exists() for p in paths)
 
 
 def test_a_lens_that_does_not_close_has_no_3d_view(tmp_path: Path, paper_lens: Lens) -> None:
     notes: list[str] = []
     paths = draw_all(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path, report=notes.append)
-    assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png"]
+    assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png", "spread.png"]
     assert len(notes) == 1
     assert "edge thickness is -0." in notes[0]
 
