@@ -22,6 +22,7 @@ SCRIPTS = (
     "study_faults",
     "two_levels",
     "exchange",
+    "step_export",
     "import_time",
 )
 

@@ -11,8 +11,11 @@ from functools import lru_cache
 from pathlib import Path
 
 from lensdesign.errors import MaterialError
+from lensdesign.input_files import CATALOG_BYTES, read_input
 
 Coefficients = Sequence[float]
+
+LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -139,19 +142,23 @@ def load_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
     Raises
     ------
     MaterialError
-        If the file cannot be read or is not a glass catalogue; the message names file and line.
+        If the file cannot be read, is larger than 64 MB, or is not a glass catalogue; the message names
+        file and line.
     """
     file = Path(path)
     try:
         status = file.stat()
-        return _load(file, status.st_mtime_ns, status.st_size)
     except OSError as error:
         raise MaterialError(f"cannot read glass catalogue {file}: {error.strerror or error}") from error
+    except ValueError as error:  # a NUL character in the path
+        raise MaterialError(f"cannot read glass catalogue {str(file)!r}: {error}") from error
+    return _load(file, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=32)
 def _load(file: Path, _mtime_ns: int, _size: int) -> tuple[AgfGlass, ...]:
-    return parse_agf(_decode(file.read_bytes(), str(file)), str(file))
+    data = read_input(file, CATALOG_BYTES, MaterialError, "glass catalogue")
+    return parse_agf(_decode(data, str(file)), str(file))
 
 
 def _decode(data: bytes, where: str) -> str:
@@ -241,23 +248,34 @@ class _Draft:
 
 def _start(fields: list[str], where: str) -> _Draft:
     if len(fields) < 2:
-        raise MaterialError(f"{where}: NM record needs a name and a formula number, got {' '.join(fields)!r}")
+        said = _shown(" ".join(fields))
+        raise MaterialError(f"{where}: NM record needs a name and a formula number, got {said}")
+    if len(fields[0]) > LONGEST_NAME:
+        raise MaterialError(f"{where}: a glass name of {len(fields[0])} characters; at most {LONGEST_NAME}")
     formula = _number(fields[1], where, "NM")
     if formula not in DISPERSION_FORMULAS:
         raise MaterialError(
-            f"{where}: glass {fields[0]} has dispersion formula {fields[1]}; "
+            f"{where}: glass {fields[0]} has dispersion formula {_short(fields[1])}; "
             f"known are 1 to {max(DISPERSION_FORMULAS)}"
         )
     return _Draft(fields[0], int(formula), where)
 
 
+def _shown(text: str) -> str:
+    return repr(_short(text))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _number(field: str, where: str, record: str) -> float:
     try:
-        value = float(field)
+        value = float(field) if field.isascii() and "_" not in field else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise MaterialError(f"{where}: {record} record has {field!r} where a finite number must stand")
+        raise MaterialError(f"{where}: {record} record has {_shown(field)} where a finite number must stand")
     return value
 
 
@@ -279,8 +297,8 @@ def _read_range(draft: _Draft, rest: str, where: str) -> None:
     values = [_number(field, where, "LD") for field in rest.split()]
     if len(values) < 2 or not 0.0 < values[0] < values[1]:
         raise MaterialError(
-            f"{where}: LD record of glass {draft.name} is {rest.strip()!r}; it must hold the shortest and "
-            "the longest wavelength in um, 0 < shortest < longest"
+            f"{where}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must hold the shortest "
+            "and the longest wavelength in um, 0 < shortest < longest"
         )
     draft.wavelength_range_um = (values[0], values[1])
 

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign import cli_exchange, cli_making
+from lensdesign import cli_exchange, cli_making, cli_verify, cli_view
 from lensdesign.console import make_app, message_console, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
+from lensdesign.plain_text import visible
 
 if TYPE_CHECKING:
     from lensdesign.check import CheckReport
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from lensdesign.specification import Specification
 
 app = make_app("Design non-imaging spatial information transfer lenses.")
+
+
+WIDEST_TITLE = 100
+"""Up to which a table is made as wide as its title."""
 
 
 class PictureFormat(StrEnum):
@@ -102,7 +107,7 @@ def draw(
     ] = [PictureFormat.PNG],  # noqa: B006
     as_json: Json = False,
 ) -> None:
-    """Draw the layout, spots, arrival angles, measured figures and the lens in 3D.
+    """Draw the layout, spots, arrival angles, spread, measured figures and the lens in 3D.
 
     The 3D view is left out, with a note, where nothing can be rendered off-screen.
     """
@@ -118,6 +123,8 @@ app.command()(cli_making.export)
 app.command()(cli_making.scene)
 app.command()(cli_making.drawing)
 app.command()(cli_making.sag)
+app.command()(cli_view.view)
+app.command()(cli_verify.verify)
 
 
 @app.command()
@@ -173,13 +180,13 @@ def glass(
         print_json(figures)
         return
     span = figures["wavelength_range_um"]
-    typer.echo(f"{figures['name']} ({figures['catalog']})")
+    typer.echo(visible(f"{figures['name']} ({figures['catalog']})"))
     typer.echo(f"  index at {wavelength_um:g} um   {index:.7f}")
     typer.echo(f"  nd                   {_or_unknown(figures['nd'], '.7f')}")
     typer.echo(f"  Vd                   {_or_unknown(figures['vd'], '.3f')}")
     typer.echo(f"  wavelengths          {f'{span[0]:g} to {span[1]:g} um' if span else 'any'}")
     if figures["source"]:
-        typer.echo(f"  source               {figures['source']}")
+        typer.echo(visible(f"  source               {figures['source']}"))
 
 
 def _name_or_index(text: str) -> str | float:
@@ -201,7 +208,7 @@ def _print_matches(name: str, catalogs: list[Path], as_json: bool) -> None:
         print_json({"matches": [{"name": n, "catalog": c} for n, c in found]})
         return
     for n, c in found:
-        typer.echo(f"{n} ({c})")
+        typer.echo(visible(f"{n} ({c})"))
     typer.echo(f"{len(found)} names contain {name!r}")
 
 
@@ -262,10 +269,12 @@ def _print_check(report: CheckReport) -> None:
 
 
 def _print_optimization(result: OptimizationResult) -> None:
+    from rich.markup import escape
+
     variables = _table(result.lens.title, "variable", "value")
     for name, value in result.variables.items():
         shown = "plane" if value is None else f"{value:.8g}" if isinstance(value, float) else str(value)
-        variables.add_row(name, shown)
+        variables.add_row(name, escape(visible(shown)))
     variables.add_section()
     variables.add_row(result.goal, f"{result.goal_value:.6g} {'deg' if 'spread' in result.goal else 'mm'}")
     _print_tables(variables)
@@ -292,7 +301,9 @@ def _table(title: str, *columns: str) -> Any:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(title) or None, title_justify="left", title_style="bold", min_width=len(title))
+    shown = visible(title)
+    width = min(len(shown), WIDEST_TITLE)
+    table = Table(title=escape(shown) or None, title_justify="left", title_style="bold", min_width=width)
     for column in columns:
         table.add_column(column, justify="right" if column in ("value", "limit") else "left")
     return table

@@ -11,6 +11,7 @@ import typer
 from lensdesign.cli_making import Json
 from lensdesign.console import print_json
 from lensdesign.errors import InputError
+from lensdesign.plain_text import visible
 
 if TYPE_CHECKING:
     from lensdesign.exchange import Imported
@@ -91,7 +92,7 @@ def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
         print_json({"design": str(output), "dropped": dropped, "remarks": list(found.remarks)})
         return
     for entry in dropped:
-        typer.echo(f"left out: {entry}", err=True)
+        typer.echo(f"left out: {visible(entry)}", err=True)
     for remark in found.remarks:
-        typer.echo(f"note: {remark}", err=True)
+        typer.echo(f"note: {visible(remark)}", err=True)
     typer.echo(f"wrote {output}: {len(found.lens.surfaces)} surfaces")

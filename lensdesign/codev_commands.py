@@ -24,7 +24,7 @@ _WORDS = re.compile(r"""'[^']*'|"[^"]*"|;|!.*|&\s*$|[^\s;!'"&]+|['"&]""")
 
 # Weights, labels, coupling codes and what governs analyses or drawings: they say nothing of the lens.
 _IDLE_WORDS = """
-LEN WTW WTF INI DOR CWL POL SLB THC CCY GLC KC XDC YDC ZDC ADC BDC CDC SPH CON ASP GO SET CA FFO IC
+LEN WTW WTF INI DER DOR CWL POL SLB THC CCY GLC KC XDC YDC ZDC ADC BDC CDC SPH CON ASP GO SET CA FFO IC
 AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
@@ -224,6 +224,11 @@ def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[
     surface.semi_diameter_mm = value if value > 0.0 else None
 
 
+def _fresnel(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
+    if _value(values, where):
+        reader.draft.lose(f"{surface.name}: Fresnel base curvature of {values[0]}")
+
+
 def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
     surface.stop = True
 
@@ -246,6 +251,7 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], 
     "GL1": _glass,
     "K": _conic,
     "CIR": _aperture,
+    "CUF": _fresnel,
     "STO": _stop,
     **dict.fromkeys(LETTERS, _term),
     **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), _move),

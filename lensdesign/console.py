@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from lensdesign.errors import TransferLensError
+from lensdesign.plain_text import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -99,7 +100,8 @@ def _drop_output() -> None:
 
 def fail(message: str) -> None:
     """Print an error message, plainly, and exit with status 2."""
-    print(f"error: {message}", file=sys.stderr)
+    lines = [visible(line) for line in message.split("\n")]
+    print("error: " + "\n".join(lines), file=sys.stderr)
     raise SystemExit(2)
 
 

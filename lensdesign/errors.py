@@ -61,6 +61,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         if target.exists() and not target.is_file():
             raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
         place = Path(os.path.realpath(target))
+        if place.is_symlink():
+            raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
         place.parent.mkdir(parents=True, exist_ok=True)
         # The start of the name will do: with all of a long one, the temporary name would be too long.
         with tempfile.NamedTemporaryFile(
@@ -71,6 +73,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"cannot write {target}: a file stands where a folder is needed") from error
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"cannot write {str(target)!r}: {error}") from error  # a NUL character in the name
     try:
         yield temporary
         os.chmod(temporary, 0o666 & ~_umask())

@@ -21,12 +21,10 @@ from typing import Any
 import numpy as np
 
 from lensdesign.errors import InputError, MaterialError
+from lensdesign.input_files import LENS_FILE_BYTES, read_input
 from lensdesign.materials import get_material, list_glasses
 from lensdesign.poses import Pose
 from lensdesign.system import Lens
-
-MOST_BYTES = 20 * 2**20
-"""Larger files are refused unread: a lens of a thousand surfaces takes less than one of these."""
 
 MOST_SURFACES = 1000
 
@@ -177,24 +175,11 @@ def read_lines(path: str | os.PathLike[str]) -> list[str]:
     Raises
     ------
     InputError
-        If the file cannot be read, is larger than `MOST_BYTES`, or is no text.
+        If the file cannot be read, is larger than 20 MB, or is no text.
     """
-    file = Path(path)
-    try:
-        size = file.stat().st_size
-        if size > MOST_BYTES:
-            raise InputError(f"cannot read {file}: {size} bytes; a lens file has at most {MOST_BYTES}")
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            raise InputError(f"cannot read {file}: no regular file")
-        text = _decode(file.read_bytes(), str(file))
-    except OSError as error:
-        raise InputError(f"cannot read {file}: {error.strerror or error}") from error
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot read {str(file)!r}: {error}") from error  # a NUL character in the path
+    text = _decode(read_input(path, LENS_FILE_BYTES), str(path))
     if "\0" in text:
-        raise InputError(f"cannot read {file}: not a text file")
+        raise InputError(f"cannot read {path}: not a text file")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
@@ -240,6 +225,8 @@ def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
     }
     if lens.glass_catalogs:
         notes["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
+    if lens.edges:
+        notes["edges"] = [edge.model_dump(mode="json", exclude_none=True) for edge in lens.edges]
     if pose != Pose():
         notes["pose"] = asdict(pose)
     return [f"{NOTE} {key} {json.dumps(value)}" for key, value in notes.items()]

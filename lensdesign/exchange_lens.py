@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lensdesign.errors import DesignError, InputError, MaterialError
+from lensdesign.errors import InputError, MaterialError
 from lensdesign.exchange import (
     MOST_SURFACES,
-    NOTE,
     TOLERANCE_MM,
     Break,
     Draft,
@@ -21,6 +21,7 @@ from lensdesign.exchange import (
     LossyImportError,
     Row,
     Supplement,
+    shown,
     without_zeros,
 )
 from lensdesign.files import validate
@@ -53,10 +54,15 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         raise InputError(f"{source}: nothing but planes in air between the object and the image")
     rows, pose, working_distance, first_plane = _placed(rows, draft)
     planes = _first(supplement.plane_distances_mm, _planes(draft, first_plane))
+    noted = draft.notes.get("glass_catalogs")
+    if noted and not supplement.glass_catalogs:
+        draft.lose(
+            f"glass catalogues {shown(str(noted))}: files that a lens file names are not opened; "
+            "give them along"
+        )
     if draft.dropped and not lossy:
         raise LossyImportError(source, draft.dropped)
-    surfaces = _surfaces(rows)
-    catalogs = supplement.glass_catalogs or _noted_catalogs(draft)
+    catalogs = supplement.glass_catalogs
     distance = _first(
         supplement.working_distance_mm, working_distance if working_distance < math.inf else None
     )
@@ -73,6 +79,7 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "pixels": _first(supplement.pixels, draft.notes.get("pixels")),
         "plane_distances_mm": planes,
     }
+    surfaces = _surfaces(_with_stop(rows, draft, values, catalogs))
     missing = [name for name, value in values.items() if value is None]
     if missing:
         raise InputError(
@@ -98,6 +105,7 @@ def _lens(
         "object": {k: values[k] for k in ("working_distance_mm", "field_diameter_mm", "numerical_aperture")},
         "sensor": {k: values[k] for k in ("pixel_pitch_um", "pixels", "plane_distances_mm")},
         "surface": surfaces,
+        "edge": draft.notes.get("edges", []),
     }
     lens = validate(Lens, data, draft.source)
     try:
@@ -215,13 +223,6 @@ def _planes(draft: Draft, first_plane: float) -> tuple[float, ...] | None:
     return (first_plane,)
 
 
-def _noted_catalogs(draft: Draft) -> tuple[Path, ...]:
-    noted = draft.notes.get("glass_catalogs", [])
-    if not (isinstance(noted, list) and all(isinstance(c, str) and "\0" not in c for c in noted)):
-        raise DesignError(f"{draft.source}: {NOTE} glass_catalogs: must be a list of paths")
-    return tuple((Path(draft.source).parent / c).resolve() for c in noted)
-
-
 def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """The surfaces between object and image as tables of a design file."""
     inner = rows[1:-1]
@@ -247,24 +248,70 @@ def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
+def _with_stop(
+    rows: Sequence[Row], draft: Draft, values: dict[str, Any], catalogs: Sequence[Path]
+) -> list[Row]:
+    """Rows whose stop has a semi-diameter: where the file has none, as high as the marginal ray is there."""
+    stop = _stop(rows)
+    distance, na = values["working_distance_mm"], values["numerical_aperture"]
+    row = rows[stop + 1]
+    numbers = isinstance(distance, int | float) and isinstance(na, int | float) and 0.0 < na < 1.0
+    if row.semi_diameter_mm is not None or not numbers:
+        return list(rows)
+    kind, value = draft.aperture or ("", 0.0)
+    at_stop, _ = _two_rays(draft, rows, distance, catalogs)
+    height = abs(
+        0.5 * value * at_stop[1]
+        if kind == "pupil_diameter_mm"
+        else na / math.sqrt(1.0 - na * na) * at_stop[0]
+    )
+    if not 0.0 < height < math.inf:
+        return list(rows)
+    draft.remarks.append(
+        f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's height"
+    )
+    return [*rows[: stop + 1], replace(row, semi_diameter_mm=float(height)), *rows[stop + 2 :]]
+
+
+def _stop(rows: Sequence[Row]) -> int:
+    """Index of the stop among the surfaces between object and image."""
+    return next((i for i, row in enumerate(rows[1:-1]) if row.stop), 0)
+
+
 def _numerical_aperture(
     draft: Draft,
     rows: Sequence[Row],
     working_distance_mm: float,
     catalogs: Sequence[Path],
 ) -> float | None:
-    """Sine of the marginal ray's angle at the object, from whichever aperture the file has; paraxially.
-
-    Two rays are traced with unit slope from the axis of the object, and parallel to the axis at unit height.
-    """
+    """Sine of the marginal ray's angle at the object, from whichever aperture the file has; paraxially."""
     kind, value = draft.aperture or ("", 0.0)
     if kind == "object_na":
         return value
-    inner = rows[1:-1]
-    stop = next((i for i, row in enumerate(inner) if row.stop), 0)
-    index = 1.0
+    semi = rows[1 + _stop(rows)].semi_diameter_mm
+    at_stop, slope = _two_rays(draft, rows, working_distance_mm, catalogs)
+    with np.errstate(all="ignore"):
+        tangents = {
+            "stop": math.nan if semi is None else semi / at_stop[0],
+            "pupil_diameter_mm": 0.5 * value * at_stop[1] / at_stop[0],
+            "image_f_number": 0.5 / (value * np.abs(slope[1])) * at_stop[1] / at_stop[0],
+            "working_f_number": 0.5 / (value * np.abs(slope[0])),
+            "image_na": value / np.sqrt(1.0 - np.float64(value) ** 2) / np.abs(slope[0]),
+        }
+        result = abs(float(np.sin(np.arctan(tangents[kind]))))
+    return result if 0.0 < result < 1.0 else None
+
+
+def _two_rays(
+    draft: Draft, rows: Sequence[Row], working_distance_mm: float, catalogs: Sequence[Path]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Heights at the stop, and slopes behind the lens, of two paraxial rays.
+
+    One has unit slope from the axis of the object, the other goes parallel to the axis at unit height.
+    """
+    inner, stop, index = rows[1:-1], _stop(rows), 1.0
     height, slope = np.array([working_distance_mm, 1.0]), np.array([1.0, 0.0])
-    semi = inner[stop].semi_diameter_mm
+    at_stop = height
     with np.errstate(all="ignore"):
         for i, row in enumerate(inner):
             if i == stop:
@@ -281,12 +328,4 @@ def _numerical_aperture(
             slope = (index * slope - (behind - index) * curvature * height) / behind
             index = behind
             height = height + row.thickness_mm * slope
-        tangents = {
-            "stop": math.nan if semi is None else semi / at_stop[0],
-            "pupil_diameter_mm": 0.5 * value * at_stop[1] / at_stop[0],
-            "image_f_number": 0.5 / (value * np.abs(slope[1])) * at_stop[1] / at_stop[0],
-            "working_f_number": 0.5 / (value * np.abs(slope[0])),
-            "image_na": value / np.sqrt(1.0 - np.float64(value) ** 2) / np.abs(slope[0]),
-        }
-        result = abs(float(np.sin(np.arctan(tangents[kind]))))
-    return result if 0.0 < result < 1.0 else None
+    return at_stop, slope

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import field_serializer, field_validator, model_validator
 
 from lensdesign.section import Finite, Positive, Section, as_path
@@ -51,8 +51,12 @@ class FigureSource(Section):
         for key, number in value.items() if isinstance(value, dict) else value:
             index = int(key) if isinstance(key, str) and key.isdecimal() else key
             zernike_orders(index)
-            if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
-                raise ValueError(f"coefficient {index} = {number!r}: must be a finite number")
+            if (
+                isinstance(number, bool)
+                or not isinstance(number, int | float)
+                or not abs(number) <= sys.float_info.max
+            ):
+                raise ValueError(f"coefficient {index} = {number!r:.60}: must be a finite number")
             pairs[index] = float(number)
         return tuple(sorted(pairs.items()))
 

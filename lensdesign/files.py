@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,9 +14,20 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from lensdesign.errors import DesignError, InputError, atomic_path
+from lensdesign.input_files import TABLE_BYTES, TOML_BYTES, read_input
 from lensdesign.system import Lens, Surface
 
 Model = TypeVar("Model", bound=BaseModel)
+
+MOST_PARTS = 8
+"""Of a dotted key: the time that tomllib takes grows with more than their square."""
+
+_LONG_KEY = re.compile(
+    r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){8}"""  # as many as MOST_PARTS
+)
+
+MOST_FAULTS = 50
+"""Told of one file."""
 
 
 def load_design(path: str | os.PathLike[str]) -> Lens:
@@ -93,23 +105,26 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file, or a DesignError that names the file and the line."""
-    text = read_text(path)
+    text = read_text(path, TOML_BYTES)
+    if _LONG_KEY.search(text):
+        raise DesignError(f"{path}: not valid TOML: a dotted key of more than {MOST_PARTS} parts")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers of too many digits, and deep nesting
         raise DesignError(f"{path}: not valid TOML: {error}") from error
 
 
-def read_text(path: Path) -> str:
-    """The text of a UTF-8 file, without a byte order mark, or a DesignError that names the file."""
+def read_text(path: Path, most_bytes: int = TABLE_BYTES) -> str:
+    """The text of a UTF-8 file, without a byte order mark, or a DesignError that names the file.
+
+    Ends of lines become newlines.
+    """
+    data = read_input(path, most_bytes, DesignError)
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DesignError(f"cannot read {path}: {error.strerror or error}") from error
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DesignError(f"cannot read {path}: not a text file in UTF-8") from error
-    except ValueError as error:  # a NUL character in the path
-        raise DesignError(f"cannot read {str(path)!r}: {error}") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Model:
@@ -127,7 +142,9 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
     try:
         return model.model_validate(data, by_alias=True, by_name=False)
     except ValidationError as error:
-        lines = sorted(_fault_lines(error.errors(), model))
+        count = error.error_count()
+        lines = sorted(_fault_lines(error.errors(include_url=False)[:MOST_FAULTS], model))
+        lines += [f"and {count - MOST_FAULTS} more faults"] if count > MOST_FAULTS else []
         raise DesignError("\n".join(f"{source}: {line}" for line in lines)) from None
 
 
@@ -192,7 +209,7 @@ def _where(loc: tuple[int | str, ...]) -> str:
         if isinstance(item, int):
             parts[-1:] = [f"{parts[-1]} {item + 1}"] if parts else [str(item + 1)]
         else:
-            parts.append(item)
+            parts.append(item if len(item) <= 60 else item[:57] + "...")
     return ", ".join(parts)
 
 

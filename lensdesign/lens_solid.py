@@ -315,6 +315,6 @@ def _refuse_bevels(element: Element) -> None:
         if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
             raise InputError(
                 f"{element.name}: a bevel at 45 degrees cuts nothing off surface {i + 1}, which "
-                f"falls away by {math.degrees(math.atan(slope)):.4g} degrees there; leave the bevel out, or end "
-                "the surface in a flat ring"
+                f"falls away by {math.degrees(math.atan(slope)):.4g} degrees there; leave the bevel out, or "
+                "end the surface in a flat ring"
             )

@@ -83,6 +83,11 @@ def _visuals(name: str, rgba: tuple[int, int, int, int], both_sides: bool) -> tr
     return trimesh.visual.TextureVisuals(material=material)
 
 
+def _shown(name: str) -> str:
+    """A name without characters that XML cannot hold."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in name)
+
+
 def _linear(part: int) -> int:
     """An sRGB component (IEC 61966-2-1) as linear light, which glTF wants; both from 0 to 255."""
     share = part / 255.0
@@ -109,7 +114,7 @@ def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> byte
         'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">',
         "<resources>",
         '<basematerials id="1">',
-        *(f'<base name={quoteattr(name)} displaycolor="#{color}"/>' for name in names),
+        *(f'<base name={quoteattr(_shown(name))} displaycolor="#{color}"/>' for name in names),
         "</basematerials>",
     ]
     for number, (mesh, glass) in enumerate(zip(meshes, glasses, strict=True), start=1):

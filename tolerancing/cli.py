@@ -10,6 +10,7 @@ import typer
 
 from lensdesign.console import make_app, print_json, run_app
 from lensdesign.errors import InputError
+from lensdesign.plain_text import visible
 from tolerancing import cli_tolerances
 from tolerancing.cli_tolerances import Json, StorePath
 
@@ -172,12 +173,13 @@ app.command()(cli_tolerances.budget)
 def _print_trial(trial: SingleTrial) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     study, again = trial.study, trial.again
     console = Console()
     title = f"trial {trial.number} of {study.title or study.design}"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("perturbation")
     table.add_column("deviation", justify="right")
     table.add_column("in std. dev.", justify="right")
@@ -203,7 +205,7 @@ def _print_trial(trial: SingleTrial) -> None:
         table.add_row(name, "", "", f"{value:.6g}", "")
     console.print(table)
     if again.messages[0]:
-        print(again.messages[0])
+        print(visible(again.messages[0]))
     if trial.same is None:
         print("not in the store yet")
     else:
@@ -213,11 +215,12 @@ def _print_trial(trial: SingleTrial) -> None:
 def _print_summary(summary: Summary) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     planned = summary.record.planned_trials
     title = f"{summary.study.title or summary.study.design}: {summary.trials} of {planned} trials"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("merit")
     table.add_column("limit")
     for heading in ("nominal", "median", "yield", "95 % interval"):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import InputError, atomic_path
+from lensdesign.plain_text import FORMULA_STARTS, safe_cell
 from tolerancing.store import Store
 from tolerancing.store_schema import number_columns
 
@@ -17,9 +18,6 @@ Rows = Sequence[Sequence[Any]]
 Write = Callable[[Rows], None]
 Columns = dict[str, str]
 """Names of columns and what they hold: ``integer``, ``number``, ``flag`` or ``text``."""
-
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-"""What makes a spreadsheet take a text for a formula."""
 
 
 def export_store(store: Store, path: str | os.PathLike[str]) -> None:
@@ -120,14 +118,10 @@ def _csv_writer(path: Path, columns: Columns) -> Iterator[Write]:
         def write(rows: Rows) -> None:
             for row in rows:
                 if any(row[k] and row[k].startswith(FORMULA_STARTS) for k in texts):
-                    row = [_plain(value) if k in texts else value for k, value in enumerate(row)]
+                    row = [safe_cell(v) if v and k in texts else v for k, v in enumerate(row)]
                 table.writerow(row)
 
         yield write
-
-
-def _plain(text: str | None) -> str | None:
-    return f"'{text}" if text and text.startswith(FORMULA_STARTS) else text
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from lensdesign.errors import InputError
+from lensdesign.input_files import check_input
 from tolerancing.store_schema import APPLICATION_ID, SCHEMA_VERSION
 
 LOGS = ("-wal", "-shm", "-journal")
@@ -33,6 +34,7 @@ def check_is_store(path: Path) -> None:
     InputError
         If there is none, or the file is something else, or of another version; it is not touched.
     """
+    check_input(path)
     try:
         with path.open("rb") as file:
             header = file.read(100)

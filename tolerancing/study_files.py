@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 from lensdesign.errors import DesignError, InputError
 from lensdesign.files import load_design, read_toml, validate
+from lensdesign.input_files import TABLE_BYTES, read_input
 from lensdesign.system import Lens, Section
 from tolerancing.compensators import Compensator
 from tolerancing.dependence import Correlation
@@ -129,10 +130,7 @@ def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, 
     root = Path(os.path.commonpath([p.parent for p in absolute.values()]))
     files = {}
     for own in absolute.values():
-        try:
-            files[own.relative_to(root).as_posix()] = own.read_bytes()
-        except OSError as error:
-            raise DesignError(f"cannot read {own}: {error.strerror or error}") from error
+        files[own.relative_to(root).as_posix()] = read_input(own, TABLE_BYTES, DesignError)
     return absolute[path].relative_to(root).as_posix(), files
 
 

@@ -11,6 +11,7 @@ import typer
 from lensdesign.console import make_app, print_json, run_app
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import load_design
+from lensdesign.plain_text import visible
 from lensdesign.poses import Pose
 from wavesim.cli_calibrate import calibrate
 from wavesim.cli_compare import compare
@@ -162,7 +163,7 @@ def _print_tables(summary: dict[str, Any]) -> None:
 
     console = Console(highlight=False, markup=False)
     x, y = summary["shift_um"]
-    console.print(_title(summary), soft_wrap=True)
+    console.print(visible(_title(summary)), soft_wrap=True)
     console.print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
     console.print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
     pairs = table("line width (um)", "contrast, lines across x", "across y")

@@ -11,6 +11,7 @@ import typer
 from lensdesign.console import message_console, print_json
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import load_design
+from lensdesign.plain_text import visible
 
 MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
 """Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
@@ -111,7 +112,7 @@ def _print_front(rows: list[Any]) -> None:
 
     console = Console(highlight=False, markup=False)
     for scene in dict.fromkeys(row.scene for row in rows):
-        table = Table(box=None, pad_edge=False, title=f"{scene}: the front", title_justify="left")
+        table = Table(box=None, pad_edge=False, title=visible(f"{scene}: the front"), title_justify="left")
         table.add_column("engine")
         table.add_column("setting")
         for column in ("relative error", "seconds", "set-up (s)", "memory (MB)"):

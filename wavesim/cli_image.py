@@ -11,6 +11,7 @@ import typer
 from lensdesign.console import print_json, progress_bar
 from lensdesign.errors import InputError
 from lensdesign.files import load_design
+from lensdesign.plain_text import visible
 from wavesim.cli_engine import (
     Compensation,
     Interface,
@@ -293,7 +294,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
     said = "not known" if error is None else f"at most {error:.2g} for light of all directions"
-    console.print(f"{summary['design']}", soft_wrap=True)
+    console.print(visible(str(summary["design"])), soft_wrap=True)
     console.print(
         f"object {thing['name']}, field stop {thing['field_stop_mm']:g} mm, "
         f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um",

@@ -11,6 +11,7 @@ import typer
 from lensdesign.console import print_json, progress_bar
 from lensdesign.errors import InputError
 from lensdesign.files import load_design
+from lensdesign.plain_text import visible
 from lensdesign.poses import Pose
 from wavesim.cli_engine import (
     Compensation,
@@ -338,7 +339,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     console = Console(highlight=False, markup=False)
     engine = summary["engine"]
     early = ", where the misfit fell no more" if summary.get("stopped_early") else ""
-    console.print(summary["design"], soft_wrap=True)
+    console.print(visible(summary["design"]), soft_wrap=True)
     console.print(
         f"method {summary['method']}, {summary['kind']} object, engine {engine['name']}: "
         f"{summary['iterations']} iterations{early}",

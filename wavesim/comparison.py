@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.errors import InputError, SamplingError, atomic_path
+from lensdesign.plain_text import safe_cell
 from lensdesign.system import Lens
 from wavesim.engines import make_engine
 from wavesim.fields import Field
@@ -220,11 +221,14 @@ def exact_case(radius_mm: float) -> OracleCase:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A table with the first row's keys as its columns."""
-    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+    """A table with the first row's keys as its columns; no text in it is a formula to a spreadsheet."""
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(
+            {key: safe_cell(value) if isinstance(value, str) else value for key, value in row.items()}
+            for row in rows
+        )
 
 
 def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensdesign.plain_text import visible
 from wavesim.comparison import Measured, families
 from wavesim.failure_maps import REFUSED, WARNED, FailureMap
 
@@ -39,13 +40,13 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
 
     scenes = list(dict.fromkeys(row.scene for row in rows))
     figure = Figure(figsize=(14.0, 5.6 * len(scenes)), layout="constrained")
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(visible(title), fontsize=14, parse_math=False)
     axes = figure.subplots(len(scenes), 2, squeeze=False)
     for pair, scene in zip(axes, scenes, strict=True):
         of_scene = [row for row in rows if row.scene == scene]
         _draw(pair[0], of_scene, lambda r: r.seconds, lambda r: r.fastest, "seconds a run, once set up")
         _draw(pair[1], of_scene, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)")
-        pair[0].set_title(scene, loc="left")
+        pair[0].set_title(visible(scene), loc="left", parse_math=False)
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
     return figure
@@ -106,7 +107,7 @@ def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
     columns = 2
     lines = math.ceil(len(maps) / columns)
     figure = Figure(figsize=(14.0, 4.6 * lines + 0.8), layout="constrained")
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(visible(title), fontsize=14, parse_math=False)
     axes = figure.subplots(lines, columns, squeeze=False).ravel()
     handles = [Line2D([], [], color="black", ls=style, lw=2) for style in ("--", "-")]
     words = ["from here on the guard warns", "from here on it refuses"]

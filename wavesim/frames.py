@@ -20,6 +20,7 @@ from pydantic import model_validator
 
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files import did_you_mean, validate
+from lensdesign.input_files import check_input
 from lensdesign.system import Finite, Positive, Section
 
 Array = NDArray[np.float64]
@@ -202,6 +203,7 @@ def _read_tiff(path: Path) -> tuple[Counts, str]:
     """Counts and ImageDescription of a grey TIFF."""
     from PIL import Image, UnidentifiedImageError
 
+    check_input(path)
     try:
         data = path.open("rb")
     except (OSError, ValueError) as error:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lensdesign.errors import InputError, SamplingError
+from lensdesign.input_files import check_input
 from wavesim.arrays import fftn
 from wavesim.coverage import (
     Rectangle,
@@ -258,6 +259,7 @@ def _soft(distance: Array, half: float, edge: float) -> Array:
 
 def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
     """The complex array, and the numbers stated beside it."""
+    check_input(path, named="the measured field")
     try:
         with open(path, "rb") as handle:
             content: Any = np.load(handle, allow_pickle=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensdesign.plain_text import visible
 from wavesim.fields import Array, Field
 from wavesim.frames import Frame
 
@@ -126,7 +127,7 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.6 * len(curves), 4.0), layout="constrained")
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(visible(title), fontsize=11, parse_math=False)
     for place, (label, (x, y, x_label)) in zip(
         figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
     ):
@@ -144,7 +145,7 @@ def _row(count: int, title: str) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4 * count, 5.6 + (0.4 if title else 0.0)), layout="constrained")
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(visible(title), fontsize=13, parse_math=False)
     return figure, figure.subplots(1, count, squeeze=False)[0]
 
 

@@ -16,6 +16,7 @@ from pydantic import field_validator
 
 from lensdesign.errors import InputError
 from lensdesign.files import did_you_mean, validate
+from lensdesign.input_files import TABLE_BYTES, read_input
 from lensdesign.poses import Pose, rotation_matrix
 from lensdesign.section import Finite, Section, tuples
 from wavesim.engine import Scene
@@ -113,10 +114,9 @@ def read_mounting(path: str | os.PathLike[str]) -> Mounting:
     InputError
         If the file cannot be read, or holds no mounting.
     """
+    content = read_input(path, TABLE_BYTES)
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        data = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no JSON: {error}") from None
     mounting = data.get("mounting") if isinstance(data, dict) else None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from lensdesign.plain_text import visible
 from wavesim.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -47,7 +48,7 @@ def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], ti
 
     columns = max(3, len(line_widths_um))
     figure = Figure(figsize=(4.9 * columns, 12.4), layout="constrained")
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(visible(title), fontsize=14, parse_math=False)
     grid = figure.add_gridspec(3, columns, height_ratios=(1.0, 1.0, 0.72))
     _draw_wavefront(figure, figure.add_subplot(grid[0, 0]), pupil)
     _draw_psf(figure, figure.add_subplot(grid[0, 1]), pupil)

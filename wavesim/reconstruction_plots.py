@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.errors import InputError
+from lensdesign.plain_text import visible
 from wavesim.fields import Array, Field
 from wavesim.retrieval import Retrieved, agreement
 
@@ -40,7 +41,7 @@ def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence 
     if not runs:
         raise InputError("convergence: needs one run at least")
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
-    figure.suptitle(title)
+    figure.suptitle(visible(title), parse_math=False)
     curves = {
         "1 − CC (A6)": lambda run: 1.0 - np.asarray(run.correlation),
         "relative residual, first plane": lambda run: np.asarray(run.residual_curve),
@@ -88,7 +89,7 @@ def starts_figure(
         raise InputError("pictures of several starts: need objects on one plane grid")
     agreed = f"; agreement of all starts {agreement(fields):.4f}" if len(fields) > 1 else ""
     figure = Figure(figsize=(3.8 * len(fields), 7.4), layout="constrained")
-    figure.suptitle(title + agreed)
+    figure.suptitle(visible(title) + agreed, parse_math=False)
     brightest = max(float(np.percentile(np.abs(f.values), 99.9)) for f in fields)
     for column, (name, field) in enumerate(objects.items()):
         said = "" if correlations is None else f"\nCC {correlations[name]:.6f}"

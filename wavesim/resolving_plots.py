@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.errors import InputError
+from lensdesign.plain_text import visible
 from wavesim.metrics import RESOLVED_CONTRAST
 from wavesim.resolving import Resolved
 
@@ -45,7 +46,7 @@ def resolving_figure(
     heights = list(dict.fromkeys(result.field_mm for result in results))
     labels = list(dict.fromkeys(engine_label(result) for result in results))
     figure = Figure(figsize=(6.2 * len(heights) + 0.6, 5.6), layout="constrained")
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(visible(title), fontsize=13, parse_math=False)
     lowest = min(line.contrast for result in results for line in result.lines)
     charts = figure.subplots(1, len(heights), squeeze=False, sharex=True, sharey=True)[0]
     for axes, height in zip(charts, heights, strict=True):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, SamplingError
+from lensdesign.input_files import check_input
 from wavesim.arrays import fftn, ifftn
 from wavesim.coverage import (
     ROUNDING,
@@ -265,6 +266,7 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
     from PIL import Image
 
     place = Path(path)
+    check_input(place, named="the picture")
     full_scale = {"L": 255.0, "I;16": 65535.0, "I;16L": 65535.0, "I;16B": 65535.0}
     try:
         with Image.open(place) as picture:

@@ -173,3 +173,18 @@ def test_one_lens_through_both_formats(tmp_path: Path, paper_lens: Lens) -> None
     write_seq(first.lens, tmp_path / "b.seq", first.pose)
     second = read_seq(tmp_path / "b.seq")
     assert (second.lens, second.pose) == (paper_lens, pose)
+
+
+def test_a_stop_without_an_aperture_is_as_wide_as_the_marginal_ray(tmp_path: Path) -> None:
+    """Half of the entrance pupil where the stop comes first; the cone's height where the object is near."""
+    rows = lens_rows()
+    rows[1] = row(5.0, radius_mm=50.0, material=1.5, stop=True)
+    pupil = Draft("lens", wavelengths_um=[0.5], rows=rows, aperture=("pupil_diameter_mm", 8.0))
+    found = assemble(pupil, SUPPLEMENT, False)
+    assert found.lens.surfaces[0].semi_diameter_mm == pytest.approx(4.0, rel=1e-12)
+    assert found.remarks == (
+        "surface: the stop has no aperture in the file; 4 mm taken, its marginal ray's height",
+    )
+    cone = Draft("lens", wavelengths_um=[0.5], rows=rows, aperture=("object_na", 0.05))
+    semi = assemble(cone, SUPPLEMENT, False).lens.surfaces[0].semi_diameter_mm
+    assert semi == pytest.approx(100.0 * 0.05 / np.sqrt(1 - 0.05**2), rel=1e-12)

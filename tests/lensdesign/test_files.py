@@ -120,7 +120,11 @@ FAULTS = [
     ("[9344, 7000]", "[9344]", "sensor, pixels 2: missing value"),
     ('title = "A singlet"', "lens = 1", "lens: unknown key; allowed: title, wavelengths_um"),
     ("[object]\n", "[object]\n[", "not valid TOML: .*line"),
-    ("[[surface]]", "[[surfaces]]", "surfaces: unknown key; allowed: .*, surface; did you mean surface"),
+    (
+        "[[surface]]",
+        "[[surfaces]]",
+        "surfaces: unknown key; allowed: .*, surface, edge; did you mean surface",
+    ),
     ("radius_mm = 42.3", "raduis_mm = 42.3", "raduis_mm: unknown key; .*; did you mean radius_mm"),
     ("wavelengths_um = [0.532]", "wavelengths_um = 0.532", "wavelengths_um = 0.532: must be a list"),
     ("[9344, 7000]", "[9344, 7000, 1]", r"pixels = \[9344, 7000, 1\]: must hold at most 2 items"),

@@ -121,11 +121,12 @@ def test_a_map_is_drawn_of_every_measured_surface(
     paper_lens: Lens, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lens = measured(paper_lens).with_surface(0, figure=None)
-    for name in ("layout_figure", "spot_figure", "incidence_figure"):
+    for name in ("layout_figure", "spot_figure", "incidence_figure", "spread_figure"):
         monkeypatch.setattr(f"lensdesign.plots.{name}", lambda lens: figure_map(lens, 1))
     monkeypatch.setattr("lensdesign.plots.render_lens", lambda lens, path: None)
     names = [path.name for path in draw_all(lens, tmp_path)]
-    assert names == ["layout.png", "spots.png", "incidence.png", "surface_2_figure.png", "view3d.png"]
+    charts = ["layout.png", "spots.png", "incidence.png", "spread.png"]
+    assert names == [*charts, "surface_2_figure.png", "view3d.png"]
     assert (tmp_path / "surface_2_figure.png").read_bytes() == (tmp_path / "layout.png").read_bytes()
 
 

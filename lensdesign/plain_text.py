@@ -1,0 +1,25 @@
+"""Texts from files as terminals, figures and spreadsheets may have them."""
+
+from __future__ import annotations
+
+LONGEST_TEXT = 2000
+
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""What makes a spreadsheet take a text for a formula."""
+
+
+def safe_cell(text: str) -> str:
+    """A text with an apostrophe before it if a spreadsheet would take it for a formula.
+
+    After OWASP, "CSV Injection". Numbers are no texts, and need none.
+    """
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+
+
+def visible(text: str) -> str:
+    """A text with its control characters as escapes, and of at most 2000 characters.
+
+    An escape character in a title would else command the terminal, and spoil an SVG file.
+    """
+    kept = text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
