@@ -1,5 +1,5 @@
-# make demo: the main job on the paper's lens.  make test: style, types and tests.
-# Both set up their own virtual environment first; Python 3.11, make and a C compiler are enough.
+# make demo: the main job on the paper's lens.  make test: style, types and tests.  make docs: the documentation.
+# All set up their own virtual environment first; Python 3.11, make and a C compiler are enough.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
@@ -7,7 +7,7 @@ READY := .venv/ready
 OUT := demo_output
 PACKAGES := lensdesign wavesim tolerancing
 
-.PHONY: demo test test-lowest benchmarks lock clean
+.PHONY: demo gallery test test-lowest docs benchmarks lock clean
 
 demo: $(READY)
 	@mkdir -p $(OUT)
@@ -37,6 +37,22 @@ demo: $(READY)
 	@echo "  paper_tolerances.db         the tolerance study's trials and sweeps"
 	@echo "  report/report.html          its report; open it in a browser"
 
+# The lenses of docs/gallery.md from their specifications, with pictures, meshes and drawings: two minutes.
+GALLERY := feasible_singlet thinnest_singlet moulded_pair wide_field phone_lens stock_pair
+
+gallery: $(READY)
+	@mkdir -p $(OUT)/gallery
+	cp designs/paper_singlet.toml $(OUT)/gallery/
+	@set -e; for lens in $(GALLERY); do \
+	  $(BIN)/lensdesign optimize designs/$${lens}_spec.toml -o $(OUT)/gallery/$$lens.toml; \
+	  $(BIN)/lensdesign check $(OUT)/gallery/$$lens.toml; \
+	done
+	@set -e; for lens in paper_singlet $(GALLERY); do \
+	  $(BIN)/lensdesign draw $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens --format svg; \
+	  $(BIN)/lensdesign export $(OUT)/gallery/$$lens.toml $(OUT)/gallery/$$lens/$$lens.stl; \
+	  $(BIN)/lensdesign drawing $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens/drawing.pdf; \
+	done
+
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -57,6 +73,11 @@ test-lowest: $(READY)
 	$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct --editable '.[dev]'
 	.venv-lowest/bin/python -m pytest -n auto
 
+# The variable silences what the theme says of its own future.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open site/index.html in a browser"
+
 benchmarks: $(READY)
 	$(BIN)/python -m benchmarks
 
@@ -68,4 +89,4 @@ lock: $(READY)
 	sed -i '1i # Every version that make installs: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
 
 clean:
-	rm -rf .venv .venv-lowest demo_output build dist
+	rm -rf .venv .venv-lowest demo_output site build dist

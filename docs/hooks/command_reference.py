@@ -1,0 +1,58 @@
+"""The reference of all commands, from the applications themselves: it cannot differ from what they do."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from typing import Any
+
+MARK = re.compile(r"^<!-- commands of (\w+) -->$", re.MULTILINE)
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Put every command of an application in the place of its mark."""
+    return MARK.sub(lambda mark: application(mark[1]), markdown)
+
+
+def application(package: str) -> str:
+    """All commands of one package's application, as Markdown."""
+    import typer
+
+    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    context = group.make_context(package, [], resilient_parsing=True)
+    return "\n\n".join(_command(package, name, group.get_command(context, name)) for name in group.commands)
+
+
+def _command(package: str, name: str, command: Any) -> str:
+    context = command.make_context(f"{package} {name}", [], resilient_parsing=True)
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option"]
+    rows = [_row(*p.get_help_record(context)) for p in [*arguments, *options]]
+    needed = [p.get_help_record(context)[0].split(", ")[-1] for p in options if p.required]
+    usage = " ".join([*(p.get_help_record(context)[0].split()[0] for p in arguments), *needed, "[OPTIONS]"])
+    return "\n".join(
+        [
+            f"### {package} {name}",
+            "",
+            inspect.cleandoc(command.help),
+            "",
+            f"    {package} {name} {usage}",
+            "",
+            "| argument or option | meaning | |",
+            "| --- | --- | --- |",
+            *rows,
+        ]
+    )
+
+
+def _row(names: str, meaning: str) -> str:
+    """A row of the table: names, meaning, and what --help has in brackets behind it (default, range)."""
+    plain, bracket, notes = meaning.rpartition("  [")
+    if not bracket:
+        plain, notes = (meaning, "") if not meaning.startswith("[") else ("", meaning[1:])
+    return "| " + " | ".join([f"`{_cell(names)}`", _cell(plain), _cell(notes.removesuffix("]"))]) + " |"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

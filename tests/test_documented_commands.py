@@ -1,0 +1,225 @@
+"""Every command that a page shows is run, in the page's order, in a folder that has the designs.
+
+Commands run in this process, through the entry points of the console scripts: starting a hundred interpreters
+would take longer than what they do. What takes minutes is run on a smaller case (SHORTER, shorten_studies):
+pages show the sizes of the paper's lens, and what those give is held by the packages' own tests and by the
+benchmarks. Where a page shows what a command prints, and the command runs as it stands there, it must print
+that.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import tomllib
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import tomli_w
+
+from lensdesign import load_design, save_design, scaled
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
+INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z]+ [^`]+)`")
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+# What a page writes in place of a name, and the name with which it is run. The order matters.
+PLACEHOLDERS = {
+    r"\bDESIGN\b": "designs/paper_singlet.toml",
+    r"\bDIR\b": "folder",
+    r"\bTWIN\b": "twin.toml",
+    r"\bFILE(\.\w+)": r"file\1",
+    r"\bFILE\b": "file.stl",
+}
+# What is run in place of a case that takes minutes, or tens of seconds.
+SHORTER = {
+    # A whole field of the one-eighth twin (minutes): a smaller twin, few iterations, few mountings tried.
+    r"0\.(125|03125) -o twin\.toml": "0.02 -o twin.toml",
+    r"--patch-mm 0\.(38|09)": "--patch-mm 0.03",
+    r"--object usaf": "--object star",
+    r" --usaf bright": "",
+    r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
+    r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
+    # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
+    r"^wavesim compare \S+ (.*)": r"wavesim compare designs/small_twin.toml \1 --scale 1 --patch-mm 0.004 "
+    "--most-seconds 0.003 --radius-mm 0.02 --no-maps",
+    # Hundreds of slices of the whole aperture (10 s): tens.
+    r"slices(=| )(200|800)": r"slices\g<1>20",
+    r"slices=(20|30)": "slices=5",
+    # wpm over the whole aperture (20 s): over a small one.
+    r"^wavesim resolve \S+ (.*--engine wpm)": r"wavesim resolve designs/small_twin.toml \1",
+    r"^(wavesim oracle .*--oracle stigmatic)": r"\1 --semi-diameter-mm 0.5",
+    # Studies of the designs (10 to 60 s): fewer trials; shorten_studies does the rest.
+    r"^(tolerancing run designs/.*?)(?: --trials \d+)?$": r"\1 --workers 1 --trials 30",
+    r"(figure_7.*) --trials 30": r"\1 --trials 4",
+    r"--trial 137": "--trial 7",
+    r"^(tolerancing budget .*)": r"\1 --verify 20",
+}
+# Statuses beside 0 that are right: a constraint that is not met, which the pages say.
+ALLOWED = {"lensdesign check": (0, 1), "lensdesign verify": (0, 1)}
+# Perturbations of the designs' studies that commands name.
+NAMED = ("surface 2", "conic")
+
+
+class Step(NamedTuple):
+    """One thing that a reader of a page does."""
+
+    kind: str  # "run" a command, "save" a TOML block that names its design, "see" what the last command said
+    text: str
+
+
+def steps(page: Path) -> list[Step]:
+    """What stands on a page in blocks, in its order."""
+    text = page.read_text(encoding="utf-8")
+    found: list[Step] = []
+    at = 0
+    for fence in FENCE.finditer(text):
+        found += _commands(text[at : fence.start()])
+        if fence[1] in ("sh", "console"):
+            found += _commands(fence[2])
+        elif fence[1] == "toml" and "\ndesign = " in fence[2]:
+            found.append(Step("save", fence[2]))
+        elif fence[1] == "text":
+            found.append(Step("see", fence[2]))
+        at = fence.end()
+    return found + _commands(text[at:])
+
+
+def _commands(text: str) -> list[Step]:
+    lines = [re.split(r"\s#", line)[0].strip() for line in text.splitlines()]
+    return [Step("run", line) for line in lines if COMMAND.match(line)]
+
+
+def run_on_a_later_page(page: Path, command: str) -> bool:
+    """Whether a later page runs the same, and nothing else on this page names the file that it writes."""
+    later = {as_run(step.text) for other in PAGES[PAGES.index(page) + 1 :] for step in steps(other)}
+    words = command.split()
+    if command not in later or "-o" not in words:
+        return False
+    output = words[words.index("-o") + 1]
+    return sum(output in as_run(step.text) for step in steps(page)) == 1
+
+
+def commands_in_text() -> list[str]:
+    """Commands in running text and tables, each once, and none that a block has but for its output's name."""
+    blocks = {without_output(as_run(step.text)) for page in PAGES for step in steps(page)}
+    named = {c for page in PAGES for c in INLINE.findall(page.read_text(encoding="utf-8"))}
+    whole = {without_output(as_run(c)): as_run(c) for c in named if "..." not in c and "--help" not in c}
+    return sorted(command for bare, command in whole.items() if bare not in blocks)
+
+
+def without_output(command: str) -> str:
+    """The command without the name of what it writes."""
+    return re.sub(r" -o \S+", "", command)
+
+
+def as_run(command: str) -> str:
+    """The command with names in place of placeholders, and of a size that a test can do."""
+    for pattern, text in (PLACEHOLDERS | SHORTER).items():
+        command = re.sub(pattern, text, command)
+    return command
+
+
+def shorten_studies(designs: Path) -> None:
+    """Two values of every sweep, ten slices, four perturbations; and a small twin of the paper's lens."""
+    save_design(scaled(load_design(designs / "paper_singlet.toml"), 0.02), designs / "small_twin.toml")
+    for path in designs.glob("*.toml"):
+        study = tomllib.loads(path.read_text(encoding="utf-8"))
+        if "trials" not in study:
+            continue
+        every = study["perturbation"]
+        study["perturbation"] = every[:3] + [p for p in every[3:] if (p["target"], p["parameter"]) == NAMED]
+        for sweep in study.get("sweep", []):
+            sweep["values"] = sweep["values"][:2]
+            sweep.pop("picture_values", None)
+        study["slice_count"] = study.get("slice_count", [])[:1]
+        for count in study["slice_count"]:
+            count["slices"] = [10]
+            count.pop("picture_slices", None)
+        for grid in study.get("grid", []):
+            grid["x"]["values"], grid["y"]["values"] = grid["x"]["values"][:2], grid["y"]["values"][:2]
+        path.write_text(tomli_w.dumps(study), encoding="utf-8")
+
+
+def run(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Run a command as its console script does, and return its exit status."""
+    words = shlex.split(command)
+    monkeypatch.setattr("sys.argv", words)
+    try:
+        import_module(f"{words[0]}.cli").main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder with the designs in it."""
+    shutil.copytree(ROOT / "designs", tmp_path / "designs")
+    shorten_studies(tmp_path / "designs")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if steps(p)], ids=lambda p: p.name)
+def test_commands_of_the_page_run(
+    page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    said, compared = "", True
+    for step in steps(page):
+        if step.kind == "save":
+            (folder / "study.toml").write_text(step.text, encoding="utf-8")
+        elif step.kind == "see":
+            missing = unsaid(step.text, said) if said and compared else None
+            assert missing is None, f"{page.name} shows, and no command before it said: {missing}"
+            said, compared = "", True
+        else:
+            command = as_run(step.text)
+            if run_on_a_later_page(page, command):
+                continue
+            status = run(command, monkeypatch)
+            output = capfd.readouterr()
+            allowed = ALLOWED.get(" ".join(command.split()[:2]), (0,))
+            assert status in allowed, f"{command}\n{output.err}"
+            said, compared = said + output.out, compared and command == step.text
+
+
+def test_commands_in_the_text_run(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    found = commands_in_text()
+    assert len(found) > 5
+    for command in found:
+        status = run(command, monkeypatch)
+        allowed = ALLOWED.get(" ".join(command.split()[:2]), (0,))
+        assert status in allowed, f"{command}\n{capfd.readouterr().err}"
+
+
+def unsaid(shown: str, said: str) -> str | None:
+    """The first line that a page shows and the commands did not say; numbers may differ by 2 %."""
+    lines = [_words(line) for line in said.splitlines()]
+    for line in shown.splitlines():
+        if line.strip() != "..." and not any(_same(_words(line), other) for other in lines):
+            return line
+    return None
+
+
+def _words(line: str) -> list[str]:
+    return re.sub(r"[│┃]", " ", line).split()
+
+
+def _same(shown: list[str], said: list[str]) -> bool:
+    return len(shown) <= len(said) and all(map(_alike, shown, said))
+
+
+def _alike(shown: str, said: str) -> bool:
+    try:
+        return float(shown.strip("(),;%")) == pytest.approx(float(said.strip("(),;%")), rel=0.02, abs=0.02)
+    except ValueError:
+        return shown == said
