@@ -32,11 +32,14 @@ __all__ = [
     "edge_thickness_mm",
     "footprint",
     "largest_spread",
+    "observation_distance_mm",
     "rms_spot_diameter",
     "throughput",
 ]
 
 Array = NDArray[np.float64]
+
+PAPER_DISTANCE_MM = 3.0
 Perturbations = Mapping[int, SurfacePerturbation] | None
 
 TABLE_HEIGHTS = 13
@@ -264,6 +267,15 @@ def throughput(
     shares = np.where(ok.all(axis=(2, 3)), 1.0, ok.mean(axis=3) @ weights)
     per_field = shares.min(axis=1)
     return Throughput(float(per_field.min()), tuple(heights.tolist()), tuple(per_field.tolist()))
+
+
+def observation_distance_mm(lens: Lens) -> float:
+    """Distance from the exit vertex at which spots and arrival angles are looked at.
+
+    The paper's 3 mm (Figs. 2c and 2d), where that lies between the sensor planes; else the first of these.
+    """
+    first, *_, last = (*lens.sensor.plane_distances_mm, lens.sensor.plane_distances_mm[-1])
+    return PAPER_DISTANCE_MM if first <= PAPER_DISTANCE_MM <= last else first
 
 
 def edge_thickness_mm(lens: Lens) -> float | None:

@@ -15,6 +15,7 @@ from lensdesign.analysis import (
     edge_thickness_mm,
     footprint,
     largest_spread,
+    observation_distance_mm,
     rms_spot_diameter,
     throughput,
 )
@@ -24,8 +25,6 @@ from lensdesign.form_error import FormError, form_errors
 from lensdesign.matching import Matching, match, smallest_exit_beam_diameter_mm
 from lensdesign.system import Lens
 
-SPOT_PLANE_MM = 3.0
-"""Distance of the plane of the spot diagrams from the exit vertex, that of the paper's Fig. 2c."""
 NA_TOLERANCE = 1e-3
 """Share by which the stop may fall short of the file's NA: stops are given to a few digits."""
 ROUNDING = 1e-6
@@ -119,8 +118,8 @@ class CheckReport:
         Sensor planes and the radius of all light there.
     sensor_half_side_mm
         Half of the sensor's shorter side.
-    spot_heights_mm, rms_spot_diameter_mm
-        RMS spot diameters 3 mm behind the exit vertex.
+    spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm
+        RMS spot diameters, and how far behind the exit vertex.
     throughput
         Smallest share of a field point's evenly filled stop that passes.
     edge_thickness_mm
@@ -156,6 +155,7 @@ class CheckReport:
     sensor_half_side_mm: float
     spot_heights_mm: tuple[float, ...]
     rms_spot_diameter_mm: tuple[float, ...]
+    spot_plane_mm: float
     throughput: float
     edge_thickness_mm: float | None
     efl_mm: float
@@ -229,6 +229,7 @@ def check_design(lens: Lens) -> CheckReport:
         sensor_half_side_mm=0.5 * min(lens.sensor.size_mm),
         spot_heights_mm=_spot_heights(lens),
         rms_spot_diameter_mm=tuple(np.max([r.rms_spot_diameter_mm for r in rows], axis=0).tolist()),
+        spot_plane_mm=observation_distance_mm(lens),
         throughput=min(r.throughput for r in rows),
         edge_thickness_mm=edge,
         efl_mm=rows[0].efl_mm,
@@ -246,7 +247,8 @@ def _trace(lens: Lens, wavelength_um: float) -> _Traced:
     spread = largest_spread(lens, wavelength_um)
     footprints = tuple(footprint(lens, wavelength_um, d) for d in lens.sensor.plane_distances_mm)
     passes = throughput(lens, wavelength_um)
-    spots = [rms_spot_diameter(lens, wavelength_um, h, SPOT_PLANE_MM) for h in _spot_heights(lens)]
+    plane_mm = observation_distance_mm(lens)
+    spots = [rms_spot_diameter(lens, wavelength_um, h, plane_mm) for h in _spot_heights(lens)]
     paraxial = first_order(lens, wavelength_um)
     _, rim = launch(lens, [0.0, 0.0], [0.0, 1.0], wavelength_um)
     beam = 2.0 * footprint(lens, wavelength_um, 0.0).radius_mm

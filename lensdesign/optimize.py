@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import DesignError
 from lensdesign.nlopt_driver import ALGORITHMS, FEASIBLE, Evaluation, Outcome, minimize
 from lensdesign.problem import DesignProblem, Rays, finished_lens, sample_rays
+from lensdesign.ray_exchange import worse_rays
 from lensdesign.requirements import KEPT, Row
 from lensdesign.specification import Specification, refuse_impossible
 from lensdesign.system import Lens
@@ -27,12 +28,6 @@ EXCHANGES = 12
 
 LOCAL_EVALUATIONS = 200
 """Most evaluations of one algorithm of a chain; what takes longer is better left to the next."""
-
-TOLERANCE = 3e-5
-"""Rays that exceed the working set by less than this (scaled) are not worth another round."""
-
-SECTOR_DEG = 30.0
-"""Of the stop, in each of which the worst ray is refined."""
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
@@ -202,7 +197,7 @@ def _search(
         spent += evaluations
         point = outcome.point
         chain = _chain("slsqp") if ALGORITHMS[chain[0]].everywhere else chain
-        worse = _worse_rays(problem, point, rays, dense)
+        worse = worse_rays(problem, point, rays, dense)
         if worse is None or time.monotonic() > deadline:
             break
         rays = rays.with_rays(worse)
@@ -263,57 +258,6 @@ def _solve(
         if outcome.converged and not everywhere:
             break
     return outcome, spent
-
-
-def _worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
-    """Rays that exceed every ray of the working set: the worst of each kind and sector of the stop.
-
-    Maxima compete (a skew ray on the rim, a meridional one inside), so each sector is searched: else the
-    grid's error on a sharp maximum hides it behind a flat one.
-    """
-    worse: Rays | None = None
-    sector = np.minimum(np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0])) // SECTOR_DEG, 2)
-    own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
-    for number, (row, wide) in enumerate(zip(own, all_, strict=True)):
-        if wide.rays is None or not len(wide.values):
-            continue
-        top = np.max(wide.values)
-        if top <= -0.02 and not wide.name.startswith("spread"):
-            continue
-        for which in np.unique(sector):
-            mine = np.flatnonzero(sector[wide.rays] == which)
-            if not len(mine) or np.max(wide.values[mine]) < top - 0.02:
-                continue
-            worst = wide.rays[mine[np.argmax(wide.values[mine])]]
-            ray, value = _refined(problem, point, number, dense.take(worst[None]))
-            if value > np.max(row.values) + TOLERANCE:
-                worse = ray if worse is None else worse.with_rays(ray)
-    return worse
-
-
-def _refined(problem: DesignProblem, point: Array, number: int, ray: Rays) -> tuple[Rays, float]:
-    """The worst ray of one row in the neighbourhood of a ray, by shrinking grids over field and stop."""
-    half = problem.base.half_field_mm
-    step, value = 1.0 / 32.0, -math.inf
-    steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))))
-    fixed_fields = bool(problem.specification.constraints.field_spread)
-    for _ in range(5):
-        field = ray.fields_mm[0, 1] + (0.0 if fixed_fields else step * half) * steps[:, 0]
-        pupil = ray.pupil[0] + step * steps[:, 1:]
-        radius = np.maximum(1.0, np.linalg.norm(pupil, axis=-1, keepdims=True))
-        near = Rays(np.column_stack([np.zeros(len(field)), np.clip(field, 0.0, half)]), pupil / radius)
-        row = _flat(problem.rows(point, near))[number]
-        if row.rays is None or not len(row.values):
-            break
-        worst = int(np.argmax(row.values))
-        if row.values[worst] >= value:
-            ray, value = near.take(row.rays[worst : worst + 1]), float(row.values[worst])
-        step /= 3.0
-    return ray, value
-
-
-def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:
-    return [*rows[0], *rows[1]]
 
 
 def _result(best: _Found, found: list[_Found], evaluations: int, seconds: float) -> OptimizationResult:

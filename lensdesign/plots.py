@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensdesign.analysis import ArrivalAngles, arrival_angles, rms_spot_diameter
+from lensdesign.analysis import (
+    ArrivalAngles,
+    arrival_angles,
+    observation_distance_mm,
+    rms_spot_diameter,
+)
 from lensdesign.bundles import launch, pupil_hexapolar
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.figure_plots import figure_map
@@ -32,8 +37,8 @@ if TYPE_CHECKING:
 
 PICTURE_FORMATS = ("png", "svg")
 DOTS_PER_INCH = 200
-OBSERVATION_DISTANCE_MM = 3.0
-"""Plane of the spot diagrams and arrival angles, from the exit vertex."""
+SENSOR_SHARES = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
+"""Points of Fig. 2d, as shares of half of the sensor's shorter side."""
 
 _INK = "#333333"
 
@@ -113,7 +118,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         canvas.print_figure(temporary, format=form, dpi=DOTS_PER_INCH, metadata=metadata)
 
 
-def spot_figure(lens: Lens, plane_distance_mm: float = OBSERVATION_DISTANCE_MM) -> Figure:
+def spot_figure(lens: Lens, plane_distance_mm: float | None = None) -> Figure:
     """Spot diagrams of field heights 0, 0.5 and 1 of the half field about their centroids (Fig. 2c).
 
     Parameters
@@ -121,13 +126,15 @@ def spot_figure(lens: Lens, plane_distance_mm: float = OBSERVATION_DISTANCE_MM) 
     lens
         Any lens.
     plane_distance_mm
-        Plane of the spots, from the exit vertex.
+        Plane of the spots, from the exit vertex; None is that of
+        :func:`lensdesign.analysis.observation_distance_mm`.
 
     Raises
     ------
     DesignError
         If no ray of a field passes.
     """
+    plane_distance_mm = observation_distance_mm(lens) if plane_distance_mm is None else plane_distance_mm
     figure = _figure((9.6, 3.9))
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     wavelength_um, pupil = lens.wavelengths_um[0], pupil_hexapolar(14).points
@@ -157,8 +164,8 @@ def spot_figure(lens: Lens, plane_distance_mm: float = OBSERVATION_DISTANCE_MM) 
 
 def incidence_figure(
     lens: Lens,
-    sensor_points_mm: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.0, 3.0), (0.0, 7.0), (0.0, 9.0)),
-    plane_distance_mm: float = OBSERVATION_DISTANCE_MM,
+    sensor_points_mm: Sequence[tuple[float, float]] | None = None,
+    plane_distance_mm: float | None = None,
 ) -> Figure:
     """Angles in which light of the whole object disc arrives at points of the sensor (Fig. 2d).
 
@@ -167,10 +174,14 @@ def incidence_figure(
     lens
         Any lens.
     sensor_points_mm
-        x and y of the points.
+        x and y of the points; None takes four along y, in the paper's proportions to the sensor.
     plane_distance_mm
-        Their plane, from the exit vertex.
+        Their plane, from the exit vertex; None as in :func:`spot_figure`.
     """
+    plane_distance_mm = observation_distance_mm(lens) if plane_distance_mm is None else plane_distance_mm
+    if sensor_points_mm is None:
+        half_mm = 0.5 * min(lens.sensor.size_mm)
+        sensor_points_mm = [(0.0, float(f"{half_mm * share:.3g}")) for share in SENSOR_SHARES]
     wavelength_um = lens.wavelengths_um[0]
     limit_sine = spread_limit_sine(wavelength_um, lens.sensor.pixel_pitch_um)
     arrivals = [arrival_angles(lens, p, plane_distance_mm, wavelength_um) for p in sensor_points_mm]

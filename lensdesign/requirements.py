@@ -86,7 +86,7 @@ class Row:
 def goal_rows(specification: Specification, state: State) -> list[Row]:
     """What the largest value of is to be made small."""
     goal = specification.optimize.goal
-    lens = specification.lens
+    lens: Lens = specification  # as it was at the start
     if goal == "smallest spread":
         return [
             _per_ray(_named("spread", w, lens), _squares(t.cosines, t.cosines_by), _sine(lens, w) ** 2, t)
@@ -115,7 +115,7 @@ def constraint_rows(specification: Specification, state: State, final: bool = Fa
     against that.
     """
     rows: list[Row] = []
-    lens = specification.lens
+    lens: Lens = specification
     for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
         limited = final or specification.optimize.goal != "smallest spread"
         rows += _spread_rows(specification, state, wavelength, trace, limited)
@@ -148,7 +148,7 @@ def _throughput_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
 ) -> list[Row]:
     """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
-    lens, share = specification.lens, specification.constraints.min_throughput
+    lens, share = specification, specification.constraints.min_throughput
     limits = [
         (i, s.semi_diameter_mm)
         for i, s in enumerate(lens.surfaces)
@@ -187,13 +187,22 @@ def _glass_rows(specification: Specification, state: State) -> list[Row]:
         if i + 1 == len(lens.surfaces):
             continue
         glass = surface.material is not None
-        least = limits.min_edge_thickness_mm if glass else 0.0
+        least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
         scale = specification.surfaces[i].thickness_mm or 1.0
-        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, edge, least, scale))
-        least = limits.min_center_thickness_mm if glass else 0.0
+        at = _ground_height(lens, i, edge)
+        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
+        least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
         axis = (0.0, np.zeros(len(state.variables)))
         rows.append(_gap_row(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale))
     return rows
+
+
+def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[float, Array]:
+    """Radius of the edge cylinder behind a surface: the design file's, or else the largest clear height."""
+    if not lens.edges or i not in lens.glass_fronts:
+        return clear
+    given = lens.edges[lens.glass_fronts.index(i)].semi_diameter_mm
+    return clear if given is None else (given, np.zeros_like(clear[1]))
 
 
 def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:

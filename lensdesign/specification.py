@@ -127,9 +127,12 @@ class Constraints(Section):
     min_throughput
         Share of each field's rays that must pass all clear semi-diameters.
     min_edge_thickness_mm
-        At the ground edge, the largest clear semi-diameter.
+        At the ground edge: the cylinder of the edge table, or else the largest clear semi-diameter. Flat
+        rings and bevels do not count.
     min_center_thickness_mm
         On the axis, of each glass element.
+    min_air_gap_mm
+        Between elements, on the axis and at the ground edge: room for a spacer.
     max_edge_slope_deg
         Slope of each surface at its clear edge.
     """
@@ -140,6 +143,7 @@ class Constraints(Section):
     min_throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     min_edge_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_center_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
+    min_air_gap_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     max_edge_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 75.0
 
     _lists = field_validator("field_spread", "max_footprint_radius_mm", mode="before")(tuples)
@@ -290,7 +294,7 @@ def refuse_impossible(specification: Specification) -> None:
     """
     scene = specification.object
     invariant = scene.field_diameter_mm * scene.numerical_aperture
-    sine = max(specification.spread_limit(w) for w in specification.wavelengths_um)
+    sine = min(specification.spread_limit(w) for w in specification.wavelengths_um)
     if math.isinf(sine):
         return
     widest = 2.0 * min(specification.footprint_limits())

@@ -16,6 +16,7 @@ from lensdesign.analysis import (
     edge_thickness_mm,
     footprint,
     largest_spread,
+    observation_distance_mm,
     rms_spot_diameter,
     throughput,
 )
@@ -202,6 +203,17 @@ def test_a_rim_that_is_only_just_clipped_shows() -> None:
     found = throughput(window(back=edge - 1e-4))
     assert 0.99 < found.throughput < 1.0
     assert found.per_field[0] == 1.0
+
+
+def test_spots_are_looked_at_within_the_sensor_planes(paper_lens: Lens) -> None:
+    def distance(*planes: float) -> float:
+        sensor = paper_lens.sensor.replaced(plane_distances_mm=planes)
+        return observation_distance_mm(paper_lens.replaced(sensor=sensor))
+
+    assert observation_distance_mm(paper_lens) == 3.0
+    assert distance(0.5, 1.1) == 0.5
+    assert distance(5.0, 9.0) == 5.0
+    assert distance(3.0) == 3.0
 
 
 def test_edge_thickness(paper_lens: Lens) -> None:

@@ -70,6 +70,7 @@ def test_the_report_is_plain_json(report: CheckReport) -> None:
         "highest_frequency_lp_per_mm",
         "footprint_radius_mm",
         "rms_spot_diameter_mm",
+        "spot_plane_mm",
         "throughput",
         "edge_thickness_mm",
         "efl_mm",

@@ -13,7 +13,8 @@ from lensdesign.analysis import largest_spread
 from lensdesign.check import check_design
 from lensdesign.errors import DesignError
 from lensdesign.optimize import finished_lens, optimize
-from lensdesign.problem import DesignProblem, sample_rays
+from lensdesign.problem import DesignProblem, Rays, sample_rays
+from lensdesign.ray_exchange import worse_rays
 from lensdesign.specification import (
     Constraints,
     FieldSpread,
@@ -35,6 +36,11 @@ def thinnest() -> Specification:
 @pytest.fixture(scope="module")
 def smallest_spread() -> Specification:
     return load_specification(DESIGNS / "smallest_spread_spec.toml")
+
+
+@pytest.fixture(scope="module")
+def moulded_pair() -> Specification:
+    return load_specification(DESIGNS / "moulded_pair_spec.toml")
 
 
 def changed(specification: Specification, **changes: object) -> Specification:
@@ -158,6 +164,43 @@ def test_glass_is_chosen_from_a_list(thinnest):
     assert found.variables["surface 1 material"] == best
     assert found.goal_value == pytest.approx(alone[best], rel=1e-4)
     assert max(alone.values()) > 1.05 * min(alone.values())
+
+
+def test_edges_and_air_gaps_are_measured_where_they_are(moulded_pair):
+    """Glass at its edge cylinder, air at the largest clear height; each against its own least value."""
+    problem = DesignProblem(moulded_pair, moulded_pair.lens)
+    rays = sample_rays(0.6, 3, 9, 3)
+    point = problem.to_unit(moulded_pair.lens)
+    rows = {row.name: float(row.values[0]) for row in problem.rows(point, rays)[1]}
+    s = moulded_pair.surfaces
+    state = problem.state(point, rays)
+    clear = max(float(np.max(np.linalg.norm(t.heights, axis=-1))) for t in state.traces)
+    first = 3.5 + s[1].sag_mm(4.4) - s[0].sag_mm(4.4)
+    air = 0.4 + s[2].sag_mm(clear) - s[1].sag_mm(clear)
+    assert rows["edge thickness behind surface 1"] == pytest.approx((1.0 - first) / 3.5)
+    assert rows["edge thickness behind surface 2"] == pytest.approx((0.3 - air) / 0.4)
+    assert rows["centre thickness behind surface 2"] == pytest.approx((0.3 - 0.4) / 0.4)
+    assert rows["edge thickness behind surface 3"] == pytest.approx((1.0 - (1.6 - s[2].sag_mm(4.4))) / 1.6)
+
+
+def test_the_exchange_finds_a_sharp_maximum_on_the_rim_beside_a_flat_one_inside(moulded_pair):
+    """Skew rays between the dense ones leave the farthest, others inside nearly as far."""
+    lens = moulded_pair.lens.replaced(edges=())
+    lens = lens.with_surface(0, radius_mm=13.405262, thickness_mm=3.4204053)
+    lens = lens.with_surface(1, radius_mm=-4.4784104, asphere=(0.00089864153,), thickness_mm=0.3)
+    lens = lens.with_surface(2, radius_mm=25.9, asphere=(0.00045872118,), thickness_mm=1.5)
+    problem = DesignProblem(moulded_pair, lens)
+    point = problem.to_unit(lens)
+    coarse, dense = sample_rays(0.6, 3, 5, 1), sample_rays(0.6, 16, 97, 12)
+    worse = worse_rays(problem, point, coarse, dense)
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 721)
+    rim = Rays(np.tile([0.0, 0.6], (721, 1)), np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    (found,), (finest,), (grid,) = (
+        [r for r in problem.rows(point, rays)[1] if r.name == "spread (0.486133 um)"]
+        for rays in (worse, rim, dense)
+    )
+    assert np.max(grid.values) < np.max(finest.values) - 1e-3
+    assert np.max(found.values) >= np.max(finest.values) - 1e-5
 
 
 def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):

@@ -93,6 +93,15 @@ def test_etendue_bound_refuses_before_any_search(tmp_path):
         load_specification(path)
 
 
+def test_the_shortest_wavelength_binds_the_etendue(tmp_path):
+    """Field x NA = 1.5 mm fits through 22.4 mm x sin(spread limit) down to a wavelength of 0.4286 um."""
+    path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.43]"))
+    assert len(load_specification(path).wavelengths_um) == 3
+    path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.42]"))
+    with pytest.raises(DesignError, match=r"infeasible: by the etendue .*3 x 0.5 / 0.065625 = 22.86 mm"):
+        load_specification(path)
+
+
 def test_the_bound_is_exact(tmp_path):
     """FOV x NA = D sin(theta): a field just inside is accepted."""
     sine, width = 0.532 / 6.4, 22.4
