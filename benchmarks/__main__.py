@@ -14,6 +14,7 @@ SCRIPTS = (
     "optimizer",
     "pupil_trial",
     "eikonal_speed",
+    "full_field",
     "chooser",
     "reconstruction",
     "refocusing",

@@ -16,11 +16,15 @@ from lensdesign.errors import InputError, SamplingError
 from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.guards import SamplingWarning
+from wavesim.two_level import LEAST_ERROR, tiles_along
 from wavesim.working_grid import LARGEST_BYTES, LONGEST_SECONDS
 
 SLICES = (10, 30, 100, 300, 1000)
 TILE_SHARE, LEAST_TILE_ERROR = 0.5, 1e-5
 """Of the error allowed, what eikonal tiles may leave by their width; and the least that may be asked for."""
+
+MANY_TILES = 16
+"""Along a side of the object, from which on tiles in two levels are worth their set-up."""
 
 NARROWEST, WORTH = 8, 0.95
 """Narrowest tile tried, in object samples; what a step to narrower tiles must bring to go on."""
@@ -128,6 +132,9 @@ def predictions(scene: Scene, error: float) -> Iterator[Prediction]:
     yield predict(scene, "no-lens")
     yield predict(scene, "thin-lens")
     yield from _eikonal(scene, error)
+    if tiles_along(scene) > MANY_TILES:
+        tiles = min(max(TILE_SHARE * error, LEAST_ERROR), 1.0)
+        yield predict(scene, "two-level", error=tiles)
     for slices in SLICES:
         found = predict(scene, "slices", slices=slices, compensation="oblique")
         yield found

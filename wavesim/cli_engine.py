@@ -13,7 +13,7 @@ from lensdesign.errors import InputError
 
 Slices = Annotated[int | None, typer.Option(help="slices: number of slices.")]
 Compensation = Annotated[str | None, typer.Option(help="slices: vertical or oblique.")]
-TileWidthMm = Annotated[float | None, typer.Option(help="eikonal: width of a tile of the object.")]
+TileWidthMm = Annotated[float | None, typer.Option(help="eikonal, two-level: width of a tile of the object.")]
 Spacing = Annotated[str | None, typer.Option(help="slices: equal, paper or equal-phase.")]
 Interface = Annotated[str | None, typer.Option(help="wpm: substep or staircase.")]
 StepUm = Annotated[float | None, typer.Option(help="wpm: step along z.")]

@@ -16,6 +16,7 @@ from wavesim.engine import Engine, Scene
 
 ENGINES: dict[str, str] = {
     "eikonal": "wavesim.eikonal:EikonalTiles",
+    "two-level": "wavesim.two_level:TwoLevelTiles",
     "slices": "wavesim.slices:AnnularSlices",
     "wpm": "wavesim.wave_propagation:WavePropagation",
     "thin-lens": "wavesim.thin_lens:ThinLens",

@@ -25,6 +25,9 @@ from wavesim.frames import Frame
 from wavesim.imaging import Patch
 from wavesim.sensor import Electronics, FootprintWarning, plane_seeds, record, sensor_grid
 
+TILED = ("eikonal", "two-level")
+"""Engines whose tiles have an error that may be asked for."""
+
 WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
 """Sensor windows are wider than the footprint by this factor; samples per pixel of what falls on them."""
 
@@ -55,7 +58,7 @@ def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = Non
     runs
         How often fields will be carried.
     error
-        Relative error allowed; left out, `DEFAULT_ERROR` for the choice and `TILE_ERROR` for eikonal tiles.
+        Relative error allowed; left out, `DEFAULT_ERROR` for the choice and `TILE_ERROR` for tiles.
     **settings
         Of the engine named.
 
@@ -69,13 +72,13 @@ def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = Non
     if name == AUTO and not settings:
         chosen = choose(scene, DEFAULT_ERROR if error is None else error, runs=runs).chosen
         name, settings = chosen.engine, dict(chosen.settings)
-        if name == "eikonal":
+        if name in TILED:
             settings["error"] = min(settings["error"], TILE_ERROR)
-    elif name == "eikonal":
+    elif name in TILED:
         settings["error"] = TILE_ERROR if error is None else error
     elif error is not None and name != AUTO:
         raise InputError(
-            f"error = {error:g}: engine {name} has no such setting; allowed for auto and eikonal"
+            f"error = {error:g}: engine {name} has no such setting; allowed for auto, {', '.join(TILED)}"
         )
     return make_engine(name, scene, **settings)
 

@@ -7,7 +7,7 @@ decentered or perturbed. The order of the polynomials is raised until rays that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,13 +66,16 @@ class SmoothMap:
 
     def on_axes(self, axes: Sequence[Array]) -> NDArray:
         """Values on a line, or on the grid of two axes, shape (functions, ny) or (functions, ny, nx)."""
+        return np.stack(list(self.each_on_axes(axes)))
+
+    def each_on_axes(self, axes: Sequence[Array]) -> Iterator[NDArray]:
+        """One function after the other on a line or a grid, where all at once would be too much."""
         basis = [
             chebyshev.chebvander((axis - m) / h, self.coefficients.shape[1] - 1)
             for axis, m, h in zip(axes, self.middle, self.half_width, strict=True)
         ]
-        if len(basis) == 1:
-            return np.asarray(self.coefficients @ basis[0].T)
-        return np.stack([basis[0] @ c @ basis[1].T for c in self.coefficients])
+        for c in self.coefficients:
+            yield c @ basis[0].T if len(basis) == 1 else basis[0] @ c @ basis[1].T
 
 
 def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:

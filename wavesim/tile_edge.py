@@ -91,11 +91,11 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
     strip = 0.5 * float(np.nanmax(moved))
     apart = max(carrier.plane_z_mm - float(scene.system.vertex[0, 0, 2]), 0.0)
     zone = math.sqrt(1e-3 * scene.wavelength_um * apart)
-    share = _rim_share(carrier.rim_mm)
+    share = rim_share(carrier.rim_mm)
     return tuple(min(1.0, math.sqrt(share * width)) for width in (strip, 0.1 * zone))  # type: ignore[return-value]
 
 
-def _rim_share(rim_mm: Array) -> float:
+def rim_share(rim_mm: Array) -> float:
     """Share of the footprint in a strip along its rim, per mm of its width."""
     if rim_mm.shape[1] == 1:
         return 2.0 / float(np.ptp(rim_mm))

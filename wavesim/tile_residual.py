@@ -111,7 +111,7 @@ class Residual:
         return float(np.sqrt(square.max())), float(np.abs(waves).max())
 
     @cached_property
-    def _fine(self) -> tuple[ComplexArray, Array]:
+    def fine(self) -> tuple[ComplexArray, Array]:
         """R over its mean at Gauss points of the tile, shape (n, m), and their weights."""
         points, weights = np.polynomial.legendre.leggauss(FINE_NODES)
         ways = [_interpolation(NODES, points)] * len(self.spans_mm)
@@ -123,7 +123,7 @@ class Residual:
 
     def mean_error(self) -> float:
         """Relative error of the exit field if the mean stands for R."""
-        values, shares = self._fine
+        values, shares = self.fine
         return float(np.sqrt(self.weights @ np.abs(values - 1.0) ** 2 @ shares))
 
     def mean_term(self) -> Separable:
@@ -133,7 +133,7 @@ class Residual:
 
     @cached_property
     def _singular(self) -> tuple[ComplexArray, Array, ComplexArray]:
-        values, shares = self._fine
+        values, shares = self.fine
         scaled = np.sqrt(self.weights)[:, None] * values * np.sqrt(shares)
         return np.linalg.svd(scaled, full_matrices=False)
 
@@ -161,7 +161,7 @@ class Residual:
         """
         rank = min(self.rank_for(error), MAX_RANK)
         left, strength, right = self._singular
-        values, shares = self._fine
+        values, shares = self.fine
         factors = ((left * strength)[:, :rank] / np.sqrt(self.weights)[:, None]).T
         sensor = fit_map(self.sensor_mm, factors, FACTOR_ORDER[len(self.spans_mm) == 1])
         tile = right[:rank] / np.sqrt(shares)
@@ -172,11 +172,15 @@ class Residual:
                 f"{rank} terms over a tile leave a relative error of {rest:.2g}, {error:.2g} is allowed: "
                 "make tiles narrower"
             )
-        points = np.polynomial.legendre.leggauss(FINE_NODES)[0]
-        to_nodes = np.asarray(np.linalg.inv(_interpolation(FINE_NODES, points)), float)
-        tile = tile.reshape(rank, *(FINE_NODES,) * len(self.spans_mm))
-        nodes = _along_axes([to_nodes] * len(self.spans_mm), tile)
-        return Separable(sensor, self.mean, nodes, self.spans_mm, rest)
+        return Separable(sensor, self.mean, at_tile_nodes(tile, len(self.spans_mm)), self.spans_mm, rest)
+
+
+def at_tile_nodes(factors: ComplexArray, dimensions: int) -> ComplexArray:
+    """Tile factors, shape (rank, m), from the Gauss points of :attr:`Residual.fine` to Chebyshev points."""
+    points = np.polynomial.legendre.leggauss(FINE_NODES)[0]
+    to_nodes = np.asarray(np.linalg.inv(_interpolation(FINE_NODES, points)), float)
+    factors = factors.reshape(len(factors), *(FINE_NODES,) * dimensions)
+    return _along_axes([to_nodes] * dimensions, factors)
 
 
 def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, carrier: RayMap) -> Residual:

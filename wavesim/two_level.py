@@ -1,0 +1,263 @@
+"""Eikonal tiles of a whole field, summed in two levels.
+
+As :mod:`wavesim.eikonal`, for fields of millimetres: tiles are summed about the carrier of their super-tile
+on a coarse grid, super-tiles on the plane. Neighbouring tiles share rays (:mod:`wavesim.field_maps`), and
+nothing of a tile is kept from one use to the next but a few polynomials. All values are complex64; phases
+are made in float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.blas import one_blas_thread
+from wavesim.engine import Cost, Engine, Neglected, Scene
+from wavesim.field_factors import field_factors
+from wavesim.field_maps import Region, field_maps, field_region
+from wavesim.ray_map import ray_map
+from wavesim.resampling import kernel_for
+from wavesim.tile_edge import edge_error, rim_share
+from wavesim.tile_operator import THREADS, Tile
+from wavesim.tile_plan import counts_for, cut
+from wavesim.two_level_cost import two_level_cost
+from wavesim.two_level_parts import (
+    TAPER,
+    TAPER_LOSS,
+    FieldSettings,
+    FieldTile,
+    SuperTile,
+)
+
+ZONES = 0.74
+"""Widths of tiles over sqrt(wavelength x working distance) / NA: few terms follow what such tiles omit."""
+
+EXPANSION_SHARE, MAPS_SHARE, INTERPOLATION_SHARE, TRANSFORM_SHARE = 0.5, 0.01, 0.1, 0.05
+"""Of the error allowed, what each step may take; the maps' in waves."""
+
+
+LEAST_ERROR = 1e-4
+"""That may be asked for: values are complex64."""
+
+
+def tile_width_for(scene: Scene) -> float:
+    """Width in mm of tiles that few terms follow."""
+    zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
+    return ZONES * zone_mm / scene.lens.object.numerical_aperture
+
+
+def tiles_along(scene: Scene) -> float:
+    """How many such tiles the object's longer side takes; 0 on a line, which this engine does not carry."""
+    grid = scene.object_grid
+    return 0.0 if grid.is_line else max(grid.shape) * grid.pitch_mm / tile_width_for(scene)
+
+
+class TwoLevelTiles(Engine):
+    """Eikonal tiles summed in two levels, for planes.
+
+    Attributes
+    ----------
+    report : callable or None
+        Told before every super-tile how many are done and how many there are, as (done, all).
+
+    Parameters
+    ----------
+    scene : Scene
+        What is carried where. Object samples beyond the lens's field count as dark.
+    tile_width_mm : float, optional
+        Largest side of a tile; left out, chosen so that four or five terms follow what it leaves out.
+    tiles_across : int
+        Tiles along each side of a super-tile.
+    error : float
+        Relative L2 error of the exit field that tiles and interpolation may leave.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable, or the scene is that of a line.
+    FoldError
+        On first use, if rays fold on the exit grid's plane.
+    RayMapError
+        On first use, if polynomials do not follow the rays, or tiles are too wide.
+    """
+
+    name = "two-level"
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        tile_width_mm: float | None = None,
+        tiles_across: int = 4,
+        error: float = 1e-2,
+    ) -> None:
+        super().__init__(scene)
+        if scene.object_grid.is_line:
+            raise InputError("engine two-level carries planes; on a line take eikonal")
+        if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
+            raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
+        if not 1 <= tiles_across <= 100:
+            raise InputError(f"tiles_across = {tiles_across!r}: must be from 1 to 100")
+        if not LEAST_ERROR <= error <= 1.0:
+            raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
+        tile_width_mm = tile_width_for(scene) if tile_width_mm is None else tile_width_mm
+        self._tile_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
+        self.report: Callable[[int, int], None] | None = None
+
+    @cached_property
+    def region(self) -> Region:
+        """The part of the object plane that is carried."""
+        return field_region(self.scene)
+
+    @cached_property
+    def _cut(self) -> tuple[tuple[Tile, tuple[int, ...]], ...]:
+        """Tiles that reach into the field, each with the place of its super-tile."""
+        counts = counts_for(self.scene.object_grid, self._tile_width_mm)
+        radius = self.region.half_mm[0]
+        found = []
+        for number, tile in enumerate(cut(self.scene.object_grid, counts)):
+            nearest = [
+                max(abs(c) - float(np.max(np.abs(s))), 0.0)
+                for c, s in zip(tile.centre_mm[::-1], tile.spans_mm, strict=True)
+            ]
+            if not self.region.is_disc or math.hypot(*nearest) < radius:
+                place = (int(i) // self._tiles_across for i in np.unravel_index(number, counts))
+                found.append((tile, tuple(place)))
+        return tuple(found)
+
+    @cached_property
+    def _settings(self) -> FieldSettings:
+        scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
+        spans = np.array([tile.spans_mm for tile, _ in self._cut])
+        spans_mm = np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
+        reach_mm = float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
+        with one_blas_thread():
+            return FieldSettings(
+                scene,
+                (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
+                field_maps(scene, self.region, z_mm, reach_mm, MAPS_SHARE * error),
+                field_factors(
+                    scene,
+                    self.region,
+                    spans_mm,
+                    lambda point: ray_map(scene, point, z_mm, reach_mm),
+                    EXPANSION_SHARE * error,
+                ),
+                kernel_for(INTERPOLATION_SHARE * error),
+                float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3)),
+            )
+
+    @cached_property
+    def groups(self) -> tuple[SuperTile, ...]:
+        """Super-tiles whose light reaches the exit grid."""
+        inside: dict[tuple[int, ...], list[Tile]] = {}
+        for tile, place in self._cut:
+            inside.setdefault(place, []).append(tile)
+        with one_blas_thread():
+            groups = (SuperTile(self._settings, tuple(tiles)) for tiles in inside.values())
+            return tuple(group for group in groups if not group.empty)
+
+    def _forward(self, values: Any) -> Any:
+        field = np.asarray(values).astype(np.complex64, copy=False)
+        result = np.zeros(self.scene.exit_grid.shape, np.complex64)
+        dark = self._dark()
+        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
+            for group in self._counted():
+                sums = list(pool.map(lambda thread, g=group: _sum_of(g, thread, field, dark), range(THREADS)))
+                total = sum(sums[1:], sums[0])
+                list(pool.map(lambda part, g=group, t=total: g.carried.add(t, result, part), _parts()))
+        result *= np.float32(self.scene.object_grid.cell)
+        return result
+
+    def _adjoint(self, values: Any) -> Any:
+        field = np.asarray(values).astype(np.complex64, copy=False)
+        result = np.zeros(self.scene.object_grid.shape, np.complex64)
+        dark = self._dark()
+        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
+            for group in self._counted():
+                between, coarse = (np.zeros(shape, np.complex64) for shape in group.carried.shapes)
+                carried = group.carried
+                list(pool.map(lambda p, c=carried, b=between: c.collect_rows(field, b, p), _parts()))
+                list(pool.map(lambda p, c=carried, b=between, o=coarse: c.collect_columns(b, o, p), _parts()))
+                found = pool.map(lambda tile, g=group, o=coarse: FieldTile(g, tile).collect(o), group.tiles)
+                for tile, part in zip(group.tiles, found, strict=True):
+                    result[tile.part] = part * ~dark(tile)
+        result *= np.float32(self.scene.exit_grid.cell)
+        return result
+
+    def _dark(self) -> Callable[[Tile], NDArray[np.bool_]]:
+        """Which samples of a tile lie beyond the field."""
+        grid, region = self.scene.object_grid, self.region
+
+        def beyond(tile: Tile) -> NDArray[np.bool_]:
+            y, x = grid.y_mm[tile.part[0]], grid.x_mm[tile.part[1]]
+            radius2 = y[:, None] ** 2 + x**2
+            return np.asarray(
+                radius2 > region.half_mm[0] ** 2 if region.is_disc else np.zeros(radius2.shape, bool)
+            )
+
+        return beyond
+
+    def _counted(self) -> Iterator[SuperTile]:
+        for done, group in enumerate(self.groups):
+            if self.report is not None:
+                self.report(done, len(self.groups))
+            yield group
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "tile_width_mm": self._tile_width_mm,
+            "tiles_across": self._tiles_across,
+            "error": self._error,
+        }
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        settings, scene = self._settings, self.scene
+        path, amplitude, direction = settings.maps.errors
+        maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
+        tile = self._cut[len(self._cut) // 2][0]
+        reach_mm = float(np.max(np.abs(settings.factors.spans_mm)))
+        carrier = ray_map(scene, tile.centre_mm, scene.exit_grid.z_mm, reach_mm)
+        moved, diffracted = edge_error(scene, tile, carrier)
+        taper_mm = TAPER * float(np.max(self.groups[0].steps_mm))
+        share = rim_share(carrier.rim_mm)
+        tapered = math.sqrt(share * (taper_mm * TAPER_LOSS + settings.maps.edge_error_mm))
+        parts = (
+            Neglected(
+                "path of second and higher order in a tile's offset, beyond "
+                f"{len(settings.factors.tile_nodes)} terms in each of {len(self._cut)} tiles",
+                settings.factors.relative_error,
+            ),
+            Neglected("rays between those that were traced", maps),
+            Neglected("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
+            Neglected(f"place of the aperture's edge, drawn over {1e3 * taper_mm:.2g} um", tapered),
+            Neglected("movement of the aperture's edge over a tile, object evenly lit", moved),
+            Neglected("diffraction at the aperture's edge in front of the plane", diffracted),
+        )
+        return tuple(sorted(parts, key=lambda part: -part.relative_error))
+
+    def cost(self) -> Cost:
+        return two_level_cost(self.scene, self._settings, self.groups)
+
+
+def _sum_of(
+    group: SuperTile, thread: int, field: NDArray, dark: Callable[[Tile], NDArray[np.bool_]]
+) -> NDArray[np.complex64]:
+    """What one thread adds to a super-tile's grid."""
+    result = np.zeros(tuple(len(a) for a in group.axes), np.complex64)
+    for tile in group.tiles[thread::THREADS]:
+        FieldTile(group, tile).add(field[tile.part] * ~dark(tile), result)
+    return result
+
+
+def _parts() -> list[tuple[float, float]]:
+    """Even parts of rows or columns, one for each thread."""
+    return [(float(a), float(b)) for a, b in pairwise(np.linspace(0.0, 1.0, THREADS + 1))]
