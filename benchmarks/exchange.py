@@ -14,6 +14,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable
+from contextlib import chdir
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -63,7 +64,8 @@ def optiland_hits(path: Path, lens: Lens, origins: Array, directions: Array) -> 
 
 def ray_optics_hits(path: Path, lens: Lens, origins: Array, directions: Array) -> Array:
     """Where ray-optics' reading of a file has the rays end, traced one by one; shape (rays, 2)."""
-    with warnings.catch_warnings():
+    # It leaves logs in the working folder.
+    with warnings.catch_warnings(), chdir(path.parent):
         warnings.simplefilter("ignore")
         model: Any = import_module("rayoptics.gui.appcmds").open_model(path)
         one: Any = import_module("rayoptics.raytr.raytrace").trace

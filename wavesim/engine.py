@@ -139,6 +139,9 @@ class Engine(ABC):
 
     name: ClassVar[str]
 
+    any_plane: ClassVar[bool] = False
+    """Whether the way to another plane costs what the first did, with no free space to be carried through."""
+
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 

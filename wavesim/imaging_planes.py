@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -331,7 +331,13 @@ def image_patch(
         tell(f"frame {number + 1} of {len(planes)}")
         distance = planes[number] - planes[0]
         grid = sensor_grid(windows[number], first.grid.z_mm + distance, OVERSAMPLING)
-        field = first if grid == first.grid else propagate_to(first, grid)
+        field = first
+        if grid != first.grid:
+            field = (
+                make(replace(scene, exit_grid=grid)).forward(behind_object)
+                if engine.any_plane
+                else propagate_to(first, grid)
+            )
         x, y = recording.shift_um
         fields.append(field)
         frames.append(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -32,6 +32,10 @@ NO_LIGHT = 1e-9
 """Share of the light on the sensor up to which it is taken for rounding."""
 CLEAR = 3.0
 """Standard deviations of read noise by which a pixel must stay below full well to count as not clipped."""
+
+
+BLOCK = 1024
+"""Rows or columns of which pixels' means are taken at one time."""
 
 
 class FootprintWarning(UserWarning):
@@ -166,12 +170,23 @@ def light_on_pixels(
     )
     if field.grid != grid:
         field = propagate_to(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
-    intensity = np.abs(np.asarray(field.values)).astype(float) ** 2
-    _tell_footprint(float(intensity.sum()) * grid.cell, total, sensor)
-    for axis in (0, 1):
-        intensity = _pixel_means(intensity, oversampling, active_width, axis)
+    values = np.asarray(field.values)
+    caught, across = 0.0, np.empty((len(values), sensor.pixels[0]))
+    for rows in _blocks(len(values)):
+        intensity = np.abs(values[rows]).astype(float) ** 2
+        caught += float(intensity.sum())
+        across[rows] = _pixel_means(intensity, oversampling, active_width)
+    _tell_footprint(caught * grid.cell, total, sensor)
+    means = np.empty((sensor.pixels[1], sensor.pixels[0]))
+    for columns in _blocks(sensor.pixels[0]):
+        means[:, columns] = _pixel_means(across[:, columns].T, oversampling, active_width).T
     # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
-    return np.maximum(intensity, 0.0)
+    return np.maximum(means, 0.0, out=means)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Parts of a range, so that a large sensor is not transformed at one time."""
+    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
 
 
 def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) -> Array:
@@ -179,15 +194,14 @@ def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) 
     return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * active_width))
 
 
-def _pixel_means(fine: Array, oversampling: int, active_width: float, axis: int) -> Array:
-    """Means over pixels along one axis, by the pixel's transfer on a cosine series.
+def _pixel_means(fine: Array, oversampling: int, active_width: float) -> Array:
+    """Means over pixels along the last axis, by the pixel's transfer on a cosine series.
 
     The series continues the light mirrored at the window's borders, so that nothing wraps around. At the
     pixels' middles cosines of higher order than there are pixels look like lower ones: these are summed.
     """
     if oversampling == 1:
         return fine
-    fine = np.moveaxis(fine, axis, -1)
     pixels = fine.shape[-1] // oversampling
     order = np.arange(fine.shape[-1])
     series = scipy.fft.dct(fine, axis=-1) * np.sinc(0.5 * active_width * order / pixels)
@@ -201,8 +215,7 @@ def _pixel_means(fine: Array, oversampling: int, active_width: float, axis: int)
             folded += sign * block
             if part:  # the series counts its constant once, all others twice
                 folded[..., 0] += sign * block[..., 0]
-    means = scipy.fft.idct(folded, axis=-1) / oversampling
-    return np.ascontiguousarray(np.moveaxis(means, -1, axis))
+    return np.asarray(scipy.fft.idct(folded, axis=-1) / oversampling)
 
 
 def _tell_footprint(caught: float, total: float, sensor: Sensor) -> None:

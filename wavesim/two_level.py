@@ -90,6 +90,7 @@ class TwoLevelTiles(Engine):
     """
 
     name = "two-level"
+    any_plane = True
 
     def __init__(
         self,

@@ -95,7 +95,7 @@ def test_pixels_pass_a_cosine_by_their_mtf(
     cycles_per_pixel = 0.5 * order / pixels
     fine = (np.arange(oversampling * pixels) + 0.5) / oversampling
     middle = np.arange(pixels) + 0.5
-    got = _pixel_means(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width, 1)[0]
+    got = _pixel_means(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width)[0]
     mtf = pixel_mtf(cycles_per_pixel * 1e3 / PITCH_UM, SENSOR, width)
     np.testing.assert_allclose(got, mtf * np.cos(2 * np.pi * cycles_per_pixel * middle), atol=1e-12)
 
