@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 BAR_SHARE = 0.2
 """Length of a scale bar, as a share of the picture's width, before it is rounded to 1, 2 or 5."""
 
+MOST_DRAWN = 2048
+"""Samples along a side of a picture; more would only cost time and memory."""
+
 CURVE = "#1f5fa8"
 DPI = 160
 
@@ -47,14 +50,15 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
     for place, frame in zip(axes, frames, strict=True):
         settings = frame.settings
         gain = settings.gain_electrons_per_count
-        electrons = (frame.counts.astype(float) - settings.offset_counts) * gain
+        counts, pitch_um = _for_screen(frame.counts, settings.pixel_pitch_um)
+        electrons = (counts - settings.offset_counts) * gain
         low = max(math.hypot(settings.read_noise_electrons, gain / math.sqrt(12.0)), 1e-3)
         norm = LogNorm(low, max(float(electrons.max()), 10.0 * low))
         shown = np.maximum(electrons, low)
         picture = place.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
         _colour_bar(figure, picture, place, "electrons")
         place.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex")
-        _scale_bar(place, frame.counts.shape, settings.pixel_pitch_um)
+        _scale_bar(place, shown.shape, pitch_um)
     return figure
 
 
@@ -81,11 +85,12 @@ def object_figure(transmission: Field, inside: Any, title: str = "") -> Figure:
         reach = _phase_reach(phase)
         shown.append((phase, "twilight" if reach == math.pi else "RdBu_r", -reach, reach, "phase (rad)"))
     figure, axes = _row(len(shown), title)
-    for place, (picture, colours, low, high, label) in zip(axes, shown, strict=True):
+    for place, (values, colours, low, high, label) in zip(axes, shown, strict=True):
         place.set_facecolor("0.6")
+        picture, drawn_pitch_um = _for_screen(values, pitch_um)
         drawn = place.imshow(picture, cmap=colours, vmin=low, vmax=high, **AS_SAMPLED)
         _colour_bar(figure, drawn, place, label)
-        _scale_bar(place, picture.shape, pitch_um)
+        _scale_bar(place, picture.shape, drawn_pitch_um)
     return figure
 
 
@@ -102,14 +107,15 @@ def residual_figure(
     """Amplitude of the result less the recorded one on every plane, over the recorded root mean square."""
     figure, axes = _row(len(maps), "Amplitude of the result less the recorded one")
     for place, error, amplitude, distance in zip(axes, maps, amplitudes, distances_mm, strict=True):
-        shown = error / math.sqrt(float(np.mean(amplitude**2, dtype=float)))
+        shown, drawn_pitch_um = _for_screen(error, pitch_um)
+        shown = shown / math.sqrt(float(np.mean(amplitude**2, dtype=float)))
         reach = max(float(np.quantile(np.abs(shown), 0.998)), 1e-6)
         picture = place.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
         _colour_bar(figure, picture, place, "over the recorded root mean square")
         place.set_title(
             f"{distance:g} mm: {100.0 * float(np.linalg.norm(error) / np.linalg.norm(amplitude)):.3g} % L2"
         )
-        _scale_bar(place, shown.shape, pitch_um)
+        _scale_bar(place, shown.shape, drawn_pitch_um)
     return figure
 
 
@@ -147,6 +153,16 @@ def _row(count: int, title: str) -> tuple[Figure, Any]:
     figure = Figure(figsize=(6.4 * count, 5.6 + (0.4 if title else 0.0)), layout="constrained")
     figure.suptitle(visible(title), fontsize=13, parse_math=False)
     return figure, figure.subplots(1, count, squeeze=False)[0]
+
+
+def _for_screen(values: Any, pitch_um: float) -> tuple[Array, float]:
+    """Means over squares of samples, so few that no side has more than `MOST_DRAWN`, and their pitch."""
+    factor = math.ceil(max(values.shape) / MOST_DRAWN)
+    if factor == 1:
+        return np.asarray(values, float), pitch_um
+    rows, columns = (count // factor for count in values.shape)
+    squares = values[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.asarray(squares.mean(axis=(1, 3), dtype=float)), factor * pitch_um
 
 
 def _colour_bar(figure: Figure, picture: Any, axes: Any, label: str) -> None:

@@ -1,0 +1,25 @@
+"""Pictures of large frames and objects: drawn with fewer samples, at the same scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wavesim.fields import Field, Grid
+from wavesim.imaging_plots import MOST_DRAWN, object_figure
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(300, 1), (2 * MOST_DRAWN + 5, 3)])
+def test_a_picture_has_no_more_samples_than_a_screen(samples: int, factor: int) -> None:
+    grid = Grid((samples, samples), 1e-3, -1.0)
+    values = np.linspace(0.2, 1.0, samples)[None].repeat(samples, axis=0)
+    figure = object_figure(Field(grid, values, 0.532), np.ones(grid.shape, bool))
+    axes = figure.axes[0]
+    shown = axes.images[0].get_array()
+    assert shown is not None
+    assert shown.shape == (samples // factor,) * 2
+    assert float(shown[0, 0]) == pytest.approx(values[0, :factor].mean())
+    bar = next(line for line in axes.lines if line.get_linewidth() == 3.0)
+    length_um = float(np.ptp(np.asarray(bar.get_xdata()))) * factor
+    (text,) = (t.get_text() for t in axes.texts)
+    assert text == (f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm")
