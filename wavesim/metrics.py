@@ -12,7 +12,7 @@ scikit-image.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,9 @@ from wavesim.usaf import UsafElement
 
 Picture = NDArray[Any]
 Mask = NDArray[np.bool_]
+
+RADIAL_BINS = 8192
+"""Of a spectrum, into which distances from frequency 0 are sorted first."""
 
 RESOLVED_CONTRAST = 0.2
 """From which contrast on lines count as resolved, as in `smallest_resolved_line_width_um`."""
@@ -328,17 +331,40 @@ def spectrum_support(
         raise InputError(f"share = {share!r}: must lie between 0 and 1")
     if values.ndim not in (1, 2) or not np.all(np.isfinite(values)):
         raise InputError("spectrum_support: values must be finite, on a line or a plane")
-    power = np.abs(scipy.fft.fftn(values - values.mean(), workers=-1)) ** 2
-    total = float(power.sum(dtype=float))
+    spectrum = scipy.fft.fftn(values - values.mean(), workers=-1, overwrite_x=True)
+    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm, np)]
+    width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / RADIAL_BINS
+    held, beyond = np.zeros(RADIAL_BINS + 1), 0.0
+    for radius, power in _spectral_rows(spectrum, cycles):
+        held += np.bincount((radius / width).astype(np.int64), power, RADIAL_BINS + 1)[: RADIAL_BINS + 1]
+        beyond += float(power[radius > beyond_per_mm].sum())
+    total = float(held.sum())
     if not total > 1e-12 * float(np.sum(np.abs(values) ** 2, dtype=float)) * values.size:
         raise InputError("spectrum_support: the values have nothing but their mean")
-    squared = sum(cycles**2 for cycles in fft_frequencies(values.shape, pitch_mm, np))
-    radius = np.sqrt(np.broadcast_to(np.asarray(squared), values.shape)).ravel()
+    before = np.cumsum(held)
+    place = int(np.searchsorted(before, share * total))
+    radius, power = _within_bin(spectrum, cycles, width, place)
+    up_to = before[place] - held[place] + np.cumsum(power)
+    within = float(radius[min(int(np.searchsorted(up_to, share * total)), len(radius) - 1)])
+    return SpectrumSupport(beyond / total, within)
+
+
+def _spectral_rows(spectrum: NDArray, cycles: list[Array]) -> Iterator[tuple[Array, Array]]:
+    """Distance from frequency 0 and power, row by row: all of a sensor's at once would fill a memory."""
+    rows = spectrum.reshape(-1, spectrum.shape[-1])
+    for row, other in zip(rows, cycles[0] if spectrum.ndim == 2 else (0.0,), strict=True):
+        yield np.hypot(cycles[-1], other), np.square(np.abs(row), dtype=float)
+
+
+def _within_bin(spectrum: NDArray, cycles: list[Array], width: float, place: int) -> tuple[Array, Array]:
+    """Distances from frequency 0 that fall into one bin, ascending, and their powers."""
+    found = []
+    for radius, power in _spectral_rows(spectrum, cycles):
+        inside = (radius / width).astype(np.int64) == place
+        found.append(np.stack([radius[inside], power[inside]]))
+    radius, power = np.concatenate(found, axis=1)
     order = np.argsort(radius)
-    held = np.cumsum(power.ravel()[order], dtype=float)
-    within = radius[order[min(int(np.searchsorted(held, share * held[-1])), len(order) - 1)]]
-    beyond = float(power.ravel()[radius > beyond_per_mm].sum(dtype=float))
-    return SpectrumSupport(beyond / total, float(within))
+    return radius[order], power[order]
 
 
 def _intensity(picture: Picture, grid: Grid) -> Array:
