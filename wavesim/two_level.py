@@ -23,7 +23,7 @@ from wavesim.blas import one_blas_thread
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.field_factors import field_factors
 from wavesim.field_maps import Region, field_maps, field_region
-from wavesim.ray_map import ray_map
+from wavesim.ray_map import RayMapError, ray_map
 from wavesim.resampling import kernel_for
 from wavesim.tile_edge import edge_error, rim_share
 from wavesim.tile_operator import THREADS, Tile
@@ -44,8 +44,15 @@ EXPANSION_SHARE, MAPS_SHARE, INTERPOLATION_SHARE, TRANSFORM_SHARE = 0.5, 0.01, 0
 """Of the error allowed, what each step may take; the maps' in waves."""
 
 
+NARROWINGS = 3
+"""How often tiles whose width was not asked for are halved where rays cannot be followed all over them."""
+
 LEAST_ERROR = 1e-4
 """That may be asked for: values are complex64."""
+
+
+Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
+"""Tiles, each with the place of its super-tile."""
 
 
 def tile_width_for(scene: Scene) -> float:
@@ -109,8 +116,7 @@ class TwoLevelTiles(Engine):
             raise InputError(f"tiles_across = {tiles_across!r}: must be from 1 to 100")
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
-        tile_width_mm = tile_width_for(scene) if tile_width_mm is None else tile_width_mm
-        self._tile_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
+        self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
         self.report: Callable[[int, int], None] | None = None
 
     @cached_property
@@ -119,9 +125,22 @@ class TwoLevelTiles(Engine):
         return field_region(self.scene)
 
     @cached_property
-    def _cut(self) -> tuple[tuple[Tile, tuple[int, ...]], ...]:
+    def _prepared(self) -> tuple[float, Cut, FieldSettings]:
+        """Width of tiles, the tiles, and what they share; narrower ones where the first are too wide."""
+        width = self._asked_width_mm or tile_width_for(self.scene)
+        for narrower in range(NARROWINGS, -1, -1):
+            tiles = self._tiles(width)
+            try:
+                return width, tiles, self._followed(tiles)
+            except RayMapError:
+                if self._asked_width_mm is not None or narrower == 0:
+                    raise
+            width *= 0.5
+        raise AssertionError
+
+    def _tiles(self, width_mm: float) -> Cut:
         """Tiles that reach into the field, each with the place of its super-tile."""
-        counts = counts_for(self.scene.object_grid, self._tile_width_mm)
+        counts = counts_for(self.scene.object_grid, width_mm)
         radius = self.region.half_mm[0]
         found = []
         for number, tile in enumerate(cut(self.scene.object_grid, counts)):
@@ -134,10 +153,9 @@ class TwoLevelTiles(Engine):
                 found.append((tile, tuple(place)))
         return tuple(found)
 
-    @cached_property
-    def _settings(self) -> FieldSettings:
+    def _followed(self, tiles: Cut) -> FieldSettings:
         scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
-        spans = np.array([tile.spans_mm for tile, _ in self._cut])
+        spans = np.array([tile.spans_mm for tile, _ in tiles])
         spans_mm = np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
         reach_mm = float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
         with one_blas_thread():
@@ -159,11 +177,12 @@ class TwoLevelTiles(Engine):
     @cached_property
     def groups(self) -> tuple[SuperTile, ...]:
         """Super-tiles whose light reaches the exit grid."""
+        _, tiles, settings = self._prepared
         inside: dict[tuple[int, ...], list[Tile]] = {}
-        for tile, place in self._cut:
+        for tile, place in tiles:
             inside.setdefault(place, []).append(tile)
         with one_blas_thread():
-            groups = (SuperTile(self._settings, tuple(tiles)) for tiles in inside.values())
+            groups = (SuperTile(settings, tuple(together)) for together in inside.values())
             return tuple(group for group in groups if not group.empty)
 
     def _forward(self, values: Any) -> Any:
@@ -215,16 +234,17 @@ class TwoLevelTiles(Engine):
 
     def settings(self) -> dict[str, Any]:
         return {
-            "tile_width_mm": self._tile_width_mm,
+            "tile_width_mm": self._prepared[0],
             "tiles_across": self._tiles_across,
             "error": self._error,
         }
 
     def neglected(self) -> tuple[Neglected, ...]:
-        settings, scene = self._settings, self.scene
+        scene = self.scene
+        _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
-        tile = self._cut[len(self._cut) // 2][0]
+        tile = tiles[len(tiles) // 2][0]
         reach_mm = float(np.max(np.abs(settings.factors.spans_mm)))
         carrier = ray_map(scene, tile.centre_mm, scene.exit_grid.z_mm, reach_mm)
         moved, diffracted = edge_error(scene, tile, carrier)
@@ -234,7 +254,7 @@ class TwoLevelTiles(Engine):
         parts = (
             Neglected(
                 "path of second and higher order in a tile's offset, beyond "
-                f"{len(settings.factors.tile_nodes)} terms in each of {len(self._cut)} tiles",
+                f"{len(settings.factors.tile_nodes)} terms in each of {len(tiles)} tiles",
                 settings.factors.relative_error,
             ),
             Neglected("rays between those that were traced", maps),
@@ -246,7 +266,7 @@ class TwoLevelTiles(Engine):
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
 
     def cost(self) -> Cost:
-        return two_level_cost(self.scene, self._settings, self.groups)
+        return two_level_cost(self.scene, self._prepared[2], self.groups)
 
 
 def _sum_of(
