@@ -126,7 +126,7 @@ def reconstruct(
 ) -> None:
     """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
 
-    An interrupted run that has finished a part of its iterations goes on from there with the same command.
+    An interrupted run goes on with the same command from the last iterations that it kept.
     """
     from wavesim.field_files import refuse_no_folder
     from wavesim.reconstruction_results import summary_of, write_results
@@ -273,16 +273,16 @@ def _run(case: Case, options: Any) -> Outcome:
             )
     except KeyboardInterrupt:
         kept = case.checkpoint.load() is not None
-        where = "the same command goes on from its last finished part" if kept else "nothing was written"
+        where = "the same command goes on from where it was last kept" if kept else "nothing was written"
         raise KeyboardInterrupt(
             f"interrupted after {done} of {options.iterations} iterations; {where}"
         ) from None
 
 
 def _object(case: Case, options: Any, show: Any) -> Outcome:
-    from wavesim.resumable import reconstruct_in_parts
+    from wavesim.resumable import reconstruct_resumably
 
-    found = reconstruct_in_parts(
+    found = reconstruct_resumably(
         case.engine,
         case.light,
         case.recorded,

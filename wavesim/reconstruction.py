@@ -76,6 +76,33 @@ class Reconstructed:
     stopped_early: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Progressed:
+    """Where a reconstruction stands after an iteration: all that it needs to go on.
+
+    Attributes
+    ----------
+    transmission, ahead : ndarray
+        The last step, and the point from which the next one goes.
+    momentum : float
+        Of the acceleration.
+    misfit : tuple of float
+        Of every iteration so far.
+    scale : float
+        Recorded amplitude for a unit of the model's.
+    stage, began : int
+        Kind of object that is being sought, of those that follow each other; iterations before it.
+    """
+
+    transmission: ComplexArray
+    ahead: ComplexArray
+    momentum: float
+    misfit: tuple[float, ...]
+    scale: float
+    stage: int
+    began: int
+
+
 def reconstruct(
     engine: Engine,
     illumination: Field,
@@ -88,6 +115,8 @@ def reconstruct(
     start: Field | Literal["amplitude"] | None = None,
     active_width: float = 0.0,
     progress: Callable[[int, float], None] | None = None,
+    resume: Progressed | None = None,
+    keep: Callable[[Progressed], None] | None = None,
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -118,6 +147,10 @@ def reconstruct(
         for amplitudes at points, such as those of a simulated field.
     progress
         Called after every iteration with its number and misfit.
+    resume
+        Where a run with the same arguments was cut off: it goes on from there.
+    keep
+        Called after every iteration with what `resume` takes.
 
     Raises
     ------
@@ -132,61 +165,86 @@ def reconstruct(
     if not 0.0 <= active_width <= 1.0:
         raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
     model = RecordingModel(engine, illumination, recorded, scale, active_width)
-    now: ComplexArray = model.lit.astype(illumination.values.dtype)
-    misfits: list[float] = []
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
-    descent = _Descent(model, misfits, weight, noise, scale is None, progress)
-    stopped = False
+    descent = _Descent(model, weight, noise, scale is None, progress, keep)
+    stages = [(kind, iterations)]
     if start == "amplitude":
-        now, _ = descent.run(now, "amplitude", min(AMPLITUDE_START, iterations))
-    elif isinstance(start, Field):
-        now = start.values * model.lit
-    if len(misfits) < iterations:
-        now, stopped = descent.run(now, kind, iterations - len(misfits))
+        stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
+    if resume is None:
+        now: ComplexArray = model.lit.astype(illumination.values.dtype)
+        if isinstance(start, Field):
+            now = start.values * model.lit
+        resume = Progressed(now, now, 1.0, (), model.scale, 0, 0)
+    model.scale, state, stopped = resume.scale, resume, False
+    for stage in range(resume.stage, len(stages)):
+        if stage > state.stage:
+            state = Progressed(
+                state.transmission,
+                state.transmission,
+                1.0,
+                state.misfit,
+                model.scale,
+                stage,
+                len(state.misfit),
+            )
+        if len(state.misfit) < stages[stage][1]:
+            state, stopped = descent.run(state, *stages[stage])
+    now, misfits = state.transmission, state.misfit
     maps = tuple(a - p.amplitude for a, p in zip(model.amplitudes(now), recorded, strict=True))
     found = Field(engine.scene.object_grid, now, illumination.wavelength_um)
-    return Reconstructed(found, tuple(misfits), maps, model.scale, stopped)
+    return Reconstructed(found, misfits, maps, model.scale, stopped)
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """Accelerated proximal steps; `misfits` grows by one with each."""
+    """Accelerated proximal steps."""
 
     model: RecordingModel
-    misfits: list[float]
     tv_weight: float
     noise_at_scale_1: float | None
     fits_scale: bool
     progress: Callable[[int, float], None] | None
+    keep: Callable[[Progressed], None] | None
 
-    def run(self, now: ComplexArray, kind: Kind, iterations: int) -> tuple[ComplexArray, bool]:
-        """The last transmission, and whether the misfit fell no more before the iterations were used up."""
-        ahead, momentum = now, 1.0
-        misfits, first = self.misfits, len(self.misfits)
-        for k in range(first, first + iterations):
-            self.model.fits_scale = self.fits_scale and k < SCALE_ITERATIONS
-            change, misfit = self.model.step(ahead)
-            weight = self._tv_weight(kind)
-            after = ahead + change
-            if kind == "amplitude":
-                after = np.clip(prox_tv(after.real, weight), 0.0, 1.0).astype(after.dtype)
-            else:
-                after = np.asarray(prox_tv(after, weight))
-            after *= self.model.lit
-            next_momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum**2))
-            ahead = after + ((momentum - 1.0) / next_momentum) * (after - now)
-            now, momentum = after, next_momentum
-            misfits.append(misfit)
+    def run(self, state: Progressed, kind: Kind, until: int) -> tuple[Progressed, bool]:
+        """Where it stands in the end, and whether it ended because the misfit fell no more."""
+        while len(state.misfit) < until and not _settled(state):
+            state = self._stepped(state, kind)
             if self.progress is not None:
-                self.progress(k, misfit)
-            if k - first >= EARLY and 0.0 <= misfits[-1 - EARLY] - misfit < EARLY_GAIN * misfit:
-                return now, True
-        return now, False
+                self.progress(len(state.misfit) - 1, state.misfit[-1])
+            if self.keep is not None:
+                self.keep(state)
+        return state, _settled(state)
+
+    def _stepped(self, state: Progressed, kind: Kind) -> Progressed:
+        k, now, ahead = len(state.misfit), state.transmission, state.ahead
+        self.model.fits_scale = self.fits_scale and k < SCALE_ITERATIONS
+        change, misfit = self.model.step(ahead)
+        weight = self._tv_weight(kind)
+        after = ahead + change
+        if kind == "amplitude":
+            after = np.clip(prox_tv(after.real, weight), 0.0, 1.0).astype(after.dtype)
+        else:
+            after = np.asarray(prox_tv(after, weight))
+        after *= self.model.lit
+        momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * state.momentum**2))
+        ahead = after + ((state.momentum - 1.0) / momentum) * (after - now)
+        return Progressed(
+            after, ahead, momentum, (*state.misfit, misfit), self.model.scale, state.stage, state.began
+        )
 
     def _tv_weight(self, kind: Kind) -> float:
         if self.noise_at_scale_1 is None:
             return self.tv_weight
         return max(TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale, LEAST_TV[kind])
+
+
+def _settled(state: Progressed) -> bool:
+    """Whether the misfit has fallen by next to nothing over the last iterations."""
+    if len(state.misfit) - state.began <= EARLY:
+        return False
+    before, misfit = state.misfit[-1 - EARLY], state.misfit[-1]
+    return 0.0 <= before - misfit < EARLY_GAIN * misfit
 
 
 def _refuse(

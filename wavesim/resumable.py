@@ -1,12 +1,14 @@
-"""Both ways of reconstruction in parts, so that a run which was cut off goes on where its last part ended.
+"""Both ways of reconstruction such that a run which was cut off goes on.
 
-Parts are the same whether a run is cut off or not, and each starts from the result of the one before: the
-acceleration (FISTA, and the feedback of A5) starts anew with each part.
+The object-domain way keeps all that its next iteration needs. Appendix A goes in parts, which are the same
+whether a run is cut off or not, and each of which starts from the result of the one before: the feedback of
+A5 starts anew with each part.
 """
 
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +20,7 @@ from lensdesign.errors import atomic_path
 from wavesim.engine import Engine
 from wavesim.fields import Field
 from wavesim.free_space import propagate
-from wavesim.reconstruction import Reconstructed, reconstruct
+from wavesim.reconstruction import Progressed, Reconstructed, reconstruct
 from wavesim.retrieval import (
     LIT,
     Array,
@@ -30,8 +32,11 @@ from wavesim.retrieval import (
     stagnation,
 )
 
-PART_ITERATIONS = {"object": 30, "paper": 100}
-"""Iterations of a part. Shorter ones would give up too much of the acceleration."""
+KEEP_SECONDS = 20.0
+"""Between two iterations of the object-domain reconstruction that are kept."""
+
+PART_ITERATIONS = 100
+"""Of Appendix A, in a part. Shorter ones would give up too much of the feedback."""
 
 MEDIAN = 64.0
 """Of lit amplitudes, to which recorded ones are scaled for the total-variation step of Appendix A."""
@@ -86,51 +91,45 @@ def key_of(*parts: bytes | str) -> str:
     return digest.hexdigest()
 
 
-def reconstruct_in_parts(
+def reconstruct_resumably(
     engine: Engine,
     illumination: Field,
     recorded: Sequence[Recorded],
     checkpoint: Checkpoint | None = None,
     *,
-    iterations: int = 30,
     scale: float | None = None,
-    start: Any = None,
-    progress: Progress | None = None,
     **settings: Any,
 ) -> Reconstructed:
-    """:func:`wavesim.reconstruct`, in parts of `PART_ITERATIONS`.
+    """:func:`wavesim.reconstruct`; cut off, the next run goes on as if this one had not been.
 
     Parameters
     ----------
-    engine, illumination, recorded, iterations, scale, start, progress, **settings
+    engine, illumination, recorded, scale, **settings
         As of :func:`wavesim.reconstruct`.
     checkpoint
-        Where finished parts are kept.
+        Where the last iteration is kept, no more often than every `KEEP_SECONDS`.
     """
     kept = checkpoint.load() if checkpoint else None
-    misfits: tuple[float, ...] = ()
+    resume = None
     if kept is not None:
-        misfits, scale = tuple(kept["misfit"].tolist()), float(kept["scale"])
-        start = Field(engine.scene.object_grid, kept["values"], illumination.wavelength_um)
-    part = PART_ITERATIONS["object"]
-    while True:
-        done = len(misfits)
-        found = reconstruct(
-            engine,
-            illumination,
-            recorded,
-            iterations=min(part, iterations - done),
-            scale=scale,
-            start=start,
-            progress=_shifted(progress, done),
-            **settings,
+        resume = Progressed(
+            kept["transmission"],
+            kept["ahead"],
+            float(kept["momentum"]),
+            tuple(kept["misfit"].tolist()),
+            float(kept["scale"]),
+            int(kept["stage"]),
+            int(kept["began"]),
         )
-        misfits += found.misfit
-        if found.stopped_early or len(misfits) >= iterations:
-            return replace(found, misfit=misfits)
-        start, scale = found.transmission, found.scale
-        if checkpoint:
-            checkpoint.keep(values=start.values, scale=scale, misfit=misfits)
+    last = time.monotonic()
+
+    def keep(state: Progressed) -> None:
+        nonlocal last
+        if checkpoint is not None and time.monotonic() - last >= KEEP_SECONDS:
+            checkpoint.keep(**vars(state))
+            last = time.monotonic()
+
+    return reconstruct(engine, illumination, recorded, scale=scale, resume=resume, keep=keep, **settings)
 
 
 def retrieve_in_parts(
@@ -185,7 +184,7 @@ def retrieve_in_parts(
             wavelength,
             planes,
             now,
-            iterations=min(PART_ITERATIONS["paper"], iterations - done),
+            iterations=min(PART_ITERATIONS, iterations - done),
             progress=_shifted(progress, done),
         )
         now = found.field

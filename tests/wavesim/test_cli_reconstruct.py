@@ -14,7 +14,7 @@ from wavesim_command import (
     write_frames,
 )
 
-from wavesim import resumable
+from wavesim import reconstruction, recording_model, resumable
 from wavesim.frames import Frame, read_frame, write_frame
 
 
@@ -78,37 +78,50 @@ def test_the_paper_s_way_and_words_for_people(
     assert figures["planes"][0]["residual"] < 0.3
 
 
-@pytest.mark.parametrize("method", ["object", "paper"])
+@pytest.mark.parametrize(
+    ("method", "start"), [("object", "even"), ("object", "amplitude"), ("paper", "model")]
+)
 def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     data: Path,
     tmp_path: Path,
     method: str,
+    start: str,
 ) -> None:
-    monkeypatch.setitem(resumable.PART_ITERATIONS, method, 3)
-    options = (*usual(data), "--method", method, "--iterations", 7, "--refocus-mm=-0.002,0.002")
+    monkeypatch.setattr(resumable, "PART_ITERATIONS", 3)
+    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(reconstruction, "AMPLITUDE_START", 2)
+    options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
+    options = (*options, "--refocus-mm=-0.002,0.002")
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
     assert code == 0, err
 
-    calls = {"object": "reconstruct", "paper": "retrieve"}
-    run_part = getattr(resumable, calls[method])
-    parts: list[int] = []
+    step = {"object": (recording_model.RecordingModel, "step"), "paper": (resumable, "retrieve")}[method]
+    call: Any = getattr(*step)
+    taken: list[int] = []
 
     def stopped(*args: Any, **settings: Any) -> Any:
-        parts.append(settings["iterations"])
-        if len(parts) == 2:
+        taken.append(settings.get("iterations", 1))
+        if sum(taken) > 3:
             raise KeyboardInterrupt
-        return run_part(*args, **settings)
+        return call(*args, **settings)
 
-    monkeypatch.setattr(resumable, calls[method], stopped)
+    monkeypatch.setattr(*step, stopped)
     code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert (code, out) == (130, "")
     assert "interrupted after 3 of 7 iterations; the same command goes on" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
+
+    def counted(*args: Any, **settings: Any) -> Any:
+        taken.append(settings.get("iterations", 1))
+        return call(*args, **settings)
+
+    taken.clear()
+    monkeypatch.setattr(*step, counted)
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert code == 0, err
-    assert parts == [3, 3, 3, 1]
+    assert sum(taken) == 4
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
