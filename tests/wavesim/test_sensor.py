@@ -118,6 +118,14 @@ def test_any_grid_that_holds_the_field_gives_the_same_light(width: float) -> Non
     assert abs(got - mean_gaussian((0.004, -0.003), width)).max() < 1e-7
 
 
+@pytest.mark.parametrize(("more", "off_um"), [((12, 8), 0.0), ((11, 8), 0.0), ((12, 8), 0.3)])
+def test_a_window_of_a_wider_field_sees_what_all_of_it_would(more: tuple[int, int], off_um: float) -> None:
+    grid = sensor_grid(SENSOR, Z_MM, 2)
+    wide = Grid((grid.shape[0] + more[0], grid.shape[1] + more[1]), grid.pitch_mm, Z_MM, (1e-3 * off_um, 0.0))
+    got = light_on_pixels(gaussian(wide), SENSOR)
+    assert abs(got - light_on_pixels(gaussian(grid), SENSOR)).max() < 1e-7
+
+
 def test_point_pixels_take_the_samples_as_they_are() -> None:
     field = gaussian(sensor_grid(SENSOR, Z_MM))
     got = light_on_pixels(field, SENSOR, active_width=0.0, oversampling=1)
