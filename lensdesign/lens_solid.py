@@ -75,8 +75,8 @@ class Element:
     @property
     def cylinder_z_mm(self) -> tuple[float, float]:
         """z at which the edge cylinder begins and ends."""
-        (front, _), (back, _) = (
-            (float(m.points(1.0)[1] + (end[-1, 1] if len(end) else 0.0)), m)
+        front, back = (
+            float(m.points(1.0)[1] + (end[-1, 1] if len(end) else 0.0))
             for m, end in zip((self.front, self.back), self.ends, strict=True)
         )
         return front, back

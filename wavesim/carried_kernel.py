@@ -97,6 +97,29 @@ def _across(
         edge[j] = float32(a * rim[k] + b * rim[k + 1] + c * rim[k + 2] + d * rim[k + 3])
 
 
+@_jit
+def _carrier_row(
+    phase: NDArray,
+    edge: NDArray,
+    first: int,
+    share: NDArray,
+    smooth_x: NDArray,
+    share_x: NDArray,
+    smooth: tuple[NDArray, NDArray],
+    fine: tuple[NDArray, NDArray],
+    cosine: NDArray,
+    sine: NDArray,
+) -> tuple[int, int]:
+    """Carrier of one row, and from where to where it has light; `smooth` and `fine` are work space."""
+    turns, rim = smooth
+    phases, edges = fine
+    _row(phase, edge, first, share, turns, rim)
+    begin, end = _lit(rim, smooth_x)
+    _across(turns, smooth_x, share_x, phases, rim, edges, begin, end)
+    _waves(phases, edges, cosine, sine, begin, end)
+    return begin, end
+
+
 @cache
 def expander(taps: int) -> Callable[..., None]:
     """The loop that adds a coarse field, interpolated with so many taps and times its carrier, to a fine one.
@@ -124,12 +147,13 @@ def expander(taps: int) -> Callable[..., None]:
     ) -> None:
         width, smooth, count = coarse.shape[1], phase.shape[1], result.shape[1]
         real, imaginary = zeros(width, float32), zeros(width, float32)
-        turns, rim = empty(smooth, float64), empty(smooth, float32)
-        phases, edges = empty(count, float64), empty(count, float32)
+        between = empty(smooth, float64), empty(smooth, float32)
+        along = empty(count, float64), empty(count, float32)
         cosine, sine = empty(count, float32), empty(count, float32)
         for i in range(start, stop):
-            _row(phase, edge, smooth_y[i], share_y[i], turns, rim)
-            begin, end = _lit(rim, smooth_x)
+            begin, end = _carrier_row(
+                phase, edge, smooth_y[i], share_y[i], smooth_x, share_x, between, along, cosine, sine
+            )
             if begin == end:
                 continue
             real[:] = 0.0
@@ -139,8 +163,6 @@ def expander(taps: int) -> Callable[..., None]:
                 for c in range(width):
                     real[c] += weight * coarse[row, c].real
                     imaginary[c] += weight * coarse[row, c].imag
-            _across(turns, smooth_x, share_x, phases, rim, edges, begin, end)
-            _waves(phases, edges, cosine, sine, begin, end)
             for j in range(begin, end):
                 first = first_x[j]
                 x, y = _ZERO, _ZERO
@@ -177,14 +199,13 @@ def collector(taps: int) -> Callable[..., None]:
     ) -> None:
         width, smooth, count = middle.shape[1], phase.shape[1], field.shape[1]
         real, imaginary = zeros(width, float32), zeros(width, float32)
-        turns, rim = empty(smooth, float64), empty(smooth, float32)
-        phases, edges = empty(count, float64), empty(count, float32)
+        between = empty(smooth, float64), empty(smooth, float32)
+        along = empty(count, float64), empty(count, float32)
         cosine, sine = empty(count, float32), empty(count, float32)
         for i in range(start, stop):
-            _row(phase, edge, smooth_y[i], share_y[i], turns, rim)
-            begin, end = _lit(rim, smooth_x)
-            _across(turns, smooth_x, share_x, phases, rim, edges, begin, end)
-            _waves(phases, edges, cosine, sine, begin, end)
+            begin, end = _carrier_row(
+                phase, edge, smooth_y[i], share_y[i], smooth_x, share_x, between, along, cosine, sine
+            )
             real[:] = 0.0
             imaginary[:] = 0.0
             for j in range(begin, end):

@@ -225,9 +225,10 @@ def field_maps(
             [n.bundle.sensor_mm[ok] for n, ok in zip(nodes, inside, strict=True)],
             [n.values[:, ok] for n, ok in zip(nodes, inside, strict=True)],
         )
-        errors = _errors(carriers, checks, scene, reach_mm)
-        edge_mm = _edge_error_mm(carriers, checks)
-        best = FieldMaps(carriers, _slopes(nodes), nodes[0].caustics, errors, edge_mm)
+        errors, edge_mm = _errors(carriers, checks, scene, reach_mm)
+        best = FieldMaps(
+            carriers, _slopes(nodes), nodes[0].caustics, (errors[0], errors[1], errors[2]), edge_mm
+        )
         if np.all(np.array(errors) < limits):
             return best
     assert best is not None
@@ -287,34 +288,24 @@ def fit_over_field(
 
 def _errors(
     carriers: OverField, checks: list[_Node], scene: Scene, reach_mm: float
-) -> tuple[float, float, float]:
+) -> tuple[tuple[float, float, float], float]:
+    """Of path, amplitude and direction, as of :class:`FieldMaps`; and of the edge in mm."""
     wavelength_mm = 1e-3 * scene.wavelength_um
-    worst = np.zeros(3)
+    worst = np.zeros(4)
     for node in checks:
         inside = node.bundle.ok & (node.edge <= 1.0)
-        found = carriers.at((float(node.point_mm[0]), float(node.point_mm[1]))).at(
-            node.bundle.sensor_mm[inside]
-        )
-        off = np.abs(found - node.values[:, inside])
+        carrier = carriers.at((float(node.point_mm[0]), float(node.point_mm[1])))
+        off = np.abs(carrier.at(node.bundle.sensor_mm[inside]) - node.values[:, inside])
         each = [
             off[0].max() / wavelength_mm,
             (off[1] / node.bundle.amplitude[inside]).max(),
             off[2:4].max() * reach_mm / wavelength_mm,
+            off[4, node.edge[inside] > 0.9].mean(),
         ]
         worst = np.maximum(worst, each)
-    return float(worst[0]), float(worst[1]), float(worst[2])
-
-
-def _edge_error_mm(carriers: OverField, checks: list[_Node]) -> float:
-    """The square of a share falls by 2 over half a footprint."""
-    worst = 0.0
-    for node in checks:
-        rim = node.bundle.ok & (node.edge > 0.9) & (node.edge <= 1.0)
-        edge = carriers.at((float(node.point_mm[0]), float(node.point_mm[1]))).at(node.bundle.sensor_mm[rim])[
-            4
-        ]
-        worst = max(worst, float(np.mean(np.abs(edge - node.edge[rim]))))
-    return 0.5 * worst * float(np.max(carriers.half_width))
+    # The square of a share falls by 2 over half a footprint.
+    edge_mm = 0.5 * worst[3] * float(np.max(carriers.half_width))
+    return (float(worst[0]), float(worst[1]), float(worst[2])), float(edge_mm)
 
 
 def _slopes(nodes: list[_Node]) -> Array:

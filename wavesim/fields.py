@@ -21,6 +21,9 @@ from wavesim.arrays import array_module
 
 Array = NDArray[np.float64]
 
+ON_SAMPLE = 1e-6
+"""Of a pitch: nearer to a sample than this is on it."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -100,6 +103,19 @@ class Grid:
     def at(self, z_mm: float) -> Grid:
         """The same samples in another plane."""
         return replace(self, z_mm=z_mm)
+
+    def samples_among(self, wider: Grid) -> tuple[slice, slice] | None:
+        """Where the samples of this plane lie among those of a wider one; None if not all are among them."""
+        if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):
+            return None
+        found = []
+        for wide, narrow in ((wider.y_mm, self.y_mm), (wider.x_mm, self.x_mm)):
+            start = (narrow[0] - wide[0]) / self.pitch_mm
+            first = round(start)
+            if abs(start - first) > ON_SAMPLE or first < 0 or first + len(narrow) > len(wide):
+                return None
+            found.append(slice(first, first + len(narrow)))
+        return found[0], found[1]
 
 
 def _samples(count: int, pitch_mm: float, centre_mm: float) -> Array:

@@ -34,9 +34,6 @@ CLEAR = 3.0
 """Standard deviations of read noise by which a pixel must stay below full well to count as not clipped."""
 
 
-ON_SAMPLE = 1e-6
-"""Of a sample's pitch: nearer to a sample than this is on it."""
-
 BLOCK = 1024
 """Rows or columns of which pixels' means are taken at one time."""
 
@@ -171,7 +168,7 @@ def light_on_pixels(
         sensor_grid(sensor, field.grid.z_mm + stage_error_mm, oversampling),
         centre_mm=(1e-3 * shift_um[0], 1e-3 * shift_um[1]),
     )
-    if (part := _samples_within(field.grid, grid)) is not None:
+    if (part := grid.samples_among(field.grid)) is not None:
         field = Field(grid, field.values[part], field.wavelength_um, field.index)
     elif field.grid != grid:
         field = propagate_to(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
@@ -187,20 +184,6 @@ def light_on_pixels(
         means[:, columns] = _pixel_means(across[:, columns].T, oversampling, active_width).T
     # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
     return np.maximum(means, 0.0, out=means)
-
-
-def _samples_within(whole: Grid, part: Grid) -> tuple[slice, slice] | None:
-    """Where the samples of a grid lie among those of a larger one; None if they are not all among them."""
-    if (whole.z_mm, whole.pitch_mm) != (part.z_mm, part.pitch_mm):
-        return None
-    found = []
-    for wide, narrow in ((whole.y_mm, part.y_mm), (whole.x_mm, part.x_mm)):
-        start = (narrow[0] - wide[0]) / whole.pitch_mm
-        first = round(start)
-        if abs(start - first) > ON_SAMPLE or first < 0 or first + len(narrow) > len(wide):
-            return None
-        found.append(slice(first, first + len(narrow)))
-    return found[0], found[1]
 
 
 def _blocks(count: int) -> Iterator[slice]:

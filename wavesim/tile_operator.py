@@ -226,22 +226,48 @@ class TileOperator:
 
 def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[finufft.Plan, finufft.Plan]:
     """Transforms of types 2 and 1 that are each other's conjugate transpose."""
-    options = {
-        "dtype": precision.dtype.name,
-        "nthreads": THREADS if len(shape) == 3 else 1,
-        "upsampfac": 1.25 if precision.transform_error > 9e-5 else 2.0,
-        "showwarn": 0,
-    }
-    real = np.float32 if precision.dtype == np.complex64 else np.float64
-    # Folded in float64, for the sake of single precision.
-    angles = np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi
-    points = [np.ascontiguousarray(a, real) for a in angles]
-    plans = []
-    for kind, sign in ((2, -1), (1, 1)):
-        plan = finufft.Plan(kind, shape[1:], shape[0], precision.transform_error, sign, **options)
-        plan.setpts(*points)
-        plans.append(plan)
-    return plans[0], plans[1]
+    points, threads = folded(angles, precision.dtype), THREADS if len(shape) == 3 else 1
+    first, second = (fourier_plan(kind, points, shape, precision, threads) for kind in (2, 1))
+    return first, second
+
+
+def folded(angles: Array, dtype: np.dtype[Any]) -> NDArray[np.floating[Any]]:
+    """Angles within half a turn, shape (d, n); folded in float64, for the sake of single precision."""
+    real = np.float32 if dtype == np.complex64 else np.float64
+    return np.ascontiguousarray(np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi, real)
+
+
+def fourier_plan(
+    kind: int, points: NDArray[np.floating[Any]], shape: tuple[int, ...], precision: Precision, threads: int
+) -> finufft.Plan:
+    """A nonuniform transform of type 2, or of type 1, its conjugate transpose.
+
+    Parameters
+    ----------
+    kind
+        2 or 1.
+    points
+        As of :func:`folded`.
+    shape
+        Number of transforms, then of modes along each axis.
+    precision
+        How finely.
+    threads
+        Number of threads.
+    """
+    plan = finufft.Plan(
+        kind,
+        shape[1:],
+        shape[0],
+        precision.transform_error,
+        -1 if kind == 2 else 1,
+        dtype=precision.dtype.name,
+        nthreads=threads,
+        upsampfac=1.25 if precision.transform_error > 9e-5 else 2.0,
+        showwarn=0,
+    )
+    plan.setpts(*points)
+    return plan
 
 
 def _carrier(

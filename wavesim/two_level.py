@@ -22,11 +22,11 @@ from lensdesign.errors import InputError
 from wavesim.blas import one_blas_thread
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.field_factors import field_factors
-from wavesim.field_maps import Region, field_maps, field_region
+from wavesim.field_maps import FieldMaps, Region, field_maps, field_region
 from wavesim.ray_map import RayMapError, ray_map
 from wavesim.resampling import kernel_for
 from wavesim.tile_edge import edge_error, rim_share
-from wavesim.tile_operator import THREADS, Tile
+from wavesim.tile_operator import THREADS, Precision, Tile
 from wavesim.tile_plan import counts_for, cut
 from wavesim.two_level_cost import two_level_cost
 from wavesim.two_level_parts import (
@@ -36,6 +36,8 @@ from wavesim.two_level_parts import (
     FieldTile,
     SuperTile,
 )
+
+Array = NDArray[np.float64]
 
 ZONES = 0.74
 """Widths of tiles over sqrt(wavelength x working distance) / NA: few terms follow what such tiles omit."""
@@ -127,11 +129,14 @@ class TwoLevelTiles(Engine):
     @cached_property
     def _prepared(self) -> tuple[float, Cut, FieldSettings]:
         """Width of tiles, the tiles, and what they share; narrower ones where the first are too wide."""
-        width = self._asked_width_mm or tile_width_for(self.scene)
+        width, maps = self._asked_width_mm or tile_width_for(self.scene), None
         for narrower in range(NARROWINGS, -1, -1):
             tiles = self._tiles(width)
+            spans_mm = _shared_spans(tiles)
+            if maps is None:  # narrower tiles ask no more of them
+                maps = self._maps(spans_mm)
             try:
-                return width, tiles, self._followed(tiles)
+                return width, tiles, self._followed(maps, spans_mm)
             except RayMapError:
                 if self._asked_width_mm is not None or narrower == 0:
                     raise
@@ -153,26 +158,31 @@ class TwoLevelTiles(Engine):
                 found.append((tile, tuple(place)))
         return tuple(found)
 
-    def _followed(self, tiles: Cut) -> FieldSettings:
-        scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
-        spans = np.array([tile.spans_mm for tile, _ in tiles])
-        spans_mm = np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
-        reach_mm = float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
+    def _maps(self, spans_mm: Array) -> FieldMaps:
+        scene, tolerance = self.scene, MAPS_SHARE * self._error
         with one_blas_thread():
-            return FieldSettings(
+            return field_maps(scene, self.region, scene.exit_grid.z_mm, _reach_mm(spans_mm), tolerance)
+
+    def _followed(self, maps: FieldMaps, spans_mm: Array) -> FieldSettings:
+        scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
+        with one_blas_thread():
+            factors = field_factors(
                 scene,
-                (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
-                field_maps(scene, self.region, z_mm, reach_mm, MAPS_SHARE * error),
-                field_factors(
-                    scene,
-                    self.region,
-                    spans_mm,
-                    lambda point: ray_map(scene, point, z_mm, reach_mm),
-                    EXPANSION_SHARE * error,
-                ),
-                kernel_for(INTERPOLATION_SHARE * error),
-                float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3)),
+                self.region,
+                spans_mm,
+                lambda point: ray_map(scene, point, z_mm, _reach_mm(spans_mm)),
+                EXPANSION_SHARE * error,
             )
+        transform_error = float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3))
+        interpolation_error = INTERPOLATION_SHARE * error
+        return FieldSettings(
+            scene,
+            (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
+            maps,
+            factors,
+            kernel_for(interpolation_error),
+            Precision(np.dtype(np.complex64), transform_error, interpolation_error),
+        )
 
     @cached_property
     def groups(self) -> tuple[SuperTile, ...]:
@@ -267,6 +277,17 @@ class TwoLevelTiles(Engine):
 
     def cost(self) -> Cost:
         return two_level_cost(self.scene, self._prepared[2], self.groups)
+
+
+def _shared_spans(tiles: Cut) -> Array:
+    """From where to where tiles extend about their centres at the most, shape (2, 2)."""
+    spans = np.array([tile.spans_mm for tile, _ in tiles])
+    return np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
+
+
+def _reach_mm(spans_mm: Array) -> float:
+    """How far a tile extends from its centre."""
+    return float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
 
 
 def _sum_of(

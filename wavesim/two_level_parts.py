@@ -8,10 +8,10 @@ both carriers, and a super-tile from there to the plane with the super-tile's ca
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +22,7 @@ from wavesim.field_maps import REACH, FieldMaps
 from wavesim.ray_map import SmoothMap
 from wavesim.resampling import OVERSAMPLING, Kernel, Weights, coarse_axis, interpolation
 from wavesim.resampling_kernel import collect_along_y
-from wavesim.tile_operator import BAND_MARGIN, Tile
+from wavesim.tile_operator import BAND_MARGIN, Precision, Tile, folded, fourier_plan
 
 Array = NDArray[np.float64]
 
@@ -160,8 +160,7 @@ class FieldSettings:
     maps : FieldMaps
     factors : FieldFactors
     kernel : Kernel
-    transform_error : float
-        Of the nonuniform Fourier transforms.
+    precision : Precision
     """
 
     scene: Scene
@@ -169,7 +168,7 @@ class FieldSettings:
     maps: FieldMaps
     factors: FieldFactors
     kernel: Kernel
-    transform_error: float
+    precision: Precision
 
     def steps_mm(self, reach_mm: Array) -> Array:
         """Sample spacings that hold the light of points within a reach (y, x) without their carrier."""
@@ -208,10 +207,7 @@ class SuperTile:
         others = np.array([settings.maps.carriers.middle((float(y), float(x))) for y, x in centres])
         low = others.min(axis=0) - settings.half_width_mm
         high = others.max(axis=0) + settings.half_width_mm
-        self.window = tuple(
-            slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
-            for a, b, h in zip(settings.axes, low, high, strict=True)
-        )
+        self.window = _window(settings.axes, low, high)
         self.empty = any(w.stop - w.start < 1 for w in self.window)
         if self.empty:
             return
@@ -228,9 +224,7 @@ class SuperTile:
             (self.axes[0], self.axes[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), settings.kernel
         )
         # Whole wherever a tile has light; beyond, rows end.
-        self.carried = Carried(
-            ways, turns, (1e3 * opening).astype(np.float32), (self.window[0], self.window[1])
-        )
+        self.carried = Carried(ways, turns, (1e3 * opening).astype(np.float32), self.window)
 
     @property
     def tile_shape(self) -> tuple[int, int]:
@@ -238,6 +232,15 @@ class SuperTile:
         ends = zip(self.settings.half_width_mm, self.settings.tile_steps_mm, strict=True)
         rows, columns = (math.ceil(2.0 * h / s) + self.settings.kernel.taps + 1 for h, s in ends)
         return rows, columns
+
+
+def _window(axes: Sequence[Array], low: Array, high: Array) -> tuple[slice, slice]:
+    """Samples of two axes (y, x) between two points."""
+    rows, columns = (
+        slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
+        for a, b, h in zip(axes, low, high, strict=True)
+    )
+    return rows, columns
 
 
 def _smooth_axis(fine: Array, settings: FieldSettings) -> Array:
@@ -263,10 +266,7 @@ class FieldTile:
         centre = (tile.centre_mm[1], tile.centre_mm[0])
         carrier = settings.maps.carriers.at(centre)
         low, high = carrier.middle - settings.half_width_mm, carrier.middle + settings.half_width_mm
-        window = tuple(
-            slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
-            for a, b, h in zip(group.axes, low, high, strict=True)
-        )
+        window = _window(group.axes, low, high)
         fine = tuple(a[w] for a, w in zip(group.axes, window, strict=True))
         steps = settings.tile_steps_mm
         axes = tuple(coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
@@ -275,14 +275,13 @@ class FieldTile:
         turns = (path - next(group.carrier.each_on_axes(axes))) / wavelength_mm
         turns += -0.25 - 0.25 * settings.maps.caustics
         # The edge's square of a share falls by 2 over half a footprint.
-        rise = TAPER * float(np.max(group.steps_mm)) * 2.0 / float(np.max(settings.half_width_mm))
+        per_mm = 2.0 / float(np.max(settings.half_width_mm))
+        rise = per_mm * TAPER * float(np.max(group.steps_mm))
         opening = (0.5 + (1.0 - edge) / rise).astype(np.float32)
         ways = ways_between((axes[0], axes[1]), (axes[0], axes[1]), (fine[0], fine[1]), settings.kernel)
-        self.carried = Carried(ways, turns, opening, (window[0], window[1]))
+        self.carried = Carried(ways, turns, opening, window)
         limit = np.pi / (scene.wavenumber_per_mm * tile.pitch_mm)
-        reach = (
-            0.5 * settings.kernel.taps * float(np.max(steps)) * 2.0 / float(np.max(settings.half_width_mm))
-        )
+        reach = per_mm * 0.5 * settings.kernel.taps * float(np.max(steps))
         self.needed = (edge < 1.0 + 0.5 * rise + reach) & (np.abs(py) <= limit) & (np.abs(px) <= limit)
         expansion = settings.factors.at(centre)
         self.tile_factors = expansion.tile_factors(list(tile.offsets_mm)).astype(np.complex64)
@@ -292,24 +291,11 @@ class FieldTile:
         for r, factor in enumerate(expansion.sensor_factors.each_on_axes(axes)):
             self.weights[r] = scale * factor[self.needed]
         angles = scene.wavenumber_per_mm * tile.pitch_mm * np.stack([py[self.needed], px[self.needed]])
-        self.angles = (np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi).astype(np.float32)
-        self.transform_error = settings.transform_error
+        self.precision = settings.precision
+        self.angles = folded(angles, self.precision.dtype)
 
     def _plan(self, kind: int) -> Any:
-        count, *shape = self.tile_factors.shape
-        plan = finufft.Plan(
-            kind,
-            tuple(shape),
-            count,
-            self.transform_error,
-            -1 if kind == 2 else 1,
-            dtype="complex64",
-            nthreads=1,
-            upsampfac=1.25 if self.transform_error > 9e-5 else 2.0,
-            showwarn=0,
-        )
-        plan.setpts(*(np.ascontiguousarray(a) for a in self.angles))
-        return plan
+        return fourier_plan(kind, self.angles, self.tile_factors.shape, self.precision, 1)
 
     def add(self, values: NDArray, result: NDArray) -> None:
         """Add the field of the tile's part of the object to the super-tile's grid."""
