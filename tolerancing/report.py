@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from lensdesign.cluster_client import toolkit_version
 from lensdesign.errors import InputError, atomic_path
 from tolerancing.report_blocks import Block, Report, plain
 from tolerancing.report_data import ReportData
-from tolerancing.store import Store, toolkit_version
+from tolerancing.store import Store
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
+from lensdesign.cluster_client import toolkit_version
 from lensdesign.errors import InputError
 from tolerancing.choosing_trials import dear_counts
 from tolerancing.evaluate import context_of, nominal_scores
 from tolerancing.executors import Perform, RunError, local_pool, this_process
 from tolerancing.levels import decide_levels, with_levels
-from tolerancing.store import Store, create_store, open_store, toolkit_version
+from tolerancing.store import Store, create_store, open_store
 from tolerancing.study import MOST_TRIALS
 from tolerancing.study_files import LoadedStudy
 from tolerancing.tasks import Task, chunk_size, missing_dear, missing_steps, missing_trials

@@ -25,11 +25,11 @@ from tolerancing.results import DearResults, Picture, Results, StepResults, Tria
 from tolerancing.store_creation import create_store
 from tolerancing.store_file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
 from tolerancing.store_rows import dear_rows, insert, picture_rows, step_rows, trial_rows
-from tolerancing.store_schema import MeritRecord, StudyRecord, number_columns, toolkit_version
+from tolerancing.store_schema import MeritRecord, StudyRecord, number_columns
 from tolerancing.study import MOST_TRIALS, Study
 from tolerancing.study_files import LoadedStudy, load_from_files
 
-__all__ = ["Store", "StudyRecord", "create_store", "open_store", "toolkit_version"]
+__all__ = ["Store", "StudyRecord", "create_store", "open_store"]
 
 Numbers = NDArray[np.int64]
 

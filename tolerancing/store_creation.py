@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 
+from lensdesign.cluster_client import toolkit_version
 from lensdesign.errors import atomic_path
 from tolerancing.store_file import nobody_else, remove_logs, reported, start_writing
 from tolerancing.store_rows import insert
@@ -20,7 +21,6 @@ from tolerancing.store_schema import (
     StudyRecord,
     merit_record,
     study_tables,
-    toolkit_version,
 )
 from tolerancing.study import Study
 from tolerancing.study_files import LoadedStudy

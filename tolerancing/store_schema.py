@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -117,11 +116,6 @@ class MeritRecord:
     at_least: float | None
     at_most: float | None
     nominal: float | None
-
-
-def toolkit_version() -> str:
-    """Version of the installed toolkit."""
-    return version("transferlens")
 
 
 def engine_of(merit: Merit) -> str:

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from lensdesign.cluster_client import toolkit_version
 from lensdesign.errors import InputError
-from tolerancing.store_schema import toolkit_version
 from tolerancing.tasks import Task, perform
 
 if TYPE_CHECKING:

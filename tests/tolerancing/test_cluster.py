@@ -1,22 +1,20 @@
 """A Dask cluster: the same rows as here, workers that die, and plain words where it cannot be used."""
 
-import json
 import logging
-import os
 import socket
-import subprocess
 import sys
 import time
 from dataclasses import replace
 
 import pytest
+from dask_cluster import Cluster
 from stored_rows import rows
 
-import tolerancing.cluster as module
+import lensdesign.cluster_client as module
 import tolerancing.workers as workers
 from lensdesign import InputError
+from lensdesign.cluster_client import toolkit_version
 from tolerancing.run import run_study
-from tolerancing.store import toolkit_version
 from tolerancing.study_files import load_study
 from tolerancing.tasks import Task
 from tolerancing.workers import StudyParcel, work_in_cluster
@@ -44,41 +42,6 @@ def slow_distance(trial):
 def loaded(write_study, full_study, tmp_path):
     (tmp_path / "mine.py").write_text(MINE)
     return load_study(write_study(full_study + PYTHON_MERIT))
-
-
-class Cluster:
-    """A scheduler and its workers, processes of their own on this machine."""
-
-    def __init__(self, folder):
-        self.folder, self.processes = folder, []
-        file = folder / "scheduler.json"
-        self.start("dask_scheduler", "--port", "0", "--scheduler-file", str(file))
-        deadline = time.monotonic() + 30.0
-        while not file.exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        self.address = json.loads(file.read_text())["address"]
-
-    def start(self, module_name, *options):
-        command = [sys.executable, "-m", f"distributed.cli.{module_name}", *options]
-        with (self.folder / "log").open("a") as log:
-            process = subprocess.Popen(
-                [*command, "--host", "127.0.0.1", "--no-dashboard"], stdout=log, stderr=log, cwd=os.getcwd()
-            )
-        self.processes.append(process)
-        return process
-
-    def worker(self):
-        place = self.folder / f"worker{len(self.processes)}"
-        return self.start(
-            "dask_worker", self.address, "--nthreads", "1", "--no-nanny", "--local-directory", str(place)
-        )
-
-    def close(self):
-        for process in self.processes:
-            process.kill()
-        for process in self.processes:
-            process.wait()
 
 
 @pytest.fixture
