@@ -8,6 +8,7 @@ on a coarse grid and interpolated, where that grid has fewer samples.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +33,12 @@ from wavesim.tile_residual import Separable
 
 Array = NDArray[np.float64]
 
-THREADS = 2
+MOST_THREADS = 16
+THREADS = min(
+    MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+)
+"""That share the work: one for each core that may be used."""
+
 BAND_MARGIN = 1.1
 """Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
 

@@ -9,7 +9,7 @@ are made in float64.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from itertools import pairwise
@@ -23,19 +23,15 @@ from wavesim.blas import one_blas_thread
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.field_factors import field_factors
 from wavesim.field_maps import FieldMaps, Region, field_maps, field_region
+from wavesim.fields import Field
 from wavesim.ray_map import RayMapError, ray_map
 from wavesim.resampling import kernel_for
 from wavesim.tile_edge import edge_error, rim_share
 from wavesim.tile_operator import THREADS, Precision, Tile
 from wavesim.tile_plan import counts_for, cut
 from wavesim.two_level_cost import two_level_cost
-from wavesim.two_level_parts import (
-    TAPER,
-    TAPER_LOSS,
-    FieldSettings,
-    FieldTile,
-    SuperTile,
-)
+from wavesim.two_level_parts import TAPER, TAPER_LOSS, FieldSettings, SuperTile
+from wavesim.two_level_work import Perform, Task, Way, carry
 
 Array = NDArray[np.float64]
 
@@ -75,7 +71,9 @@ class TwoLevelTiles(Engine):
     Attributes
     ----------
     report : callable or None
-        Told before every super-tile how many are done and how many there are, as (done, all).
+        Told after every super-tile how many are done and how many there are, as (done, all).
+    perform : callable or None
+        Does super-tiles' work elsewhere (:mod:`wavesim.two_level_work`); None is here.
 
     Parameters
     ----------
@@ -120,6 +118,7 @@ class TwoLevelTiles(Engine):
             raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
         self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
         self.report: Callable[[int, int], None] | None = None
+        self.perform: Perform | None = None
 
     @cached_property
     def region(self) -> Region:
@@ -196,51 +195,105 @@ class TwoLevelTiles(Engine):
             return tuple(group for group in groups if not group.empty)
 
     def _forward(self, values: Any) -> Any:
-        field = np.asarray(values).astype(np.complex64, copy=False)
         result = np.zeros(self.scene.exit_grid.shape, np.complex64)
-        dark = self._dark()
-        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-            for group in self._counted():
-                sums = list(pool.map(lambda thread, g=group: _sum_of(g, thread, field, dark), range(THREADS)))
-                total = sum(sums[1:], sums[0])
-                list(pool.map(lambda part, g=group, t=total: g.carried.add(t, result, part), _parts()))
+        for number, total in self._performed("forward", self._parts_of(values)):
+            self._add(number, total, result)
         result *= np.float32(self.scene.object_grid.cell)
         return result
 
+    def forward_in_bands(
+        self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
+    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+        """As :meth:`forward`, some rows of the exit grid at a time, so that it need not fit into memory.
+
+        Parameters
+        ----------
+        field
+            On the object grid.
+        rows
+            In a band.
+        sums
+            Where the fields of super-tiles on their own grids are kept, by number; those that it holds are
+            not computed again. A dict keeps them in memory, :class:`wavesim.kept_tiles.KeptTiles` in files.
+
+        Yields
+        ------
+        rows : slice
+            Of the exit grid.
+        values : ndarray of complex64
+
+        Raises
+        ------
+        InputError
+            As :meth:`forward`.
+        """
+        self._refuse_stranger(field, self.scene.object_grid, "object")
+        self._sum_all(field.values, sums)
+        height, width = self.scene.exit_grid.shape
+        for start in range(0, height, rows):
+            band = np.zeros((min(rows, height - start), width), np.complex64)
+            for number in range(len(self.groups)):
+                self._add(number, sums[number], band, start)
+            band *= np.float32(self.scene.object_grid.cell)
+            yield slice(start, start + len(band)), band
+
+    def _sum_all(self, values: Any, sums: MutableMapping[int, NDArray]) -> None:
+        """Have the fields of all super-tiles in `sums`."""
+        lacking = [number for number in range(len(self.groups)) if number not in sums]
+        done = len(self.groups) - len(lacking)
+        for number, total in self._performed("forward", self._parts_of(values, lacking), done):
+            sums[number] = total
+
+    def _add(self, number: int, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
+        """Add a super-tile's field to rows of the plane."""
+        carried = self.groups[number].carried
+        with ThreadPoolExecutor(THREADS) as pool:
+            list(pool.map(lambda part: carried.add(total, plane, part, first_row), _parts()))
+
     def _adjoint(self, values: Any) -> Any:
-        field = np.asarray(values).astype(np.complex64, copy=False)
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
-        dark = self._dark()
-        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-            for group in self._counted():
-                between, coarse = (np.zeros(shape, np.complex64) for shape in group.carried.shapes)
-                carried = group.carried
-                list(pool.map(lambda p, c=carried, b=between: c.collect_rows(field, b, p), _parts()))
-                list(pool.map(lambda p, c=carried, b=between, o=coarse: c.collect_columns(b, o, p), _parts()))
-                found = pool.map(lambda tile, g=group, o=coarse: FieldTile(g, tile).collect(o), group.tiles)
-                for tile, part in zip(group.tiles, found, strict=True):
-                    result[tile.part] = part * ~dark(tile)
+        for number, part in self._performed("adjoint", self._collected(values)):
+            place = self.groups[number].part
+            result[place] += part * self._in_field(place)
         result *= np.float32(self.scene.exit_grid.cell)
         return result
 
-    def _dark(self) -> Callable[[Tile], NDArray[np.bool_]]:
-        """Which samples of a tile lie beyond the field."""
+    def _parts_of(self, values: Any, numbers: Iterable[int] | None = None) -> Iterator[Task]:
+        """What super-tiles hold of an object field."""
+        for number in range(len(self.groups)) if numbers is None else numbers:
+            place = self.groups[number].part
+            yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
+
+    def _collected(self, values: Any) -> Iterator[Task]:
+        """What super-tiles get of an exit field."""
+        field = np.asarray(values).astype(np.complex64, copy=False)
+        for number, group in enumerate(self.groups):
+            carried = group.carried
+            between, coarse = (np.zeros(shape, np.complex64) for shape in carried.shapes)
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(pool.map(lambda p, c=carried, b=between: c.collect_rows(field, b, p), _parts()))
+                list(pool.map(lambda p, c=carried, b=between, o=coarse: c.collect_columns(b, o, p), _parts()))
+            yield number, coarse
+
+    def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
+        """Which samples of a part of the object lie within the field."""
         grid, region = self.scene.object_grid, self.region
+        radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
+        return np.asarray(
+            radius2 <= region.half_mm[0] ** 2 if region.is_disc else np.ones(radius2.shape, bool)
+        )
 
-        def beyond(tile: Tile) -> NDArray[np.bool_]:
-            y, x = grid.y_mm[tile.part[0]], grid.x_mm[tile.part[1]]
-            radius2 = y[:, None] ** 2 + x**2
-            return np.asarray(
-                radius2 > region.half_mm[0] ** 2 if region.is_disc else np.zeros(radius2.shape, bool)
-            )
-
-        return beyond
-
-    def _counted(self) -> Iterator[SuperTile]:
-        for done, group in enumerate(self.groups):
+    def _performed(self, way: Way, tasks: Iterable[Task], done: int = 0) -> Iterator[Task]:
+        """Have tasks done, and tell how many are."""
+        perform = self.perform or self._perform_here
+        for count, (number, values) in enumerate(perform(way, tasks), start=done + 1):
             if self.report is not None:
-                self.report(done, len(self.groups))
-            yield group
+                self.report(count, len(self.groups))
+            yield number, values
+
+    def _perform_here(self, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
+        for number, values in tasks:
+            yield number, carry(way, self.groups[number], values)
 
     def settings(self) -> dict[str, Any]:
         return {
@@ -288,16 +341,6 @@ def _shared_spans(tiles: Cut) -> Array:
 def _reach_mm(spans_mm: Array) -> float:
     """How far a tile extends from its centre."""
     return float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
-
-
-def _sum_of(
-    group: SuperTile, thread: int, field: NDArray, dark: Callable[[Tile], NDArray[np.bool_]]
-) -> NDArray[np.complex64]:
-    """What one thread adds to a super-tile's grid."""
-    result = np.zeros(tuple(len(a) for a in group.axes), np.complex64)
-    for tile in group.tiles[thread::THREADS]:
-        FieldTile(group, tile).add(field[tile.part] * ~dark(tile), result)
-    return result
 
 
 def _parts() -> list[tuple[float, float]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,9 +91,25 @@ class Carried:
     edge: NDArray[np.float32]
     window: tuple[slice, slice]
 
-    def add(self, coarse: NDArray, fine: NDArray, rows: tuple[float, float] = (0.0, 1.0)) -> None:
-        """Add a coarse field to a fine one; only from one share of the window's rows to another."""
-        part, w = fine[self.window], self.ways
+    def add(
+        self, coarse: NDArray, fine: NDArray, rows: tuple[float, float] = (0.0, 1.0), first_row: int = 0
+    ) -> None:
+        """Add a coarse field to a fine one.
+
+        Parameters
+        ----------
+        coarse, fine
+            The fields.
+        rows
+            From one share of the window's rows to another.
+        first_row
+            Of the fine grid, where `fine` holds some of its rows.
+        """
+        inside, across = self.window
+        start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
+        if start >= stop:
+            return
+        part, w = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
         along_y, along_x = w.field
         begin, end = (round(share * part.shape[0]) for share in rows)
         expander(along_y.weight.shape[1])(
@@ -112,6 +128,13 @@ class Carried:
             begin,
             end,
         )
+
+    def _ways_of(self, start: int, stop: int) -> Ways:
+        """To some of the fine grid's rows."""
+        w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
+        along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
+        first, share = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
+        return Ways((along_y, w.field[1]), first, share)
 
     def collect_rows(self, fine: NDArray, middle: NDArray, rows: tuple[float, float] = (0.0, 1.0)) -> None:
         """Fine rows onto coarse columns, without the carrier: the first half of the conjugate transpose."""
@@ -199,6 +222,7 @@ class SuperTile:
 
     def __init__(self, settings: FieldSettings, tiles: tuple[Tile, ...]) -> None:
         self.settings, self.tiles = settings, tiles
+        self.part = _around([tile.part for tile in tiles])
         centres = np.array([t.centre_mm[::-1] for t in tiles])
         middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
         self.carrier: SmoothMap = settings.maps.carriers.at((float(middle[0]), float(middle[1])))
@@ -227,11 +251,31 @@ class SuperTile:
         self.carried = Carried(ways, turns, (1e3 * opening).astype(np.float32), self.window)
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Of its grid."""
+        return len(self.axes[0]), len(self.axes[1])
+
+    def within(self, tile: Tile) -> tuple[slice, slice]:
+        """Where a tile's samples lie among those of `part`."""
+        rows, columns = (
+            slice(p.start - w.start, p.stop - w.start) for p, w in zip(tile.part, self.part, strict=True)
+        )
+        return rows, columns
+
+    @property
     def tile_shape(self) -> tuple[int, int]:
         """Of the own grid of one of its tiles, at most."""
         ends = zip(self.settings.half_width_mm, self.settings.tile_steps_mm, strict=True)
         rows, columns = (math.ceil(2.0 * h / s) + self.settings.kernel.taps + 1 for h, s in ends)
         return rows, columns
+
+
+def _around(parts: Sequence[tuple[slice, ...]]) -> tuple[slice, slice]:
+    """The smallest rectangle of samples that holds some others."""
+    rows, columns = (
+        slice(min(p.start for p in along), max(p.stop for p in along)) for along in zip(*parts, strict=True)
+    )
+    return rows, columns
 
 
 def _window(axes: Sequence[Array], low: Array, high: Array) -> tuple[slice, slice]:

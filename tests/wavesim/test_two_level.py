@@ -122,8 +122,33 @@ def test_progress_is_told(small_field: TwoLevelTiles) -> None:
     small_field.report = lambda done, count: told.append((done, count))
     small_field.forward(noise(small_field.scene.object_grid))
     small_field.report = None
-    assert told == [(i, len(small_field.groups)) for i in range(len(small_field.groups))]
+    assert told == [(i + 1, len(small_field.groups)) for i in range(len(small_field.groups))]
     assert len(told) > 1
+
+
+@pytest.mark.parametrize("rows", [1, 77, 10_000])
+def test_bands_make_the_plane(small_field: TwoLevelTiles, rows: int) -> None:
+    field = noise(small_field.scene.object_grid)
+    whole = small_field.forward(field).values
+    sums: dict[int, NDArray[Any]] = {}
+    bands = list(small_field.forward_in_bands(field, rows, sums))
+    assert [b.start for b, _ in bands] == list(range(0, len(whole), rows))
+    assert np.concatenate([values for _, values in bands]) == pytest.approx(whole, abs=1e-6)
+    assert sorted(sums) == list(range(len(small_field.groups)))
+
+
+def test_sums_that_are_there_are_not_made_again(small_field: TwoLevelTiles) -> None:
+    field = noise(small_field.scene.object_grid)
+    sums: dict[int, NDArray[Any]] = {}
+    whole = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
+    del sums[1], sums[3]
+    told: list[tuple[int, int]] = []
+    small_field.report = lambda done, count: told.append((done, count))
+    again = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
+    small_field.report = None
+    assert np.array_equal(whole, again)
+    count = len(small_field.groups)
+    assert told == [(count - 1, count), (count, count)]
 
 
 @pytest.mark.parametrize("back", [False, True])
