@@ -242,14 +242,14 @@ class Chain:
         from wavesim import reconstruct
         from wavesim.imaging import transmission_of
         from wavesim.reconstruction import LEAST_TV
-        from wavesim.resumable import retrieve_in_parts
+        from wavesim.resumable import retrieve_resumably
 
         depth_um = self.patch.wavelength_um / self.lens.object.numerical_aperture**2
         moved = abs(refocus_um) > LEAST_REFOCUS * depth_um
         engine = self._model(1e-3 * refocus_um) if moved else self.nominal
         light = replace(self.light, grid=engine.scene.object_grid)
         if method == "paper":
-            field = retrieve_in_parts(engine, light, planes, iterations=iterations)[0].field
+            field = retrieve_resumably(engine, light, planes, iterations=iterations)[0].field
             return np.asarray(transmission_of(engine.adjoint(field), light).values)
         if self.ground == "dark":
             # Dark pixels weigh least, and would tell most.

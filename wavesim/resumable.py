@@ -1,8 +1,6 @@
-"""Both ways of reconstruction such that a run which was cut off goes on.
+"""Both ways of reconstruction such that a run which was cut off goes on, and ends as if it had not been.
 
-The object-domain way keeps all that its next iteration needs. Appendix A goes in parts, which are the same
-whether a run is cut off or not, and each of which starts from the result of the one before: the feedback of
-A5 starts anew with each part.
+What the next iteration needs is kept: all of it, in either way.
 """
 
 from __future__ import annotations
@@ -19,24 +17,15 @@ import numpy as np
 from lensdesign.errors import atomic_path
 from wavesim.engine import Engine
 from wavesim.fields import Field
-from wavesim.free_space import propagate
 from wavesim.reconstruction import Progressed, Reconstructed, reconstruct
-from wavesim.retrieval import (
-    LIT,
-    Array,
-    Recorded,
-    Retrieved,
-    Start,
-    residual,
-    retrieve,
-    stagnation,
-)
+from wavesim.retrieval import LIT, Array, Recorded, Retrieved, Start, residual_and_map, retrieve
+from wavesim.retrieval_state import RetrievalState
 
 KEEP_SECONDS = 20.0
-"""Between two iterations of the object-domain reconstruction that are kept."""
+"""Between two iterations that are kept, at least."""
 
-PART_ITERATIONS = 100
-"""Of Appendix A, in a part. Shorter ones would give up too much of the feedback."""
+KEEP_SHARE = 0.02
+"""Of the time of Appendix A that keeping may take: its iterations are short, and their fields large."""
 
 MEDIAN = 64.0
 """Of lit amplitudes, to which recorded ones are scaled for the total-variation step of Appendix A."""
@@ -132,7 +121,7 @@ def reconstruct_resumably(
     return reconstruct(engine, illumination, recorded, scale=scale, resume=resume, keep=keep, **settings)
 
 
-def retrieve_in_parts(
+def retrieve_resumably(
     engine: Engine,
     illumination: Field,
     recorded: Sequence[Recorded],
@@ -142,14 +131,15 @@ def retrieve_in_parts(
     start: str = "model",
     progress: Progress | None = None,
 ) -> tuple[Retrieved, tuple[Array, ...]]:
-    """The paper's phase retrieval on the engine's exit grid, in parts of `PART_ITERATIONS`.
+    """The paper's phase retrieval on the engine's exit grid; cut off, the next run goes on from there.
 
     Parameters
     ----------
     engine, illumination, recorded
         As of :func:`wavesim.reconstruct`.
     checkpoint
-        Where finished parts are kept.
+        Where the last iteration is kept, no more often than every `KEEP_SECONDS`, and for a share
+        `KEEP_SHARE` of the time at most.
     iterations
         In all.
     start
@@ -166,46 +156,53 @@ def retrieve_in_parts(
         As of :func:`wavesim.reconstruct`.
     """
     planes, factor = _prepared(recorded)
-    grid, wavelength = engine.scene.exit_grid, illumination.wavelength_um
-    correlation: tuple[float, ...] = ()
-    curve: tuple[float, ...] = ()
     kept = checkpoint.load() if checkpoint else None
-    now: Start = "uniform" if start == "uniform" else "random"
-    if kept is not None:
-        now = Field(grid, kept["values"], wavelength)
-        correlation, curve = tuple(kept["correlation"].tolist()), tuple(kept["curve"].tolist())
-    elif start == "model":
-        model = engine.forward(illumination)
-        now = Field(grid, model.values * factor, wavelength)
-    while True:
-        done = len(correlation)
-        found = retrieve(
-            grid,
-            wavelength,
-            planes,
-            now,
-            iterations=min(PART_ITERATIONS, iterations - done),
-            progress=_shifted(progress, done),
+    # Fields are given away in the call, so that the retrieval can let go of them.
+    found = retrieve(
+        engine.scene.exit_grid,
+        illumination.wavelength_um,
+        planes,
+        _first(engine, illumination, start, factor) if kept is None else "uniform",
+        iterations=iterations,
+        progress=progress,
+        resume=None if kept is None else _taken(kept),
+        keep=None if checkpoint is None else _keeper(checkpoint),
+    )
+    values = found.field.values
+    values /= factor
+    left = [residual_and_map(found.field, plane) for plane in recorded]
+    return replace(found, residuals=tuple(one for one, _ in left)), tuple(there for _, there in left)
+
+
+def _first(engine: Engine, illumination: Field, start: str, factor: np.float32) -> Start:
+    """What a retrieval starts from."""
+    if start == "model":
+        return Field(
+            engine.scene.exit_grid, engine.forward(illumination).values * factor, illumination.wavelength_um
         )
-        now = found.field
-        correlation, curve = correlation + found.correlation, curve + found.residual_curve
-        if len(correlation) >= iterations:
-            break
-        if checkpoint:
-            checkpoint.keep(values=now.values, correlation=correlation, curve=curve)
-    field = Field(grid, now.values / factor, wavelength)
-    whole = replace(
-        found,
-        field=field,
-        correlation=correlation,
-        residual_curve=curve,
-        stagnated_at=stagnation(correlation),
-    )
-    maps = tuple(
-        np.abs(propagate(field, plane.distance_mm, check=False).values) - plane.amplitude
-        for plane in recorded
-    )
-    return replace(whole, residuals=tuple(residual(field, plane) for plane in recorded)), maps
+    return "uniform" if start == "uniform" else "random"
+
+
+def _taken(kept: dict[str, Any]) -> RetrievalState:
+    """Where a retrieval stood, its fields taken out of what was kept."""
+    curves = (tuple(kept[name].tolist()) for name in ("correlation", "residual_curve"))
+    return RetrievalState(kept.pop("now"), kept.pop("before"), *curves)
+
+
+def _keeper(checkpoint: Checkpoint) -> Callable[[RetrievalState], None]:
+    """Keeps states, the less often the longer that takes."""
+    last, pause = time.monotonic(), KEEP_SECONDS
+
+    def keep(state: RetrievalState) -> None:
+        nonlocal last, pause
+        began = time.monotonic()
+        if began - last < pause:
+            return
+        checkpoint.keep(**vars(state))
+        last = time.monotonic()
+        pause = max(KEEP_SECONDS, (last - began) / KEEP_SHARE)
+
+    return keep
 
 
 def _prepared(recorded: Sequence[Recorded]) -> tuple[list[Recorded], np.float32]:
@@ -227,7 +224,3 @@ def _prepared(recorded: Sequence[Recorded]) -> tuple[list[Recorded], np.float32]
         for plane, amplitude in zip(recorded, lifted, strict=True)
     ]
     return planes, factor
-
-
-def _shifted(progress: Progress | None, done: int) -> Progress | None:
-    return None if progress is None else lambda k, figure: progress(done + k, figure)

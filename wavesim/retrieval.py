@@ -10,20 +10,29 @@ another field with almost the same intensities. A plane that was held out tells 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields import Field, Grid
-from wavesim.free_space import transfer_function
+from wavesim.retrieval_state import (
+    Array,
+    ComplexArray,
+    RetrievalState,
+    Start,
+    begun,
+    iterated,
+    passes_for,
+    resumed,
+)
 
-Array = NDArray[np.floating[Any]]
-Start = Field | Literal["uniform", "random"]
+if TYPE_CHECKING:
+    from wavesim.retrieval_steps import Match
 
 FEEDBACK = (0.7, 0.5)
 """Weights a and b of A5."""
@@ -37,8 +46,8 @@ LIT, LARGEST_TV_SHARE = 1e-4, 2e-2
 WATCHED, LEAST_GAIN = 50, 1e-3
 """Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
 
-FLOOR = 1e-6
-"""Of the root mean square: smallest modulus that is divided by."""
+BLOCKS = 6
+"""That a thread has at one time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +158,8 @@ def retrieve(
     held_out: Recorded | None = None,
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
+    resume: RetrievalState | None = None,
+    keep: Callable[[RetrievalState], None] | None = None,
 ) -> Retrieved:
     """Find the field whose amplitudes were recorded.
 
@@ -164,7 +175,7 @@ def retrieve(
         A field on the grid (that of the forward model, amplitude and phase), or an even or a random phase
         with the first plane's amplitude.
     iterations
-        Number of iterations.
+        Number of iterations, with those of `resume`.
     feedback
         Weights a and b of A5.
     tv_step
@@ -177,6 +188,11 @@ def retrieve(
         Of a random start.
     progress
         Called after every iteration with its number and correlation.
+    resume
+        Where a run with the same arguments was cut off: it goes on from there, as if it had not been.
+    keep
+        Called after every iteration with what `resume` takes. The next iterations use its arrays again: write
+        or copy them before returning.
 
     Raises
     ------
@@ -185,43 +201,47 @@ def retrieve(
         total variation is too large for these amplitudes.
     """
     _refuse(grid, recorded, iterations, feedback, tv_step)
-    now = _start(grid, start, recorded[0].amplitude, seed)
-    planes = [
-        (_carrier(grid, wavelength_um, p.distance_mm).astype(now.dtype), p.amplitude, p.known)
-        for p in recorded
-    ]
-    before = now
-    correlation: list[float] = []
-    left: list[float] = []
-    a, b = feedback
-    for k in range(iterations):
-        mean = np.zeros_like(now)
-        spectrum = scipy.fft.fftn(now, workers=-1)
-        for number, (carrier, amplitude, known) in enumerate(planes):
-            there = scipy.fft.ifftn(spectrum * carrier, workers=-1, overwrite_x=True)
-            if number == 0:
-                chosen = slice(None) if known is None else known
-                seen, wanted = np.abs(there)[chosen], amplitude[chosen]
-                correlation.append(amplitude_correlation(seen, wanted))
-                left.append(_relative(seen, wanted))
-            replace_amplitude(there, amplitude, known)
-            back = scipy.fft.fftn(there, workers=-1, overwrite_x=True)
-            back *= carrier.conj()
-            mean += _smoothed(scipy.fft.ifftn(back, workers=-1, overwrite_x=True), tv_step)
-        mean /= len(planes)
-        after = mean if k < 2 else (1.0 + a + b) * mean - a * now - b * before
-        before, now = now, after.astype(now.dtype, copy=False)
-        if progress is not None:
-            progress(k, correlation[-1])
-    found = Field(grid, now, wavelength_um)
+    state = begun(grid, start, recorded[0].amplitude, seed) if resume is None else resumed(grid, resume)
+    del start, resume  # copied: who keeps no other reference to their arrays has that memory again
+    with passes_for(grid, wavelength_um, recorded, state.now.dtype) as passes:
+        state = iterated(passes, state, iterations, feedback, tv_step, progress, keep)
+    found = Field(grid, state.now, wavelength_um)
+    correlation, curve = state.correlation, state.residual_curve
+    del state, passes
     return Retrieved(
         found,
-        tuple(correlation),
+        correlation,
         tuple(residual(found, plane) for plane in recorded),
         None if held_out is None else residual(found, held_out),
         stagnation(correlation),
-        tuple(left),
+        curve,
     )
+
+
+def retrieval_bytes(
+    shape: tuple[int, ...], distances_mm: Sequence[float], dtype: Any = np.complex64, masked: bool = True
+) -> int:
+    """Most bytes that :func:`retrieve` takes at one time, beside its arguments and with its result.
+
+    Parameters
+    ----------
+    shape
+        Of the grid.
+    distances_mm
+        Of the recorded planes from the plane sought. One at 0 takes no transforms.
+    dtype
+        Of the field: complex64 for amplitudes of float32.
+    masked
+        Whether planes have pixels that tell nothing.
+    """
+    from wavesim.retrieval_steps import BLOCK_BYTES
+
+    samples, item = math.prod(shape), np.dtype(dtype).itemsize
+    carried = sum(distance != 0.0 for distance in distances_mm)
+    # This field and the one before; for each plane its field and a quarter of a carrier; rows beside blocks.
+    fields = 2.0 + 1.25 * carried + 2.0 * shape[-1] * item / BLOCK_BYTES
+    masks = len(distances_mm) if masked else 0
+    return round(samples * (fields * item + masks)) + (os.cpu_count() or 1) * BLOCKS * BLOCK_BYTES
 
 
 def amplitude_correlation(a: Array, b: Array) -> float:
@@ -233,15 +253,27 @@ def amplitude_correlation(a: Array, b: Array) -> float:
 
 def residual(field: Field, plane: Recorded) -> float:
     """Relative L2 difference of a field's amplitude on a plane and the recorded one, in known pixels."""
-    carrier = _carrier(field.grid, field.wavelength_um, plane.distance_mm)
-    there = np.abs(scipy.fft.ifftn(scipy.fft.fftn(field.values, workers=-1) * carrier, workers=-1))
-    known = slice(None) if plane.known is None else plane.known
-    return _relative(there[known], plane.amplitude[known])
+    return _met(field, plane)[0].residual
 
 
-def _relative(found: Array, recorded: Array) -> float:
-    size = float(np.linalg.norm(recorded))
-    return float(np.linalg.norm(found - recorded)) / size if size > 0.0 else math.inf
+def residual_and_map(field: Field, plane: Recorded) -> tuple[float, Array]:
+    """The same, and the field's amplitude less the recorded one in every pixel."""
+    met, there = _met(field, plane)
+    left = np.abs(there)
+    left -= plane.amplitude
+    return met.residual, left
+
+
+def _met(field: Field, plane: Recorded) -> tuple[Match, ComplexArray]:
+    """How well a field meets a plane, and the field there."""
+    values = np.ascontiguousarray(field.values)
+    now = values.reshape(-1, values.shape[-1])
+    with passes_for(field.grid, field.wavelength_um, [plane], now.dtype) as passes:
+        passes.begin(now)
+        passes.arrive()
+        met = passes.match(now, passes.planes[0])
+        there = now if passes.planes[0].carrier is None else passes.planes[0].there
+    return met, there.reshape(values.shape)
 
 
 def stagnation(correlation: Sequence[float]) -> int | None:
@@ -269,56 +301,13 @@ def agreement(fields: Sequence[Field]) -> float:
     return min(float(abs(np.vdot(u, v))) for i, u in enumerate(values) for v in values[:i])
 
 
-def _carrier(grid: Grid, wavelength_um: float, distance_mm: float) -> NDArray[np.complexfloating]:
-    factor = transfer_function(grid.shape, grid.pitch_mm, wavelength_um, 1.0, distance_mm, band_limit=False)
-    return np.asarray(factor)
-
-
-def _start(grid: Grid, start: Start, amplitude: Array, seed: int) -> NDArray[np.complexfloating]:
-    dtype = np.complex64 if amplitude.dtype == np.float32 else np.complex128
-    if isinstance(start, Field):
-        if start.grid != grid:
-            raise InputError(f"start: its grid {start.grid} is not that of the field sought, {grid}")
-        return np.asarray(start.values).astype(dtype)
-    if start == "uniform":
-        return amplitude.astype(dtype)
-    if start == "random":
-        phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, grid.shape)
-        return np.asarray(amplitude * np.exp(1j * phase), dtype)
-    raise InputError(f"start = {start!r}: must be a field, 'uniform' or 'random'")
-
-
 def replace_amplitude(
     field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
 ) -> None:
     """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
-    modulus = np.abs(field)
-    if known is not None:
-        amplitude = np.where(known, amplitude, modulus)
-    dark = modulus == 0.0
-    modulus[dark] = 1.0
-    field *= amplitude / modulus
-    if np.any(dark):
-        field[dark] = amplitude[dark]
+    from wavesim.retrieval_kernel import replace
 
-
-def _smoothed(field: NDArray[np.complexfloating], step: float) -> NDArray[np.complexfloating]:
-    """A4: a step along the divergence of the gradient over the modulus; even borders."""
-    if step == 0.0:
-        return field
-    modulus = np.abs(field)
-    modulus += FLOOR * math.sqrt(float(np.mean(modulus * modulus))) + np.finfo(modulus.dtype).tiny
-    result = field.copy()
-    for axis in range(field.ndim):
-        flow = np.diff(field, axis=axis)
-        inner = [slice(None)] * field.ndim
-        inner[axis] = slice(0, -1)
-        upper = [slice(None)] * field.ndim
-        upper[axis] = slice(1, None)
-        flow *= (0.5 * step) / modulus[tuple(inner)]
-        result[tuple(inner)] += flow
-        result[tuple(upper)] -= flow
-    return result
+    replace(*(None if values is None else np.atleast_2d(values) for values in (field, amplitude, known)))
 
 
 def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: str) -> None:

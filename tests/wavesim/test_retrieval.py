@@ -1,11 +1,15 @@
 """Dual-plane phase retrieval."""
 
+import itertools
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
+from wavesim import retrieval_steps
 from wavesim.fields import Field, Grid, correlation
-from wavesim.free_space import propagate
+from wavesim.free_space import propagate, transfer_function
 from wavesim.retrieval import (
     FEEDBACK,
     WATCHED,
@@ -14,11 +18,15 @@ from wavesim.retrieval import (
     agreement,
     amplitude_correlation,
     recorded_intensity,
+    replace_amplitude,
     residual,
+    residual_and_map,
+    retrieval_bytes,
     retrieve,
     stagnation,
     weights_of,
 )
+from wavesim.retrieval_state import RetrievalState
 
 GRID = Grid((96, 96), 4e-3, 0.0)
 WAVELENGTH = 0.532
@@ -233,3 +241,168 @@ def test_an_intensity_without_a_usable_variance_is_refused() -> None:
     for variance in (np.zeros(3), np.ones(4), np.full(3, np.nan)):
         with pytest.raises(InputError, match="variance"):
             recorded_intensity(0.0, np.ones(3), variance)
+
+
+def plainly(
+    grid: Grid, planes: list[Recorded], start: np.ndarray, iterations: int, step: float
+) -> tuple[np.ndarray, list[float], list[float]]:
+    """Appendix A by whole arrays: what is compiled and done in blocks elsewhere."""
+    now, before, (a, b) = start, start, FEEDBACK
+    met, left = [], []
+    for k in range(iterations):
+        mean = np.zeros_like(now)
+        for plane in planes:
+            known = np.ones(grid.shape, bool) if plane.known is None else plane.known
+            way = transfer_function(
+                grid.shape, grid.pitch_mm, WAVELENGTH, 1.0, plane.distance_mm, band_limit=False
+            )
+            there = np.fft.ifftn(np.fft.fftn(now) * way)
+            seen, wanted = np.abs(there)[known], plane.amplitude[known]
+            if plane is planes[0]:
+                met.append(np.corrcoef(seen, wanted)[0, 1])
+                left.append(np.linalg.norm(seen - wanted) / np.linalg.norm(wanted))
+            there[known] = wanted * np.exp(1j * np.angle(there[known]))
+            field = np.fft.ifftn(np.fft.fftn(there) * way.conj())
+            size = np.abs(field) + 1e-6 * np.sqrt(np.mean(np.abs(field) ** 2))
+            mean += field / len(planes)
+            for axis in range(field.ndim):
+                flow = np.diff(field, axis=axis)
+                flow *= 0.5 * step / np.take(size, range(field.shape[axis] - 1), axis)
+                ends = [[(0, 1) if n == axis else (0, 0) for n in range(field.ndim)] for _ in (0, 1)]
+                ends[1][axis] = (1, 0)
+                mean += (np.pad(flow, ends[0]) - np.pad(flow, ends[1])) / len(planes)
+        after = mean if k < 2 else (1 + a + b) * mean - a * now - b * before
+        before, now = now, after
+    return now, met, left
+
+
+@pytest.mark.parametrize("shape", [(40, 54), (37, 29), (64,), (33,)])
+@pytest.mark.parametrize("distances", [(0.4, 3.0), (0.0, 2.0), (2.0, 0.0, 5.0)])
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("step", [0.0, 0.3])
+def test_blocks_and_compiled_loops_do_what_whole_arrays_do(
+    monkeypatch: pytest.MonkeyPatch,
+    shape: tuple[int, ...],
+    distances: tuple[float, ...],
+    masked: bool,
+    step: float,
+) -> None:
+    """Whatever the numbers of samples, planes and blocks; pixels that are not known; the plane sought."""
+    monkeypatch.setattr(retrieval_steps, "BLOCK_BYTES", 1)
+    monkeypatch.setattr(retrieval_steps, "LEAST_BLOCK", 5)
+    rng, grid = np.random.default_rng(9), Grid(shape, 4e-3, 0.0)
+    start = 64.0 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    planes = [
+        Recorded(
+            d,
+            60.0 + 9.0 * rng.random(shape),
+            np.where(rng.random(shape) < 0.1, np.inf, 1.0) if masked else None,
+        )
+        for d in distances
+    ]
+    wanted, met, left = plainly(grid, planes, start, 6, step)
+    found = retrieve(grid, WAVELENGTH, planes, Field(grid, start, WAVELENGTH), iterations=6, tv_step=step)
+    np.testing.assert_allclose(found.field.values, wanted, atol=1e-8 * np.abs(wanted).max())
+    np.testing.assert_allclose(found.correlation, met, atol=1e-9)
+    np.testing.assert_allclose(found.residual_curve, left, rtol=1e-9)
+
+
+def test_waves_that_decay_are_left_out_in_the_plane_sought_too() -> None:
+    """On a grid finer than half the wavelength a plane at distance 0 is no other than one nearby."""
+    grid = Grid((40, 40), 2e-4, 0.0)
+    rng = np.random.default_rng(2)
+    start = 64.0 * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
+    planes = [Recorded(d, 60.0 + 9.0 * rng.random(grid.shape)) for d in (0.0, 0.01)]
+    found = retrieve(grid, WAVELENGTH, planes, Field(grid, start, WAVELENGTH), iterations=4)
+    wanted = plainly(grid, planes, start, 4, 0.05)[0]
+    np.testing.assert_allclose(found.field.values, wanted, atol=1e-8 * np.abs(wanted).max())
+
+
+def test_single_precision_errs_by_rounding_alone() -> None:
+    field = truth()
+    planes = recorded(field, (0.0, 3.0))
+    single = [Recorded(p.distance_mm, p.amplitude.astype(np.float32)) for p in planes]
+    wanted, met, left = plainly(GRID, planes, off(field).values, 10, 0.0)
+    found = retrieve(GRID, WAVELENGTH, single, off(field), iterations=10, tv_step=0.0)
+    assert found.field.values.dtype == np.complex64
+    assert np.linalg.norm(found.field.values - wanted) < 2e-5 * np.linalg.norm(wanted)
+    np.testing.assert_allclose(found.correlation, met, atol=1e-6)
+    np.testing.assert_allclose(found.residual_curve, left, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_an_amplitude_is_replaced_and_the_phase_stays(dtype: type) -> None:
+    rng = np.random.default_rng(4)
+    field = (rng.standard_normal((5, 7)) + 1j * rng.standard_normal((5, 7))).astype(dtype)
+    field[2, 3] = field[1, 1] = 0.0
+    field[0, 0] = 1e-25j
+    amplitude = rng.random((5, 7)).astype(field.real.dtype)
+    known = rng.random((5, 7)) < 0.7
+    known[2, 3], known[1, 1], known[0, 0] = True, False, True
+    phase = np.where(field == 0.0, 1.0, np.exp(1j * np.angle(field)))
+    expected = np.where(known, amplitude * phase, field)
+    replace_amplitude(field, amplitude, known)
+    np.testing.assert_allclose(field, expected, rtol=1e-6)
+    line = field[0].copy()
+    replace_amplitude(line, amplitude[0])
+    np.testing.assert_allclose(np.abs(line), amplitude[0], rtol=1e-6)
+
+
+def test_a_run_that_was_cut_off_ends_as_an_unbroken_one() -> None:
+    """Exactly, wherever it was cut off, A5's first iterations among it."""
+    planes, states = recorded(truth()), []
+
+    def keep(state: RetrievalState) -> None:
+        states.append(RetrievalState(state.now.copy(), state.before.copy(), *list(vars(state).values())[2:]))
+
+    whole = retrieve(GRID, WAVELENGTH, planes, off(truth()), iterations=6, keep=keep)
+    for done, state in enumerate(states, start=1):
+        assert len(state.correlation) == done
+        told: list[int] = []
+        rest = retrieve(
+            GRID, WAVELENGTH, planes, iterations=6, resume=state, progress=lambda k, _, t=told: t.append(k)
+        )
+        assert told == list(range(done, 6))
+        np.testing.assert_array_equal(rest.field.values, whole.field.values)
+        assert (rest.correlation, rest.residual_curve) == (whole.correlation, whole.residual_curve)
+        assert rest.residuals == whole.residuals
+    wrong = RetrievalState(np.zeros((3, 3), complex), np.zeros((3, 3), complex), (), ())
+    with pytest.raises(InputError, match="resume: its shape"):
+        retrieve(GRID, WAVELENGTH, planes, resume=wrong)
+
+
+def test_arguments_stay_as_they_were() -> None:
+    planes, start = recorded(truth(), (0.0, 3.0)), off(truth())
+    copies = [p.amplitude.copy() for p in planes] + [start.values.copy()]
+    retrieve(GRID, WAVELENGTH, planes, start, iterations=4)
+    for now, then in itertools.zip_longest([*(p.amplitude for p in planes), start.values], copies):
+        np.testing.assert_array_equal(now, then)
+
+
+@pytest.mark.parametrize("distances", [(0.0, 3.0), (2.0, 22.0), (2.0, 8.0, 22.0)])
+@pytest.mark.parametrize("masked", [False, True])
+def test_memory_is_as_told(distances: tuple[float, ...], masked: bool) -> None:
+    shape = (1500, 1400)
+    rng, grid = np.random.default_rng(5), Grid(shape, 3.2e-3, 0.0)
+    sigma = np.ones(shape, np.float32)
+    sigma[5, 7] = np.inf
+    planes = [
+        Recorded(d, 60.0 + rng.random(shape, dtype=np.float32), sigma if masked else None) for d in distances
+    ]
+    retrieve(
+        Grid((8, 8), 3.2e-3, 0.0), WAVELENGTH, [Recorded(d, np.ones((8, 8))) for d in (0.0, 1.0)], tv_step=0
+    )
+    tracemalloc.start()
+    retrieve(grid, WAVELENGTH, planes, iterations=3)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert retrieval_bytes(shape, distances, masked=masked) == pytest.approx(peak, rel=0.3)
+
+
+def test_what_is_left_on_a_plane() -> None:
+    field, (plane, *_) = truth(), recorded(truth())
+    there = propagate(field, plane.distance_mm, pad=GRID.shape, band_limit=False, check=False)
+    brighter = Recorded(plane.distance_mm, 1.1 * np.abs(there.values))
+    figure, left = residual_and_map(field, brighter)
+    assert figure == pytest.approx(0.1 / 1.1) == residual(field, brighter)
+    np.testing.assert_allclose(left, np.abs(there.values) - brighter.amplitude, atol=1e-9 * 40.0)
