@@ -20,6 +20,7 @@ from wavesim.cli_image import image
 from wavesim.cli_oracle import oracle
 from wavesim.cli_reconstruct import reconstruct
 from wavesim.cli_resolve import choose, resolve
+from wavesim.cli_view import view
 
 app = make_app("Waves through spatial information transfer lenses.")
 app.command()(oracle)
@@ -29,6 +30,7 @@ app.command()(compare)
 app.command()(image)
 app.command()(reconstruct)
 app.command()(calibrate)
+app.command()(view)
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,11 +16,9 @@ from typing import Any
 import numpy as np
 
 from lensdesign.errors import InputError
+from lensdesign.input_files import check_input
 from wavesim.fields import Array, Field
-
-KEY = "transferlens_field"
-"""Under which a TIFF's ImageDescription holds what its values are."""
-DESCRIPTION = 270
+from wavesim.pyramid import write_pyramid
 
 
 @contextmanager
@@ -93,30 +93,68 @@ def write_field(path: Path, field: Field, **numbers: float) -> None:
     )
 
 
-def write_tiff(path: Path, values: Array, pitch_um: float, **said: Any) -> None:
-    """Write real values as a grey TIFF of 32-bit floating point numbers.
+def read_field(path: Path) -> tuple[Any, float]:
+    """Values and pitch (um) of a field, as `write_field` writes them.
+
+    Parameters
+    ----------
+    path
+        An .npz file with the complex or real array `values`, shape (ny, nx), and the number `pitch_um`.
+
+    Returns
+    -------
+    ndarray, float
+        Values in single precision, and their pitch in um.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is damaged, or holds no such field.
+    """
+    check_input(path, named="the field")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            lacking = [name for name in ("values", "pitch_um") if name not in content.files]
+            if lacking:
+                raise InputError(
+                    f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(content.files)}"
+                )
+            values, pitch = content["values"], content["pitch_um"]
+    except InputError:
+        raise
+    except Exception as error:  # of damaged files NumPy and zipfile raise errors of many kinds
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise InputError(f"cannot read the field {path}: {reason}") from error
+    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fc":
+        raise InputError(
+            f"field {path}: has {values.dtype} values of shape {values.shape}: must be complex or real, "
+            "(ny, nx)"
+        )
+    if pitch.size != 1 or pitch.dtype.kind not in "fiu" or not 0.0 < float(pitch.item()) < math.inf:
+        raise InputError(f"field {path}: `pitch_um` must be one number, finite and greater than 0")
+    values = values.astype(np.complex64 if values.dtype.kind == "c" else np.float32, copy=False)
+    if not all(np.all(np.isfinite(row)) for row in values):
+        raise InputError(f"field {path}: has values that are not finite")
+    return values, float(pitch.item())
+
+
+def write_tiff(path: Path, values: Array, pitch_um: float, quantity: str) -> None:
+    """Write one quantity of a field as a grey TIFF of 32-bit floating point numbers, in tiles that zoom.
 
     Parameters
     ----------
     path
         File to write; its first row is that of the smallest y.
     values
-        Shape (ny, nx).
+        Real, or complex values of which the quantity is taken, shape (ny, nx).
     pitch_um
         Of the samples.
-    **said
-        What the values are, for the file's ImageDescription (JSON).
+    quantity
+        "amplitude", "phase_rad" or another, as in :func:`wavesim.pyramid.write_pyramid`.
     """
-    from PIL import Image
-
-    Image.fromarray(np.ascontiguousarray(values, np.float32)).save(
-        path,
-        format="TIFF",
-        tiffinfo={DESCRIPTION: json.dumps({KEY: {"pitch_um": pitch_um, **said}})},
-        resolution_unit="cm",
-        x_resolution=1e4 / pitch_um,
-        y_resolution=1e4 / pitch_um,
-    )
+    write_pyramid(path, values, pitch_um, (quantity,))
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

@@ -10,11 +10,11 @@ import pytest
 from lensdesign import load_design, save_design, scaled
 from lensdesign.poses import Pose
 from wavesim.cli import main
+from wavesim.exposures import Electronics
 from wavesim.field_files import write_field
 from wavesim.frames import write_frame
 from wavesim.imaging import make_illumination, make_target, object_patch
 from wavesim.imaging_planes import Recording, exit_scene, image_patch, imaging_engine, sensor_window
-from wavesim.sensor import Electronics
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
