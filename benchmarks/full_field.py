@@ -85,14 +85,14 @@ def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float,
     return rows, (seconds[0], seconds[1])
 
 
-def field_scene(lens: Lens, diameter_mm: float) -> Scene:
-    """Samples for light of the design's numerical aperture, and the sensor's shorter side squared."""
+def field_scene(lens: Lens, diameter_mm: float, side: int = 7000) -> Scene:
+    """Samples for light of the design's numerical aperture, and a square of pixels."""
     part = lens.replaced(object=lens.object.replaced(field_diameter_mm=diameter_mm))
     wavelength = lens.wavelengths_um[0]
     pitch = OBJECT_FINENESS * 0.5e-3 * wavelength / lens.object.numerical_aperture
     count = 2 * math.ceil(0.51 * diameter_mm / pitch)
     grid = Grid((count, count), pitch, lens.object_z_mm)
-    return Scene(part, grid, Grid((7000, 7000), 3.2e-3, lens.sensor_z_mm[0]), wavelength)
+    return Scene(part, grid, Grid((side, side), 3.2e-3, lens.sensor_z_mm[0]), wavelength)
 
 
 def against_one_level(lens: Lens) -> list[Row]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -24,13 +23,11 @@ from lensdesign.errors import InputError
 from wavesim.bar_sets import SetContrast, set_contrast
 from wavesim.coverage import refuse_finer, refuse_not_positive
 from wavesim.engine import Engine
-from wavesim.fields import Array, Field, Grid, correlation
+from wavesim.fields import Array, Field, Grid
+from wavesim.picture_similarity import Mask, Picture, row_blocks
 from wavesim.plane_waves import fft_frequencies
 from wavesim.targets import Ground, band_limit
 from wavesim.usaf import UsafElement
-
-Picture = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 RADIAL_BINS = 8192
 """Of a spectrum, into which distances from frequency 0 are sorted first."""
@@ -227,76 +224,26 @@ def object_correlation(found: Field, truth: Field, illumination: Field, support:
     inside = power > 1e-6 * power.max(initial=0.0) if support is None else np.asarray(support, bool)
     if inside.shape != power.shape:
         raise InputError(f"support: its shape {inside.shape} is not that of the fields, {power.shape}")
-    known = np.asarray(illumination.values[inside], complex)
-    strength = float(np.vdot(known, known).real)
+    products = np.zeros((3, 3), complex)
+    for rows in row_blocks(len(inside)):
+        products += _products(rows, inside, (illumination, found, truth))
+    strength = float(products[0, 0].real)
+    if not np.all(np.isfinite(products)):
+        raise InputError("object_correlation: the fields hold values that are not finite")
     if not strength > 0.0:
         raise InputError("illumination: is dark within the support")
-    sides = []
-    for one in (found, truth):
-        part = np.asarray(one.values[inside], complex)
-        if not np.all(np.isfinite(part)):
-            raise InputError("object_correlation: the fields hold values that are not finite")
-        size = float(np.linalg.norm(part))
-        part = part - known * (np.vdot(known, part) / strength)
-        if np.linalg.norm(part) <= 1e-6 * size:
-            return math.nan
-        sides.append(part)
-    return correlation(*sides)
+    left = products - np.outer(products[:, 0], products[0]) / strength
+    sizes = [float(left[i, i].real) for i in (1, 2)]
+    if any(size <= 1e-12 * float(products[i, i].real) for i, size in enumerate(sizes, start=1)):
+        return math.nan
+    return float(abs(left[1, 2])) / math.sqrt(sizes[0] * sizes[1])
 
 
-def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
-    """Peak signal-to-noise ratio in dB: full scale over the root mean square difference.
-
-    Parameters
-    ----------
-    found, truth
-        Pictures of one quantity and scale; of complex ones the modulus is taken.
-    full_scale
-        Range of the quantity: 1 for a transmission.
-    support
-        Samples that count; all if left out.
-
-    Returns
-    -------
-    float
-        inf where both are the same.
-
-    Raises
-    ------
-    InputError
-        If shapes differ, values are not finite, or the support is empty.
-    """
-    from skimage.metrics import peak_signal_noise_ratio
-
-    a, b, inside = _pair(found, truth, full_scale, support)
-    with np.errstate(divide="ignore"):
-        return float(peak_signal_noise_ratio(b[inside], a[inside], data_range=full_scale))
-
-
-def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
-    """Structural similarity (Wang et al. 2004, Gaussian windows of 1.5 samples): 1 where both are the same.
-
-    Parameters
-    ----------
-    found, truth, full_scale
-        As of :func:`psnr_db`; pictures are planes of 11 x 11 samples at least.
-    support
-        Samples whose windows count; all if left out.
-
-    Raises
-    ------
-    InputError
-        If shapes differ or are too small, values are not finite, or the support is empty.
-    """
-    from skimage.metrics import structural_similarity
-
-    a, b, inside = _pair(found, truth, full_scale, support)
-    if a.ndim != 2 or min(a.shape) < 11:
-        raise InputError(f"ssim of pictures of shape {a.shape}: must be planes of at least 11 x 11 samples")
-    _, similarity = structural_similarity(
-        b, a, data_range=full_scale, gaussian_weights=True, use_sample_covariance=False, full=True
-    )
-    return float(np.mean(similarity[inside]))
+def _products(rows: slice, inside: Mask, fields: tuple[Field, ...]) -> NDArray:
+    """All inner products of some fields, in a part of the rows."""
+    chosen = inside[rows]
+    parts = np.stack([np.asarray(one.values[rows][chosen], complex) for one in fields])
+    return np.asarray(parts.conj() @ parts.T)
 
 
 def spectrum_support(
@@ -376,18 +323,3 @@ def _intensity(picture: Picture, grid: Grid) -> Array:
     if np.any(intensity < -1e-9 * np.max(intensity, initial=0.0)):
         raise InputError("contrast of bars: the intensity must not be negative")
     return intensity
-
-
-def _pair(
-    found: Picture, truth: Picture, full_scale: float, support: Mask | None
-) -> tuple[Array, Array, Mask]:
-    if found.shape != truth.shape:
-        raise InputError(f"pictures of shapes {found.shape} and {truth.shape}: must be the same")
-    refuse_not_positive("full_scale", full_scale)
-    inside = np.ones(found.shape, bool) if support is None else np.asarray(support, bool)
-    if inside.shape != found.shape or not inside.any():
-        raise InputError("support: must be of the pictures' shape, and not empty")
-    a, b = (np.asarray(np.abs(one) if np.iscomplexobj(one) else one, float) for one in (found, truth))
-    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
-        raise InputError("pictures hold values that are not finite")
-    return a, b, inside

@@ -19,12 +19,11 @@ from wavesim.metrics import (
     bar_contrast,
     element_contrasts,
     object_correlation,
-    psnr_db,
     resolved_elements,
     smallest_resolved_element,
     spectrum_support,
-    ssim,
 )
+from wavesim.picture_similarity import psnr_db, ssim
 from wavesim.targets import band_limit
 from wavesim.usaf import UsafElement, usaf_chart, usaf_elements
 
@@ -236,3 +235,33 @@ def test_refused(call, message: str) -> None:
 def test_lines_too_fine_for_the_grid_are_refused() -> None:
     with pytest.raises(SamplingError, match="group 10, element 5"):
         bar_contrast(np.ones(GRID.shape), GRID, UsafElement(10, 5, (0.0, 0.0)))
+
+
+@pytest.mark.parametrize("rows", [512, 517, 1030])
+def test_pictures_in_blocks_are_pictures_whole(rows: int) -> None:
+    from skimage.metrics import structural_similarity
+
+    rng = np.random.default_rng(rows)
+    truth = rng.random((rows, 40))
+    found = truth + 0.2 * rng.normal(size=truth.shape)
+    inside = rng.random(truth.shape) < 0.7
+    _, similarity = structural_similarity(
+        truth, found, data_range=1.0, gaussian_weights=True, use_sample_covariance=False, full=True
+    )
+    assert ssim(found, truth, support=inside) == pytest.approx(float(similarity[inside].mean()), rel=1e-12)
+
+
+def test_correlation_in_blocks_is_that_of_the_whole() -> None:
+    rng = np.random.default_rng(1)
+    grid = Grid((1100, 30), 1e-3, -10.0)
+    light, found, truth = (
+        Field(grid, rng.normal(size=grid.shape) + 1j * rng.normal(size=grid.shape), 0.5) for _ in range(3)
+    )
+    found = found.with_values(found.values + truth.values + 3.0 * light.values)
+    everywhere, known = np.ones(grid.shape, bool), light.values.ravel()
+    sides = [
+        one - known * np.vdot(known, one) / np.vdot(known, known)
+        for one in (found.values.ravel(), truth.values.ravel())
+    ]
+    expected = abs(np.vdot(*sides)) / np.linalg.norm(sides[0]) / np.linalg.norm(sides[1])
+    assert object_correlation(found, truth, light, everywhere) == pytest.approx(expected, rel=1e-12)

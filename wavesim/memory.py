@@ -1,0 +1,116 @@
+"""How much memory a run may take, and what it will take: told before it runs."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from lensdesign.errors import InputError
+
+BASE_BYTES = 400_000_000
+"""Of the process itself, its libraries and compiled loops."""
+
+SHARE = 0.8
+"""Of the memory that is free, which a run takes where it was given no limit."""
+
+CGROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+"""Where containers say how much they may take, and how much they have taken."""
+
+
+class MemoryLimitError(InputError):
+    """What is asked for cannot be done within the memory allowed."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a run will take.
+
+    Attributes
+    ----------
+    most_bytes : int
+        With all arrays in memory.
+    least_bytes : int
+        With all that can be moved in files.
+    file_bytes : int
+        In files in any case.
+    """
+
+    most_bytes: int
+    least_bytes: int
+    file_bytes: int = 0
+
+
+def memory_limit(memory_gb: float | None) -> float:
+    """Bytes that a run may take: those given, or a share of what is free.
+
+    Raises
+    ------
+    InputError
+        If the limit is not usable.
+    """
+    if memory_gb is None:
+        return SHARE * available_bytes()
+    if not (math.isfinite(memory_gb) and memory_gb > 0.0):
+        raise InputError(f"--memory-gb = {memory_gb!r}: must be finite and above 0")
+    return 1e9 * memory_gb
+
+
+def available_bytes() -> float:
+    """Memory that this machine, or the container that this runs in, has left."""
+    left = [_machine_bytes()]
+    for limit, used in CGROUPS:
+        try:
+            left.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
+        except (OSError, ValueError):
+            continue
+    return max(float(min(left)), 0.0)
+
+
+def _machine_bytes() -> int:
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        told = dict(line.split(":", 1) for line in lines)
+        return 1024 * int(told["MemAvailable"].split()[0])
+    except (OSError, ValueError, KeyError):
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def room_for_arrays(need: Need, limit_bytes: float, what: str) -> float:
+    """Bytes of movable arrays that may lie in memory.
+
+    Parameters
+    ----------
+    need
+        Of the run.
+    limit_bytes
+        That the run may take.
+    what
+        The run, for messages.
+
+    Raises
+    ------
+    MemoryLimitError
+        If it takes more even with all that can be moved in files.
+    """
+    if need.least_bytes > limit_bytes:
+        enough = math.ceil(1e-8 * need.least_bytes) / 10.0
+        raise MemoryLimitError(
+            f"{what} needs {1e-9 * need.least_bytes:.3g} GB of memory at least, and may take "
+            f"{1e-9 * limit_bytes:.3g} GB: take --memory-gb {enough:g} or more, a smaller --patch-mm, or "
+            "coarser samples (--object-pitch-um)"
+        )
+    return math.inf if need.most_bytes <= limit_bytes else limit_bytes - need.least_bytes
+
+
+def estimate_line(need: Need, limit_bytes: float, folder: Path) -> str:
+    """What is told before a run."""
+    moved = need.most_bytes > limit_bytes
+    taken = min(need.most_bytes, limit_bytes)
+    files = need.file_bytes + (need.most_bytes - limit_bytes if moved else 0.0)
+    line = f"memory: about {1e-9 * taken:.2g} GB of {1e-9 * limit_bytes:.3g} GB allowed"
+    return line + (f", {1e-9 * files:.2g} GB in files under {folder}" if files >= 1e7 else "")
