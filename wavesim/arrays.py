@@ -8,9 +8,11 @@ For CuPy arrays say `scipy.fft.set_global_backend(cupyx.scipy.fft)` once, for ot
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 import scipy.fft
+
+Norm = Literal["ortho"] | None
 
 
 def array_module(values: Any) -> Any:
@@ -32,13 +34,15 @@ def ifft(values: Any, axis: int = -1, *, overwrite: bool = False) -> Any:
         return scipy.fft.ifft(values, axis=axis, overwrite_x=overwrite)
 
 
-def fftn(values: Any, shape: tuple[int, ...] | None = None) -> Any:
-    """Along all axes, padded with zeros to `shape`."""
+def fftn(
+    values: Any, shape: tuple[int, ...] | None = None, *, norm: Norm = None, overwrite: bool = False
+) -> Any:
+    """Along all axes, padded with zeros to `shape`; with "ortho" a unitary transform."""
     with scipy.fft.set_workers(-1):
-        return scipy.fft.fftn(values, s=shape)
+        return scipy.fft.fftn(values, s=shape, norm=norm, overwrite_x=overwrite)
 
 
-def ifftn(values: Any, *, overwrite: bool = False) -> Any:
+def ifftn(values: Any, *, norm: Norm = None, overwrite: bool = False) -> Any:
     """Back, along all axes."""
     with scipy.fft.set_workers(-1):
-        return scipy.fft.ifftn(values, overwrite_x=overwrite)
+        return scipy.fft.ifftn(values, norm=norm, overwrite_x=overwrite)

@@ -6,16 +6,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavesim.chirp_z import Passing, propagate_to, propagate_to_adjoint
 from wavesim.fields import Field, Grid
 from wavesim.plane_waves import fast_count
 from wavesim.speed import exponential_seconds, fft_seconds, pass_seconds
-
-ComplexArray = NDArray[np.complex128]
 
 FACTOR_BYTES = 64
 """For each sample of the spectrum, while its factor is made."""
@@ -38,15 +36,15 @@ class GridTransfer:
     wavelength_um: float
     index: float
 
-    def forward(self, values: ComplexArray) -> ComplexArray:
-        """Values on the target of a field on the source."""
-        field = Field(self.source, np.asarray(values, complex), self.wavelength_um, self.index)
-        return np.asarray(propagate_to(field, self.target, check=False).values)
+    def forward(self, values: Any) -> Any:
+        """Values on the target of a field on the source; NumPy's in double precision."""
+        field = Field(self.source, _doubled(values), self.wavelength_um, self.index)
+        return propagate_to(field, self.target, check=False).values
 
-    def adjoint(self, values: ComplexArray) -> ComplexArray:
+    def adjoint(self, values: Any) -> Any:
         """Adjoint of :meth:`forward` for <f, g> = cell * sum(conj(f) g)."""
-        field = Field(self.target, np.asarray(values, complex), self.wavelength_um, self.index)
-        return np.asarray(propagate_to_adjoint(field, self.source).values)
+        field = Field(self.target, _doubled(values), self.wavelength_um, self.index)
+        return propagate_to_adjoint(field, self.source).values
 
     @cached_property
     def samples(self) -> int:
@@ -85,3 +83,7 @@ class GridTransfer:
                 given = shape[axis]
                 yield given, fast_count(given + taken - 1), taken, math.prod(shape) // given
                 shape[axis] = taken
+
+
+def _doubled(values: Any) -> Any:
+    return np.asarray(values, complex) if isinstance(values, np.ndarray) else values

@@ -12,6 +12,9 @@ Oblique compensation takes the angles that the rays of the object's middle have 
 middle of each slice in place of its two borders, over which the error has no first order in the height.
 With few slices it falls with their number squared, until what is left are the stripes where the light of
 neighbouring slices overlaps or leaves a gap; those go with the first power, once slices are thin.
+
+Fields of NumPy are carried in double precision; those of another array library (CuPy) in their own, in the
+memory where they lie.
 """
 
 from __future__ import annotations
@@ -20,15 +23,12 @@ import math
 import warnings
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from wavesim.curved_surface import Medium
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.grid_transfer import GridTransfer
 from wavesim.guards import SamplingWarning
@@ -49,6 +49,7 @@ from wavesim.slice_planes import (
     sliced,
     surface_points,
 )
+from wavesim.slice_steps import Through
 from wavesim.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.surface_samples import other_transmission
 from wavesim.working_grid import WorkingGrid, refuse_if_huge, working_grid
@@ -59,9 +60,6 @@ CompensationKind = Literal["vertical", "oblique"]
 
 MOST_SLICES = 50_000
 COMPLEX, REAL = 16, 8
-STEP_GRAIN_MM = 1e-12
-"""Steps between planes are rounded to it, so that equal ones are equal; some thousand err by 1e-5 rad."""
-
 FIT_BYTES = {True: 500_000, False: 3_300_000}
 """Rays and the polynomials through them: on a line, on a plane."""
 
@@ -151,7 +149,7 @@ class AnnularSlices(Engine):
         return into, out
 
     @cached_property
-    def _prepared(self) -> _Through:
+    def _prepared(self) -> Through:
         self._refuse_total_reflection()
         refuse_if_huge(self.name, self.working.grid.size, self.cost(), self.force)
         self._warn()
@@ -160,7 +158,7 @@ class AnnularSlices(Engine):
         heights = [(float(s.z_mm.min()), float(s.z_mm.max())) for s in samples]
         planes = self._planes(heights)
         surfaces = [self._sliced(*given) for given in zip(rays, samples, planes, strict=True)]
-        return _Through(self.working, surfaces)
+        return Through(self.working, surfaces)
 
     def _sliced(self, ray: CentreRays, samples: SurfacePoints, planes_mm: Array) -> SlicedSurface:
         which = slice_of(planes_mm, samples.z_mm)
@@ -272,87 +270,3 @@ class AnnularSlices(Engine):
 def _misfit(phases: Sequence[Array]) -> float:
     """Relative error of a field whose rays are off by these phases at the surfaces."""
     return math.sqrt(float(np.mean(np.abs(np.exp(1j * np.sum(phases, axis=0)) - 1.0) ** 2)))
-
-
-class _Through:
-    """From the plane of the first slice to that of the last."""
-
-    def __init__(self, working: WorkingGrid, surfaces: Sequence[SlicedSurface]) -> None:
-        self.grid, self.media, self.surfaces = working.grid, working.media, surfaces
-        self.start_mm = float(surfaces[0].before_mm[0])
-        self.end_mm = float(surfaces[-1].behind_mm[-1])
-
-    def forward(self, field: ComplexArray) -> ComplexArray:
-        spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1, overwrite_x=True)
-        here = self.start_mm
-        for (front, back), surface in zip(pairwise(self.media), self.surfaces, strict=True):
-            spectrum *= front.over(surface.before_mm[0] - here)
-            spectrum = _pass(front, back, surface, spectrum, False)
-            here = float(surface.behind_mm[-1])
-        return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))
-
-    def adjoint(self, field: ComplexArray) -> ComplexArray:
-        spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1, overwrite_x=True)
-        here = self.end_mm
-        surfaces = list(zip(pairwise(self.media), self.surfaces, strict=True))
-        for (front, back), surface in reversed(surfaces):
-            spectrum *= back.over(surface.behind_mm[-1] - here)
-            spectrum = _pass(back, front, surface, spectrum, True)
-            here = float(surface.before_mm[0])
-        return np.asarray(scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True))
-
-
-class _Steps:
-    """Factors of plane waves from plane to plane; the last one is kept, since steps mostly repeat."""
-
-    def __init__(self, medium: Medium) -> None:
-        self.medium = medium
-        self.step_mm = 0.0
-        self.factor: ComplexArray | None = None
-
-    def carry(self, spectrum: ComplexArray, step_mm: float) -> None:
-        step_mm = round(step_mm / STEP_GRAIN_MM) * STEP_GRAIN_MM
-        if step_mm == 0.0:
-            return
-        if step_mm != self.step_mm:
-            # Frees the old factor before the new one is made.
-            self.factor = None
-            self.step_mm, self.factor = step_mm, self.medium.over(step_mm)
-        assert self.factor is not None
-        spectrum *= self.factor
-
-
-def _pass(
-    source: Medium, target: Medium, surface: SlicedSurface, spectrum: ComplexArray, back: bool
-) -> ComplexArray:
-    """Take the waves of one medium at the first slice, and sum those of the other at the last.
-
-    Backwards from the last slice to the first, with conjugate factors, it is the exact adjoint.
-    """
-    order = range(len(surface.parts))
-    start, end = surface.before_mm, surface.behind_mm
-    if back:
-        order, start, end = order[::-1], end, start
-    arriving, leaving = _Steps(source), _Steps(target)
-    spectrum *= source.inside
-    total = np.zeros_like(spectrum)
-    last = order[0]
-    for q in order:
-        arriving.carry(spectrum, float(start[q] - start[last]))
-        leaving.carry(total, float(end[q] - end[last]))
-        part = surface.parts[q]
-        factor = surface.factors[part].conj() if back else surface.factors[part]
-        total += _masked(spectrum, surface.pixels[part], factor)
-        last = q
-    # The borders of a slice send light under all angles; the grid holds that of the band.
-    total *= target.inside
-    return total
-
-
-def _masked(spectrum: ComplexArray, pixels: NDArray[np.intp], factor: ComplexArray) -> ComplexArray:
-    """Spectrum of what one slice leaves of a wave."""
-    wave = scipy.fft.ifftn(spectrum, norm="ortho", workers=-1)
-    values = wave.ravel()[pixels] * factor
-    wave.fill(0.0)
-    wave.ravel()[pixels] = values
-    return np.asarray(scipy.fft.fftn(wave, norm="ortho", workers=-1, overwrite_x=True))

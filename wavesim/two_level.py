@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.blas import one_blas_thread
+from wavesim.device import Device, device_named
+from wavesim.device_tiles import add_on, carry_on, collect_on
 from wavesim.engine import Cost, Engine, Neglected, Scene
 from wavesim.field_factors import field_factors
 from wavesim.field_maps import FieldMaps, Region, field_maps, field_region
@@ -29,7 +31,7 @@ from wavesim.resampling import kernel_for
 from wavesim.tile_edge import edge_error, rim_share
 from wavesim.tile_operator import THREADS, Precision, Tile
 from wavesim.tile_plan import counts_for, cut
-from wavesim.two_level_cost import two_level_cost
+from wavesim.two_level_cost import COMPLEX64, two_level_cost
 from wavesim.two_level_parts import TAPER, TAPER_LOSS, FieldSettings, SuperTile
 from wavesim.two_level_work import Perform, Task, Way, carry
 
@@ -74,6 +76,8 @@ class TwoLevelTiles(Engine):
         Told after every super-tile how many are done and how many there are, as (done, all).
     perform : callable or None
         Does super-tiles' work elsewhere (:mod:`wavesim.two_level_work`); None is here.
+    device : Device or None
+        Does the work in place of this computer's processor.
 
     Parameters
     ----------
@@ -85,11 +89,13 @@ class TwoLevelTiles(Engine):
         Tiles along each side of a super-tile.
     error : float
         Relative L2 error of the exit field that tiles and interpolation may leave.
+    device : {"cpu", "gpu"}
+        What does the work; a GPU needs the extra ``gpu``. Times that :meth:`cost` tells are the processor's.
 
     Raises
     ------
     InputError
-        If a setting is not usable, or the scene is that of a line.
+        If a setting is not usable, the scene is that of a line, or no GPU is there.
     FoldError
         On first use, if rays fold on the exit grid's plane.
     RayMapError
@@ -106,6 +112,7 @@ class TwoLevelTiles(Engine):
         tile_width_mm: float | None = None,
         tiles_across: int = 4,
         error: float = 1e-2,
+        device: str = "cpu",
     ) -> None:
         super().__init__(scene)
         if scene.object_grid.is_line:
@@ -119,6 +126,7 @@ class TwoLevelTiles(Engine):
         self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
         self.report: Callable[[int, int], None] | None = None
         self.perform: Perform | None = None
+        self.device: Device | None = None if device == "cpu" else device_named(device)
 
     @cached_property
     def region(self) -> Region:
@@ -195,11 +203,23 @@ class TwoLevelTiles(Engine):
             return tuple(group for group in groups if not group.empty)
 
     def _forward(self, values: Any) -> Any:
-        result = np.zeros(self.scene.exit_grid.shape, np.complex64)
+        height, width = self.scene.exit_grid.shape
+        if self.device is not None and COMPLEX64 * height * width > self.device.memory_bytes:
+            rows = max(self.device.memory_bytes // (COMPLEX64 * width), 1)
+            return np.concatenate([band for _, band in self._in_bands(values, rows, {})])
+        result = self._zeros(height)
         for number, total in self._performed("forward", self._parts_of(values)):
             self._add(number, total, result)
-        result *= np.float32(self.scene.object_grid.cell)
-        return result
+        return self._finished(result)
+
+    def _zeros(self, rows: int) -> Any:
+        """Rows of the exit grid, in the memory of what does the work."""
+        xp = np if self.device is None else self.device.xp
+        return xp.zeros((rows, self.scene.exit_grid.shape[1]), dtype=np.complex64)
+
+    def _finished(self, rows: Any) -> NDArray[np.complex64]:
+        rows *= np.float32(self.scene.object_grid.cell)
+        return rows if self.device is None else self.device.to_host(rows)
 
     def forward_in_bands(
         self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
@@ -228,14 +248,18 @@ class TwoLevelTiles(Engine):
             As :meth:`forward`.
         """
         self._refuse_stranger(field, self.scene.object_grid, "object")
-        self._sum_all(field.values, sums)
-        height, width = self.scene.exit_grid.shape
+        yield from self._in_bands(field.values, rows, sums)
+
+    def _in_bands(
+        self, values: Any, rows: int, sums: MutableMapping[int, NDArray]
+    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+        self._sum_all(values, sums)
+        height = self.scene.exit_grid.shape[0]
         for start in range(0, height, rows):
-            band = np.zeros((min(rows, height - start), width), np.complex64)
+            band = self._zeros(min(rows, height - start))
             for number in range(len(self.groups)):
                 self._add(number, sums[number], band, start)
-            band *= np.float32(self.scene.object_grid.cell)
-            yield slice(start, start + len(band)), band
+            yield slice(start, start + len(band)), self._finished(band)
 
     def _sum_all(self, values: Any, sums: MutableMapping[int, NDArray]) -> None:
         """Have the fields of all super-tiles in `sums`."""
@@ -244,9 +268,12 @@ class TwoLevelTiles(Engine):
         for number, total in self._performed("forward", self._parts_of(values, lacking), done):
             sums[number] = total
 
-    def _add(self, number: int, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
+    def _add(self, number: int, total: NDArray, plane: Any, first_row: int = 0) -> None:
         """Add a super-tile's field to rows of the plane."""
         carried = self.groups[number].carried
+        if self.device is not None:
+            add_on(self.device, carried, total, plane, first_row)
+            return
         with ThreadPoolExecutor(THREADS) as pool:
             list(pool.map(lambda part: carried.add(total, plane, part, first_row), _parts()))
 
@@ -267,6 +294,11 @@ class TwoLevelTiles(Engine):
     def _collected(self, values: Any) -> Iterator[Task]:
         """What super-tiles get of an exit field."""
         field = np.asarray(values).astype(np.complex64, copy=False)
+        if self.device is not None:
+            plane = field if field.nbytes > self.device.memory_bytes else self.device.to_device(field)
+            for number, group in enumerate(self.groups):
+                yield number, collect_on(self.device, group.carried, plane)
+            return
         for number, group in enumerate(self.groups):
             carried = group.carried
             between, coarse = (np.zeros(shape, np.complex64) for shape in carried.shapes)
@@ -293,14 +325,20 @@ class TwoLevelTiles(Engine):
 
     def _perform_here(self, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
         for number, values in tasks:
-            yield number, carry(way, self.groups[number], values)
+            yield number, self.carry(way, number, values)
+
+    def carry(self, way: Way, number: int, values: NDArray) -> NDArray[np.complex64]:
+        """Do one super-tile's task here, as :func:`wavesim.two_level_work.carry`, on the engine's device."""
+        if self.device is not None:
+            return carry_on(self.device, way, self.groups[number], values)
+        return carry(way, self.groups[number], values)
 
     def settings(self) -> dict[str, Any]:
         return {
             "tile_width_mm": self._prepared[0],
             "tiles_across": self._tiles_across,
             "error": self._error,
-        }
+        } | ({} if self.device is None else {"device": self.device.name})
 
     def neglected(self) -> tuple[Neglected, ...]:
         scene = self.scene

@@ -1,0 +1,201 @@
+"""The whole 3 mm field on a GPU: tiles in two levels against the processor's, and the paper's slices in full.
+
+    python -m benchmarks.gpu_field [--device gpu] [--samples 31000]
+
+Where no GPU is there it says so, and that is all. With `--device cpu` NumPy stands in for it, to try the
+script at few samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+import scipy.fft
+
+from benchmarks.full_field import field_scene, noise
+from benchmarks.timing import DESIGNS, Row, print_table
+from lensdesign import Lens, load_design
+from lensdesign.errors import InputError
+from wavesim import Field, Scene, make_engine
+from wavesim.curved_surface import Medium
+from wavesim.device import Device, device_named
+from wavesim.fields import Grid, relative_error
+from wavesim.interfaces import surface_map
+from wavesim.slice_planes import SlicedSurface, SurfacePoints, sliced
+from wavesim.slice_steps import through_surface
+from wavesim.two_level import TwoLevelTiles
+from wavesim.working_grid import WorkingGrid, working_grid
+
+FIELD_MM, SIDE, SAMPLES = 3.0, 7000, 31_000
+"""Of the paper: field, pixels along the sensor, samples along the sliced method's grid."""
+
+SLICES, FEW, MANY = 200, 2, 6
+"""Of each surface, and those that are timed."""
+
+ARRAYS = 7.0
+"""Complex arrays that a slice needs: two fields, two factors, the wave, and the transform's work space."""
+
+CHECKED = 1000
+"""Samples along the grid on which slices are held against double precision."""
+
+SAME, SAME_SLICES = 1e-3, 1e-4
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--device", choices=("cpu", "gpu"), default="gpu")
+    parser.add_argument("--samples", type=int, default=SAMPLES)
+    given = parser.parse_args()
+    try:
+        device = device_named(given.device)
+    except InputError as error:
+        print(f"left out: {error}")
+        return
+    lens = load_design(DESIGNS / "paper_singlet.toml")
+    share = min(given.samples / SAMPLES, 1.0)
+    with _transforms(device):
+        side = max(round(SIDE * share), 16)
+        print_table(
+            f"Field of {FIELD_MM * share:g} mm, {side}^2 pixels", tiles(lens, device, FIELD_MM * share, side)
+        )
+        samples = _that_fit(device, given.samples)
+        print_table(
+            f"Slices on {samples}^2 samples, complex64, {SLICES} for each surface",
+            slices(lens, device, samples),
+        )
+
+
+def _transforms(device: Device) -> AbstractContextManager[Any]:
+    """The library that does Fourier transforms of the device's arrays."""
+    if device.xp is np:
+        return nullcontext()
+    import cupyx.scipy.fft  # type: ignore[import-not-found]
+
+    return scipy.fft.set_backend(cupyx.scipy.fft)
+
+
+def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
+    """Forward and adjoint of the processor and of the device, one after the other."""
+    scene = field_scene(lens, field_mm, side)
+    engine = make_engine("two-level", scene, error=1e-2)
+    assert isinstance(engine, TwoLevelTiles)
+    rng = np.random.default_rng(1)
+    starts = [
+        Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
+    ]
+    engine.groups  # noqa: B018
+    rows = []
+    for name, carry, start in zip(
+        ("forward", "adjoint"), (engine.forward, engine.adjoint), starts, strict=True
+    ):
+        engine.device = None
+        known, processor_s = _timed(lambda c=carry, s=start: c(s).values)
+        engine.device = device
+        first, _ = _timed(lambda c=carry, s=start: c(s).values)  # compiles
+        found, device_s = _timed(lambda c=carry, s=start: c(s).values)
+        rows += [
+            Row(f"{name}, processor", processor_s, "s"),
+            Row(f"{name}, device", device_s, "s"),
+            Row("  processor over device", processor_s / device_s),
+            Row("  difference from the processor's", relative_error(found, known), at_most=SAME),
+            Row("  difference of two runs", relative_error(found, first), at_most=SAME),
+        ]
+    return rows
+
+
+def slices(lens: Lens, device: Device, samples: int) -> list[Row]:
+    """Some slices of the first surface, and what all slices would take."""
+    scene = field_scene(lens, FIELD_MM)
+    working = working_grid(scene)
+    medium_pair, few, many = _surface(scene, working, samples)
+    seconds = []
+    for surface in (few, few, many):  # the first one compiles
+        _, taken = _timed(lambda s=surface: _passed(device, medium_pair, s, samples))
+        seconds.append(taken)
+    each = (seconds[2] - seconds[1]) / (MANY - FEW)
+    transported = 8.0 * samples * samples
+    off = _difference(device, scene, working, min(samples, CHECKED))
+    return [
+        Row("one slice", each, "s"),
+        Row(f"{SLICES} slices of both surfaces, from {MANY - FEW} of them", 2.0 * SLICES * each, "s"),
+        Row("an array", 1e-9 * transported, "GB"),
+        Row(f"difference from double precision, {min(samples, CHECKED)}^2", off, at_most=SAME_SLICES),
+    ]
+
+
+def _difference(device: Device, scene: Scene, working: WorkingGrid, samples: int) -> float:
+    """Of the device's single precision from the processor's double precision."""
+    media, _, surface = _surface(scene, working, samples)
+    found = device.to_host(_passed(device, media, surface, samples))
+    start = np.ones((samples, samples), complex) / samples
+    return relative_error(found, through_surface(*media, surface, start))
+
+
+def _passed(device: Device, media: tuple[Medium, Medium], surface: SlicedSurface, samples: int) -> Any:
+    """Spectrum behind slices, of one that is even."""
+    start = device.xp.ones((samples, samples), dtype=np.complex64)
+    start /= np.float32(samples)
+    return through_surface(*media, surface, start)
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    """A result, and the seconds until the device has it."""
+    start = time.perf_counter()
+    result = work()
+    if hasattr(result, "get"):
+        result[:1, :1].get()
+    return result, time.perf_counter() - start
+
+
+def _surface(
+    scene: Scene, working: WorkingGrid, samples: int
+) -> tuple[tuple[Medium, Medium], SlicedSurface, SlicedSurface]:
+    """Media about the first surface on a grid of so many samples, and its innermost slices: few, and many."""
+    half = working.grid.half_widths_mm[0]
+    grid = Grid((samples, samples), 2.0 * half / samples, 0.0, working.grid.centre_mm)
+    nyquist = 0.98 * math.pi / grid.pitch_mm
+    front, behind = (
+        Medium(grid, scene.wavelength_um, m.index, min(m.band_per_mm, nyquist)) for m in working.media[:2]
+    )
+    low, high = working.heights_mm[0]
+    planes = np.linspace(low, high, SLICES + 1)[: MANY + 1]
+    inside = _points(scene, grid, float(planes[-1]), working.reach_mm[0])
+    which = np.minimum(np.searchsorted(planes[1:-1], inside.z_mm, side="right"), MANY - 1)
+    k, below, above = scene.wavenumber_per_mm, planes[:-1], planes[1:]
+    phase = k * (front.index * (inside.z_mm - below[which]) + behind.index * (above[which] - inside.z_mm))
+    many = sliced(inside, np.exp(1j * phase), which, below, above)
+    few = SlicedSurface(many.pixels, many.factors, many.parts[:FEW], below[:FEW], above[:FEW])
+    return (front, behind), few, many
+
+
+def _points(scene: Scene, grid: Grid, highest_mm: float, reach_mm: float) -> SurfacePoints:
+    """Samples of the first surface up to a height: a disc about its vertex."""
+    profile = np.linspace(0.0, reach_mm, 1001)
+    heights = surface_map(scene.system, 0, 0.0 * profile, profile).z_mm
+    near = 1.01 * float(np.interp(highest_mm, heights, profile))
+    rows, columns = (np.flatnonzero(np.abs(a) <= near) for a in (grid.y_mm, grid.x_mm))
+    x, y = np.broadcast_arrays(grid.x_mm[columns], grid.y_mm[rows][:, None])
+    found = surface_map(scene.system, 0, x, y)
+    inside = found.inside & (found.z_mm <= highest_mm)
+    pixels = (rows[:, None] * grid.shape[1] + columns)[inside]
+    return SurfacePoints(pixels, x[inside], y[inside], found.z_mm[inside])
+
+
+def _that_fit(device: Device, samples: int) -> int:
+    """So many samples along the grid as asked for, or as memory holds, which is said."""
+    free = device.memory()[0]
+    most = int(math.sqrt(free / (8.0 * ARRAYS)))
+    if samples > most:
+        print(f"{samples}^2 samples need {8e-9 * ARRAYS * samples**2:.3g} GB, {1e-9 * free:.3g} GB are free")
+    return min(samples, most)
+
+
+if __name__ == "__main__":
+    main()
