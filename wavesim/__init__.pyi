@@ -8,6 +8,13 @@ from .choosing import Choice, Prediction, choose, chosen_engine, predict
 from .eikonal import EikonalTiles
 from .engine import Cost, Engine, Neglected, Scene
 from .engines import make_engine
+from .exposures import (
+    Electronics,
+    SaturationWarning,
+    estimate_intensity,
+    merged_intensity,
+    plane_seeds,
+)
 from .fields import Field, Grid, correlation, relative_error
 from .frame_sets import (
     read_frames,
@@ -22,21 +29,20 @@ from .guards import (
     predicted_relative_error,
 )
 from .illumination import field_stop, gaussian_beam, measured_field, plane_wave
+from .image_recording import Imaged, Recording, image_patch
 from .imaging import (
     Patch,
     Target,
     make_illumination,
     make_target,
     object_patch,
+    usaf_charts_of,
     usaf_elements_of,
 )
 from .imaging_planes import (
     DiversityWarning,
-    Imaged,
-    Recording,
     diversity,
     exit_scene,
-    image_patch,
     imaging_engine,
     sensor_window,
 )
@@ -54,11 +60,9 @@ from .metrics import (
     bar_contrast,
     element_contrasts,
     object_correlation,
-    psnr_db,
     resolved_elements,
     smallest_resolved_element,
     spectrum_support,
-    ssim,
 )
 from .mounting import (
     Mounting,
@@ -68,6 +72,8 @@ from .no_lens import NoLens
 from .oracles import OracleCase, OracleResult, oracle_case, run_oracle
 from .patch_chain import PatchChain, chain_contrast
 from .phantom import tissue_phantom
+from .picture_layers import PictureLayer, field_layers, frame_layer
+from .picture_similarity import psnr_db, ssim
 from .point_characteristic import (
     FoldError,
     PointCharacteristic,
@@ -84,19 +90,19 @@ from .pupil import (
     rms_waves,
     strehl,
 )
+from .pyramid import write_pyramid
 from .ray_aiming import RayAimError
 from .reconstruction import Reconstructed, prox_tv, reconstruct
+from .reconstruction_memory import MemoryRange, reconstruction_bytes
 from .refocusing import Refocusing, refocus_field, svfg
 from .resolving import LineContrast, Resolved, bars_field, resolve
-from .retrieval import Recorded, Retrieved, agreement, recorded_intensity, retrieve
+from .retrieval import Recorded, Retrieved, agreement, recorded_intensity, retrieval_bytes, retrieve
 from .scenes import patch_scene
+from .scratch import Scratch
 from .sensor import (
-    Electronics,
     FootprintWarning,
-    SaturationWarning,
-    estimate_intensity,
-    plane_seeds,
     record,
+    record_exposures,
     sensor_grid,
 )
 from .slices import AnnularSlices
@@ -111,6 +117,7 @@ from .tilted_planes import from_tilted_plane, to_tilted_plane
 from .usaf import usaf_chart, usaf_elements, usaf_elements_within, usaf_line_width_um
 from .wave_propagation import WavePropagation
 from .working_grid import TotalReflectionWarning
+from .zoom_page import write_zoom_page
 
 __all__ = [
     "AnnularSlices",
@@ -130,6 +137,7 @@ __all__ = [
     "Grid",
     "Imaged",
     "LineContrast",
+    "MemoryRange",
     "Mounting",
     "Neglected",
     "NoLens",
@@ -137,6 +145,7 @@ __all__ = [
     "OracleResult",
     "Patch",
     "PatchChain",
+    "PictureLayer",
     "PointCharacteristic",
     "Prediction",
     "PupilGrid",
@@ -153,6 +162,7 @@ __all__ = [
     "SamplingWarning",
     "SaturationWarning",
     "Scene",
+    "Scratch",
     "SpectrumSupport",
     "Target",
     "ThinLens",
@@ -174,7 +184,9 @@ __all__ = [
     "element_contrasts",
     "estimate_intensity",
     "exit_scene",
+    "field_layers",
     "field_stop",
+    "frame_layer",
     "from_tilted_plane",
     "gaussian_beam",
     "image_patch",
@@ -187,6 +199,7 @@ __all__ = [
     "make_illumination",
     "make_target",
     "measured_field",
+    "merged_intensity",
     "mtf",
     "object_correlation",
     "object_patch",
@@ -209,7 +222,9 @@ __all__ = [
     "read_frames",
     "read_mounting",
     "reconstruct",
+    "reconstruction_bytes",
     "record",
+    "record_exposures",
     "recorded_intensity",
     "recorded_planes",
     "refocus",
@@ -218,6 +233,7 @@ __all__ = [
     "remove_shift",
     "resolve",
     "resolved_elements",
+    "retrieval_bytes",
     "retrieve",
     "rms_waves",
     "run_oracle",
@@ -234,9 +250,12 @@ __all__ = [
     "to_tilted_plane",
     "uncertainty",
     "usaf_chart",
+    "usaf_charts_of",
     "usaf_elements",
     "usaf_elements_of",
     "usaf_elements_within",
     "usaf_line_width_um",
     "write_frame",
+    "write_pyramid",
+    "write_zoom_page",
 ]

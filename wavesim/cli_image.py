@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -26,16 +27,20 @@ from wavesim.cli_engine import (
 from wavesim.cli_imaging import (
     ActiveWidth,
     AsJson,
+    ChartAtMm,
+    Cluster,
     DecenterXMm,
     DecenterYMm,
     Design,
     DespaceMm,
+    Device,
     EngineName,
     Error,
     FieldStopMm,
     Illumination,
     LightPitchUm,
     LightTiltDeg,
+    MemoryGb,
     ObjectPitchUm,
     Options,
     Output,
@@ -45,10 +50,12 @@ from wavesim.cli_imaging import (
     TiltYDeg,
     WaistMm,
     WavelengthUm,
+    chart_points,
     engine_options,
     engine_summary,
     patch_and_light,
     pose_of,
+    tiles_in,
     versions,
 )
 
@@ -59,6 +66,7 @@ def image(
     object_: Annotated[str, typer.Option("--object", help="usaf, star, phase, tissue, or FILE.")] = "usaf",
     picture_pixel_um: Annotated[float | None, typer.Option(help="FILE: side of its pixels.")] = None,
     ground: Annotated[str, typer.Option(help="usaf, star: bright or dark.")] = "bright",
+    chart_at_mm: ChartAtMm = None,
     patch_mm: PatchMm = None,
     field_stop_mm: FieldStopMm = None,
     object_pitch_um: ObjectPitchUm = None,
@@ -70,7 +78,9 @@ def image(
     planes_mm: Annotated[
         str | None, typer.Option(help="From the exit vertex; left out: the design's.")
     ] = None,
-    pixels: Annotated[int | None, typer.Option(help="Of a side; left out, what holds the light.")] = None,
+    pixels: Annotated[
+        str | None, typer.Option(help="Of a side, or 9344x7000, or all; left out, what holds the light.")
+    ] = None,
     engine: EngineName = "auto",
     error: Error = None,
     tile_width_mm: TileWidthMm = None,
@@ -79,6 +89,9 @@ def image(
     interface: Interface = None,
     step_um: StepUm = None,
     pitch_um: PitchUm = None,
+    device: Device = None,
+    cluster: Cluster = None,
+    memory_gb: MemoryGb = None,
     decenter_x_mm: DecenterXMm = 0.0,
     decenter_y_mm: DecenterYMm = 0.0,
     despace_mm: DespaceMm = 0.0,
@@ -91,6 +104,9 @@ def image(
     read_noise: Annotated[float, typer.Option(help="Electrons.")] = 2.0,
     bits: Annotated[int, typer.Option(help="Of a count.")] = 12,
     brightest_share: Annotated[float, typer.Option(help="Of full well, in the brightest pixel.")] = 0.8,
+    exposures: Annotated[
+        str, typer.Option(help="Of each plane, as multiples of what gives --brightest-share.")
+    ] = "1",
     active_width: ActiveWidth = 1.0,
     stage_error_mm: Annotated[str, typer.Option(help="Of all planes, or of each.")] = "0",
     shift_um: Annotated[str, typer.Option(help="x,y of the sensor from plane to plane.")] = "0,0",
@@ -99,9 +115,13 @@ def image(
     """Record an object through the lens: frames, the true object, a preview, and what was used.
 
     Frames are 16-bit TIFF that hold their settings. The sensor's window is its middle, as much of it as the
-    light falls on.
+    light falls on. Of several exposures, the long ones show faint light and are clipped where it is bright.
+
+    Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
+    interrupted.
     """
     from wavesim.field_files import refuse_no_folder
+    from wavesim.image_recording import drop_parts
 
     options = Options(**locals())
     refuse_no_folder(output)
@@ -113,6 +133,7 @@ def image(
         summary["warnings"] = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(summary["warnings"])
     summary["files"] = [str(output / name) for name in _write(made, summary, output)]
+    drop_parts(output)
     if as_json:
         print_json(summary)
     else:
@@ -123,60 +144,109 @@ class Made(NamedTuple):
     """What the command computed."""
 
     patch: Any
-    light: Any
     target: Any
     sensor: Any
     recording: Any
     imaged: Any
+    memory: dict[str, float]
 
 
 def _make(lens: Any, options: Any) -> Made:
-    from wavesim.imaging import make_target
-    from wavesim.imaging_planes import (
-        OVERSAMPLING,
-        check_footprint,
-        exit_scene,
-        image_patch,
-        imaging_engine,
-        light_window,
-        sensor_window,
-    )
+    from wavesim.imaging_planes import check_footprint, light_window, sensor_window
 
-    recording, pose, settings = _recording(lens, options), pose_of(options), engine_options(options)
+    recording, pose = _recording(lens, options), pose_of(options)
     planes = recording.plane_distances_mm
     patch, light = patch_and_light(lens, options)
-    target = make_target(
+    target = _target(lens, patch, options)
+    sensor = sensor_window(lens, patch, planes, _pixels(options.pixels, lens), pose)
+    check_footprint(lens, patch, sensor, planes, pose)
+    windows = [light_window(lens, patch, sensor, plane, pose) for plane in planes]
+    behind = light.with_values(light.values * target.transmission.values)
+    del light
+    return _imaged(lens, options, Made(patch, target, sensor, recording, None, {}), windows, behind)
+
+
+def _target(lens: Any, patch: Any, options: Any) -> Any:
+    from wavesim.imaging import make_target
+
+    return make_target(
         patch,
         options.object_,
         options.ground,
         numerical_aperture=lens.object.numerical_aperture,
         seed=options.seed,
         picture_pixel_um=options.picture_pixel_um,
+        chart_at_mm=chart_points(options),
     )
-    sensor = sensor_window(lens, patch, planes, options.pixels, pose)
-    check_footprint(lens, patch, sensor, planes, pose)
-    windows = [light_window(lens, patch, sensor, plane, pose) for plane in planes]
-    scene = exit_scene(lens, patch, windows[0], planes[0], pose, OVERSAMPLING)
-    behind = light.with_values(light.values * target.transmission.values)
-    with progress_bar() as bar:
-        task = bar.add_task("", total=2 + len(planes))
-        imaged = image_patch(
-            scene,
-            behind,
-            sensor,
-            windows,
-            recording,
-            lambda scene: imaging_engine(scene, options.engine, 1, options.error, **settings),
-            lambda what: bar.update(task, advance=1, description=what),
-        )
-    return Made(patch, light, target, sensor, recording, imaged)
+
+
+def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> Made:
+    """Through the lens and onto the sensor, within the memory allowed."""
+    from wavesim.image_recording import PARTS, image_patch, imaging_need
+    from wavesim.imaging_planes import OVERSAMPLING, exit_scene, imaging_engine
+    from wavesim.memory import estimate_line, memory_limit, room_for_arrays
+    from wavesim.scratch import scratch_in
+
+    output, recording, limit = options.output, made.recording, memory_limit(options.memory_gb)
+    settings = engine_options(options)
+    planes, pose = recording.plane_distances_mm, pose_of(options)
+    scene = exit_scene(lens, made.patch, windows[0], planes[0], pose, OVERSAMPLING)
+    with tiles_in(options.cluster) as take:
+
+        def make(scene: Any) -> Any:
+            name, error = options.engine, options.error
+            return take(imaging_engine(scene, name, 1, error, memory_bytes=limit, **settings))
+
+        engine = make(scene)
+        need = imaging_need(engine, made.sensor, windows, recording)
+        scratch = scratch_in(output, room_for_arrays(need, limit, "this picture"))
+        if not options.as_json:
+            print(estimate_line(need, limit, output), file=sys.stderr)
+        try:
+            with progress_bar() as bar:
+                task = bar.add_task(f"engine {engine.name}", total=None)
+                imaged = image_patch(
+                    engine,
+                    behind,
+                    made.sensor,
+                    windows,
+                    recording,
+                    make,
+                    lambda what, done, count: bar.update(task, completed=done, total=count, description=what),
+                    folder=output,
+                    scratch=scratch,
+                )
+        except KeyboardInterrupt:
+            kept = (output / PARTS).exists()
+            where = (
+                f"the same command goes on from what is kept in {output / PARTS}"
+                if kept
+                else "nothing is kept"
+            )
+            raise KeyboardInterrupt(f"interrupted; {where}") from None
+    memory = {"limit_bytes": limit, "predicted_bytes": min(need.most_bytes, limit)}
+    return made._replace(imaged=imaged, memory=memory)
+
+
+def _pixels(text: str | None, lens: Any) -> int | tuple[int, int] | None:
+    """The sensor's window as :func:`wavesim.sensor_window` takes it."""
+    if text is None:
+        return None
+    if text == "all":
+        across, down = lens.sensor.pixels
+        return across, down
+    parts = text.split("x")
+    if not all(part.strip().isdecimal() for part in parts) or len(parts) > 2:
+        raise InputError(f"--pixels = {text!r}: must be a whole number, two such as 9344x7000, or all")
+    sides = [int(part) for part in parts]
+    return sides[0] if len(sides) == 1 else (sides[0], sides[1])
 
 
 def _recording(lens: Any, options: Any) -> Any:
     """Planes, electronics, noise and errors of the stage."""
     from lensdesign.files import validate
-    from wavesim.imaging_planes import Recording
-    from wavesim.sensor import Electronics
+    from wavesim.exposures import Electronics
+    from wavesim.image_recording import Recording
 
     planes = list(lens.sensor.plane_distances_mm)
     if options.planes_mm is not None:
@@ -188,6 +258,9 @@ def _recording(lens: Any, options: Any) -> Any:
         raise InputError(f"--stage-error-mm = {options.stage_error_mm!r}: must be 1 or {len(planes)} numbers")
     if options.seed < 0:
         raise InputError(f"--seed = {options.seed}: must be a whole number from 0")
+    exposures = sorted(numbers(options.exposures, "--exposures"))
+    if exposures[0] <= 0.0:
+        raise InputError(f"--exposures = {options.exposures!r}: must be greater than 0")
     shift_x, shift_y = numbers(options.shift_um, "--shift-um", 2)
     electronics = {
         "full_well_electrons": options.full_well,
@@ -204,16 +277,15 @@ def _recording(lens: Any, options: Any) -> Any:
         options.brightest_share,
         tuple(errors * len(planes) if len(errors) == 1 else errors),
         (shift_x, shift_y),
+        tuple(exposures),
     )
 
 
 def _summary(lens: Any, options: Any, made: Made) -> dict[str, Any]:
     from wavesim.imaging_planes import diversity
-    from wavesim.metrics import spectrum_support
 
     planes = made.recording.plane_distances_mm
     limit = 500.0 / lens.sensor.pixel_pitch_um
-    field = made.imaged.fields[0]
     across, down = made.sensor.pixels
     return {
         "design": lens.title or Path(options.design).stem,
@@ -240,27 +312,37 @@ def _summary(lens: Any, options: Any, made: Made) -> dict[str, Any]:
         },
         "frames": [
             {
-                "file": f"frame_{number}.tif",
-                "plane_distance_mm": plane,
+                "file": name,
+                "plane_distance_mm": frame.settings.plane_distance_mm,
                 "exposure": frame.settings.exposure,
+                "times": times,
                 "brightest_counts": int(frame.counts.max()),
                 "saturated_pixels": int(frame.saturated.sum()),
             }
-            for number, (plane, frame) in enumerate(zip(planes, made.imaged.frames, strict=True), start=1)
+            for (name, times), frame in zip(_names(made.recording), made.imaged.frames, strict=True)
         ],
         "diversity": diversity(lens, made.patch, planes),
-        "energy_share_beyond_pixel_limit": spectrum_support(
-            field.values, field.grid.pitch_mm, limit
-        ).share_beyond,
+        "energy_share_beyond_pixel_limit": made.imaged.share_beyond_pixels,
         "pixel_limit_per_mm": limit,
+        "memory": made.memory,
         "versions": versions(),
     }
 
 
+def _names(recording: Any) -> list[tuple[str, float]]:
+    """Files of the frames, and their exposures as multiples of the one for the brightest pixel."""
+    planes = range(1, len(recording.plane_distances_mm) + 1)
+    if len(recording.exposures) == 1:
+        return [(f"frame_{number}.tif", recording.exposures[0]) for number in planes]
+    return [
+        (f"frame_{number}_{place}.tif", times)
+        for number in planes
+        for place, times in enumerate(recording.exposures, start=1)
+    ]
+
+
 def _write(made: Made, summary: dict[str, Any], output: Path) -> list[str]:
     """Names of the files written."""
-    import numpy as np
-
     from wavesim.field_files import new_results, write_field, write_json, write_tiff
     from wavesim.frames import write_frame
     from wavesim.imaging_plots import frames_figure, object_figure, save
@@ -271,10 +353,8 @@ def _write(made: Made, summary: dict[str, Any], output: Path) -> list[str]:
         for entry, frame in zip(summary["frames"], made.imaged.frames, strict=True):
             write_frame(frame, folder / entry["file"])
         write_field(folder / "object.npz", transmission, field_stop_mm=made.patch.field_stop_mm)
-        write_tiff(
-            folder / "object_amplitude.tif", np.abs(transmission.values), pitch_um, quantity="amplitude"
-        )
-        write_tiff(folder / "object_phase.tif", np.angle(transmission.values), pitch_um, quantity="phase_rad")
+        for quantity, name in (("amplitude", "object_amplitude.tif"), ("phase_rad", "object_phase.tif")):
+            write_tiff(folder / name, transmission.values, pitch_um, quantity=quantity)
         save(
             object_figure(transmission, made.patch.inside, f"Object: {made.target.name}"),
             folder / "object.png",
@@ -309,7 +389,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         soft_wrap=True,
     )
     table = Table(box=None, pad_edge=False)
-    for column in ("frame", "plane (mm)", "brightest count", "saturated pixels"):
+    for column in ("frame", "plane (mm)", "brightest count", "saturated pixels", "exposure"):
         table.add_column(column, justify="left" if column == "frame" else "right")
     for frame in summary["frames"]:
         table.add_row(
@@ -317,6 +397,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
             f"{frame['plane_distance_mm']:g}",
             str(frame["brightest_counts"]),
             str(frame["saturated_pixels"]),
+            f"{frame['times']:g} x",
         )
     console.print()
     console.print(table)

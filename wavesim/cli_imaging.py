@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,11 @@ WaistMm = Annotated[float | None, typer.Option(help="gaussian: radius of the wai
 LightPitchUm = Annotated[float | None, typer.Option(help="FILE: its pitch, if it does not say.")]
 
 EngineName = Annotated[str, typer.Option("--engine", help="Engine, or auto: the cheapest that holds.")]
+MemoryGb = Annotated[float | None, typer.Option(help="Most memory; left out, 80 % of what is free.")]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="two-level: Dask scheduler whose workers do the tiles.")
+]
+Device = Annotated[str | None, typer.Option(help="two-level: cpu or gpu.")]
 Error = Annotated[float | None, typer.Option(help="Relative error that the engine may have.")]
 
 DecenterXMm = Annotated[float, typer.Option(help="Shift of the lens as mounted, along x.")]
@@ -39,7 +45,9 @@ TiltXDeg = Annotated[float, typer.Option(help="Rotation of the lens about x.")]
 TiltYDeg = Annotated[float, typer.Option(help="Rotation of the lens about y.")]
 PivotZMm = Annotated[float, typer.Option(help="Centre of rotation, from the front vertex.")]
 
-Frames = Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one for each plane.")]
+Frames = Annotated[
+    list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
+]
 DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
 ActiveWidth = Annotated[float, typer.Option(help="Of a pixel, as a share of the pitch.")]
 
@@ -50,6 +58,11 @@ Bits = Annotated[int | None, typer.Option(help="Of a count.")]
 OffsetCounts = Annotated[float | None, typer.Option(help="Count of a dark pixel.")]
 GainElectronsPerCount = Annotated[float | None, typer.Option(help="Of the sensor.")]
 ReadNoiseElectrons = Annotated[float | None, typer.Option(help="Of the sensor.")]
+
+ChartAtMm = Annotated[
+    list[str] | None,
+    typer.Option(help="usaf: x,y of fine groups beside those in the middle; may be given again."),
+]
 
 KINDS = ("complex", "amplitude")
 """Of objects, for `wavesim.reconstruct`."""
@@ -125,7 +138,7 @@ def patch_and_light(lens: Lens, options: Any) -> tuple[Any, Any]:
 
 
 class Framed(NamedTuple):
-    """Frames, and the patch of the object that they are of."""
+    """Frames, the planes that they are of, each once, and the patch of the object."""
 
     frames: Any
     planes_mm: tuple[float, ...]
@@ -133,6 +146,18 @@ class Framed(NamedTuple):
     patch: Any
     light: Any
     diversity: float
+
+
+def chart_points(options: Any) -> list[tuple[float, float]]:
+    """Points about which charts stand beside the one in the middle.
+
+    Raises
+    ------
+    InputError
+        If one is not two numbers.
+    """
+    pairs = [numbers(text, "--chart-at-mm", 2) for text in options.chart_at_mm or ()]
+    return [(x, y) for x, y in pairs]
 
 
 def framed_patch(lens: Lens, options: Any, pose: Pose = Pose()) -> Framed:
@@ -148,7 +173,7 @@ def framed_patch(lens: Lens, options: Any, pose: Pose = Pose()) -> Framed:
     SaturationWarning, FootprintWarning, DiversityWarning
         Where frames tell less than they might.
     """
-    from wavesim.frame_sets import read_frames, refuse_other_pitch
+    from wavesim.frame_sets import frames_by_plane, read_frames, refuse_other_pitch
     from wavesim.imaging_planes import check_diversity, check_footprint
 
     frames = read_frames(options.frames, settings_given(options))
@@ -156,7 +181,7 @@ def framed_patch(lens: Lens, options: Any, pose: Pose = Pose()) -> Framed:
     options.wavelength_um = frames[0].settings.wavelength_um
     patch, light = patch_and_light(lens, options)
     rows, columns = frames[0].counts.shape
-    planes = tuple(frame.settings.plane_distance_mm for frame in frames)
+    planes = tuple(plane[0].settings.plane_distance_mm for plane in frames_by_plane(frames))
     sensor = lens.sensor.replaced(pixels=(columns, rows))
     check_footprint(lens, patch, sensor, planes, pose)
     figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
@@ -168,9 +193,19 @@ def key_of_frames(lens: Lens, frames: Any, light: Any, *told: str | bytes) -> st
     from wavesim.resumable import key_of
 
     pictures = [
-        part for frame in frames for part in (frame.counts.tobytes(), frame.settings.model_dump_json())
+        part for frame in frames for part in (_digest(frame.counts), frame.settings.model_dump_json())
     ]
-    return key_of(lens.model_dump_json(), light.values.tobytes(), *told, *pictures)
+    return key_of(lens.model_dump_json(), _digest(light.values), *told, *pictures)
+
+
+def _digest(values: Any) -> str:
+    """Of an array, without a copy of it."""
+    import hashlib
+
+    import numpy as np
+
+    data: Any = np.ascontiguousarray(values)
+    return hashlib.sha256(data).hexdigest()
 
 
 def refuse_other(option: str, value: str, allowed: Sequence[str]) -> None:
@@ -192,8 +227,31 @@ def pose_of(options: Any) -> Pose:
 
 def engine_options(options: Any) -> dict[str, Any]:
     """Settings of the engine that were given."""
-    names = ("tile_width_mm", "slices", "compensation", "interface", "step_um", "pitch_um")
-    return engine_settings(**{name: getattr(options, name) for name in names})
+    names = ("tile_width_mm", "slices", "compensation", "interface", "step_um", "pitch_um", "device")
+    return engine_settings(**{name: getattr(options, name, None) for name in names})
+
+
+@contextmanager
+def tiles_in(address: str | None) -> Iterator[Callable[[Any], Any]]:
+    """What hands an engine's tiles to a cluster and returns it; without an address, it stays as it is.
+
+    Raises
+    ------
+    InputError
+        If the cluster cannot be used.
+    """
+    if address is None:
+        yield lambda engine: engine
+        return
+    from wavesim.cluster_tiles import tile_cluster
+
+    with tile_cluster(address) as tiles:
+
+        def take(engine: Any) -> Any:
+            tiles.take(engine)
+            return engine
+
+        yield take
 
 
 def engine_summary(engine: Any) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from wavesim.cli_imaging import (
     ActiveWidth,
     AsJson,
     Bits,
+    ChartAtMm,
     DecenterXMm,
     DecenterYMm,
     DesignOption,
@@ -54,6 +55,7 @@ from wavesim.cli_imaging import (
     TiltYDeg,
     WaistMm,
     WavelengthUm,
+    chart_points,
     engine_options,
     engine_summary,
     framed_patch,
@@ -68,6 +70,7 @@ METHODS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitud
 
 ITERATIONS = {"paper": 500, "object": 30}
 PAPER_REFOCUS_MM = "-0.01,0.01"
+ONE_PLANE = "--method paper: needs frames of two planes or more; --method object can do with one"
 
 
 def reconstruct(
@@ -114,6 +117,7 @@ def reconstruct(
         Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
     ] = None,
     usaf: Annotated[str | None, typer.Option(help="The object is a USAF chart: bright or dark.")] = None,
+    chart_at_mm: ChartAtMm = None,
     plane_distance_mm: PlaneDistanceMm = None,
     pixel_pitch_um: PixelPitchUm = None,
     wavelength_um: WavelengthUm = None,
@@ -158,11 +162,12 @@ class Case(NamedTuple):
     lens: Any
     patch: Any
     light: Any
-    frames: Any
+    sensor: Any
+    planes: Any
     recorded: Any
     engine: Any
     truth: Any
-    elements: Any
+    charts: Any
     diversity: float
     checkpoint: Any
 
@@ -192,6 +197,9 @@ def _refuse(options: Any) -> None:
         raise InputError(f"--start = {options.start!r}: allowed for {options.method}: {', '.join(starts)}")
     if options.usaf not in (None, "bright", "dark"):
         raise InputError(f"--usaf = {options.usaf!r}: allowed: bright, dark")
+    options.chart_at_mm = chart_points(options)
+    if options.chart_at_mm and options.usaf is None:
+        raise InputError("--chart-at-mm: means nothing without --usaf")
     if options.tv_weight != "auto":
         options.tv_weight = numbers(options.tv_weight, "--tv-weight", 1)[0]
     if options.calibration is not None and pose_of(options) != Pose():
@@ -201,9 +209,7 @@ def _refuse(options: Any) -> None:
     if options.iterations < 1:
         raise InputError(f"--iterations = {options.iterations}: must be at least 1")
     if options.method == "paper" and len(options.frames) < 2:
-        raise InputError(
-            "--method paper: needs frames of two planes or more; --method object can do with one"
-        )
+        raise InputError(ONE_PLANE)
     if options.refocus_mm is None and options.method == "paper":
         options.refocus_mm = PAPER_REFOCUS_MM
     if options.refocus_mm is not None:
@@ -211,8 +217,8 @@ def _refuse(options: Any) -> None:
 
 
 def _case(lens: Any, options: Any) -> Case:
-    from wavesim.frame_sets import recorded_planes
-    from wavesim.imaging import usaf_elements_of
+    from wavesim.frame_sets import planes_of_frames, recorded_planes
+    from wavesim.imaging import usaf_charts_of
     from wavesim.imaging_planes import exit_scene, imaging_engine
     from wavesim.mounting import read_mounting
     from wavesim.reconstruction_results import read_truth
@@ -221,8 +227,10 @@ def _case(lens: Any, options: Any) -> Case:
     mounting = None if options.calibration is None else read_mounting(options.calibration)
     pose = pose_of(options) if mounting is None else mounting.pose
     frames, planes, sensor, patch, light, diversity = framed_patch(lens, options, pose)
+    if options.method == "paper" and len(planes) < 2:
+        raise InputError(ONE_PLANE)
     truth = None if options.truth is None else read_truth(options.truth, patch)
-    elements = usaf_elements_of(patch) if options.usaf else ()
+    charts = usaf_charts_of(patch, options.chart_at_mm) if options.usaf else ()
     settings = engine_options(options)
     scene = exit_scene(lens, patch, sensor, planes[0], pose)
     recorded = recorded_planes(frames)
@@ -237,7 +245,8 @@ def _case(lens: Any, options: Any) -> Case:
     checkpoint = Checkpoint(
         options.output / "checkpoint.npz", _key(lens, frames, options, light, recorded, engine)
     )
-    return Case(lens, patch, light, frames, recorded, engine, truth, elements, diversity, checkpoint)
+    seen = planes_of_frames(frames)
+    return Case(lens, patch, light, sensor, seen, recorded, engine, truth, charts, diversity, checkpoint)
 
 
 def _key(lens: Any, frames: Any, options: Any, light: Any, recorded: Any, engine: Any) -> str:
@@ -302,9 +311,9 @@ def _object(case: Case, options: Any, show: Any) -> Outcome:
 
 def _paper(case: Case, options: Any, show: Any) -> Outcome:
     from wavesim.imaging import transmission_of
-    from wavesim.resumable import retrieve_in_parts
+    from wavesim.resumable import retrieve_resumably
 
-    retrieved, maps = retrieve_in_parts(
+    retrieved, maps = retrieve_resumably(
         case.engine,
         case.light,
         case.recorded,
@@ -369,18 +378,23 @@ def _figures(summary: dict[str, Any]) -> list[str]:
     if summary["refocus_um"] is not None:
         lines.append(f"sharpest {summary['refocus_um']:.2f} um behind the object plane")
     if summary["truth"]:
-        figures = summary["truth"]
-        shown = {name: "none" if value is None else f"{value:.4g}" for name, value in figures.items()}
+        shown = {n: "none" if value is None else f"{value:.4g}" for n, value in summary["truth"].items()}
         lines.append(
             f"against the true object as the lens passes it: correlation {shown['object_correlation']}, "
             f"PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
         )
     if summary["usaf"]:
-        finest = summary["usaf"]["smallest_resolved"]
-        lines.append(
-            "no element of the chart is resolved"
-            if finest is None
-            else f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
-            f"{finest['line_width_um']:.3g} um"
-        )
+        lines.append(_resolved(summary["usaf"]["smallest_resolved"]))
+        for chart in summary["usaf"]["beside"]:
+            x, y = chart["at_mm"]
+            lines.append(f"at {x:g}, {y:g} mm {_resolved(chart['smallest_resolved'])}")
     return lines
+
+
+def _resolved(finest: dict[str, Any] | None) -> str:
+    if finest is None:
+        return "no element of the chart is resolved"
+    return (
+        f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
+        f"{finest['line_width_um']:.3g} um"
+    )

@@ -15,10 +15,10 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.cluster_client import RETRIES, cluster_client, thread_counter, toolkit_version
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, TransferLensError
 from wavesim.engine import Engine, Scene
 from wavesim.two_level import TwoLevelTiles
-from wavesim.two_level_work import Task, Way, carry
+from wavesim.two_level_work import Task, Way
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
@@ -27,7 +27,7 @@ TASKS_IN_FLIGHT = 2
 """Handed out at a time for each thread of the cluster."""
 
 
-class ClusterError(RuntimeError):
+class ClusterError(TransferLensError):
     """Workers of a cluster died, or it went away; what was kept before stays."""
 
 
@@ -148,11 +148,11 @@ def work(packet: ScenePacket, way: Way, number: int, values: Any) -> Any:
                     f"{packet.toolkit_version}: install the same version there"
                 )
             _engines.clear()
-            engine = TwoLevelTiles(packet.scene, **packet.settings)
-            engine.groups  # noqa: B018
-            _engines[packet.key] = engine
-        group = _engines[packet.key].groups[number]
-    return carry(way, group, values)
+            made = TwoLevelTiles(packet.scene, **packet.settings)
+            made.groups  # noqa: B018
+            _engines[packet.key] = made
+        engine = _engines[packet.key]
+    return engine.carry(way, number, values)
 
 
 def _result(future: Future[Any]) -> Any:

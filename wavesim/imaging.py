@@ -7,7 +7,7 @@ built here serves the commands `wavesim image` and `wavesim reconstruct`, and no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from wavesim.illumination import (
 from wavesim.phantom import tissue_phantom
 from wavesim.scenes import OBJECT_FINENESS, wavelength_of
 from wavesim.targets import Ground, phase_target, picture_target, read_grey, siemens_star
-from wavesim.usaf import UsafElement, usaf_chart, usaf_elements_within
+from wavesim.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
 
 FIELD_MARGIN = 1.02
 """Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
@@ -80,7 +80,7 @@ class Target:
     transmission : Field
         Complex transmission on the patch.
     elements : tuple of UsafElement
-        Of a USAF chart; empty for other objects.
+        Of USAF charts, those of the middle first; empty for other objects.
     ground : {"bright", "dark"}
         What surrounds the shapes of a chart.
     """
@@ -148,6 +148,34 @@ def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
     return usaf_elements_within(patch.grid, INSCRIBED * patch.field_stop_mm)
 
 
+def usaf_charts_of(
+    patch: Patch, chart_at_mm: Sequence[tuple[float, float]] = ()
+) -> tuple[tuple[UsafElement, ...], ...]:
+    """Elements of the USAF chart in the middle of a patch, and of fine charts about other points.
+
+    Parameters
+    ----------
+    patch
+        Where they lie.
+    chart_at_mm
+        Points (x, y), from the middle.
+
+    Returns
+    -------
+    tuple
+        For the middle and for each point, the elements there.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`usaf_elements_of` and :func:`wavesim.usaf.usaf_elements_beside`.
+    """
+    charts = [usaf_elements_of(patch)]
+    for point in chart_at_mm:
+        charts.append(usaf_elements_beside(patch.grid, point, patch.field_stop_mm, charts))
+    return tuple(charts)
+
+
 def make_target(
     patch: Patch,
     name: str,
@@ -156,6 +184,7 @@ def make_target(
     numerical_aperture: float,
     seed: int = 0,
     picture_pixel_um: float | None = None,
+    chart_at_mm: Sequence[tuple[float, float]] = (),
 ) -> Target:
     """An object on a patch: a chart, a star, a phase target, tissue, or a picture.
 
@@ -171,6 +200,8 @@ def make_target(
         Of the tissue's band limit, and of its random shapes.
     picture_pixel_um
         Side of a picture's pixel on the object.
+    chart_at_mm
+        Points (x, y) about which fine groups of the USAF chart stand beside the chart in the middle.
 
     Raises
     ------
@@ -181,12 +212,18 @@ def make_target(
     """
     grid, stop_mm = patch.grid, patch.field_stop_mm
     elements: tuple[UsafElement, ...] = ()
-    if name in MAKERS:
-        values, elements = MAKERS[name](patch, ground, numerical_aperture, seed)
+    if chart_at_mm and name != "usaf":
+        raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
+    if name == "usaf":
+        elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
+        values = usaf_chart(grid, elements, ground)
+    elif name in MAKERS:
+        values = MAKERS[name](patch, ground, numerical_aperture, seed)
     elif not (Path(name).suffix or Path(name).exists()):
-        known = ", ".join(MAKERS)
+        known = ("usaf", *MAKERS)
         raise InputError(
-            f"object = {name!r}: allowed: {known}, or the file of a picture{did_you_mean(name, MAKERS)}"
+            f"object = {name!r}: allowed: {', '.join(known)}, or the file of a picture"
+            f"{did_you_mean(name, known)}"
         )
     elif picture_pixel_um is None:
         raise InputError(f"object = {name!r}: a picture needs picture_pixel_um, the side of its pixels")
@@ -199,35 +236,26 @@ def make_target(
     return Target(name, transmission, elements, ground)
 
 
-Made = tuple[Any, tuple[UsafElement, ...]]
-
-
-def _usaf(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Made:
-    elements = usaf_elements_of(patch)
-    return usaf_chart(patch.grid, elements, ground), elements
-
-
-def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Made:
+def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Any:
     # The inner ends of the spokes are as narrow as the samples show.
     inner_mm = 1.05 * patch.grid.pitch_mm / math.sin(0.5 * math.pi / SPOKES)
-    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, ground), ()
+    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, ground)
 
 
-def _phase(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Made:
-    return phase_target(patch.grid, 1e3 * PAD_SHARE * patch.field_stop_mm, PAD_PHASE_RAD, PADS), ()
+def _phase(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+    return phase_target(patch.grid, 1e3 * PAD_SHARE * patch.field_stop_mm, PAD_PHASE_RAD, PADS)
 
 
-def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Made:
-    return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture), ()
+def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Any:
+    return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture)
 
 
-MAKERS: dict[str, Callable[[Patch, Ground, float, int], Made]] = {
-    "usaf": _usaf,
+MAKERS: dict[str, Callable[[Patch, Ground, float, int], Any]] = {
     "star": _star,
     "phase": _phase,
     "tissue": _tissue,
 }
-"""Objects that the code makes, by name."""
+"""Objects without parts of their own that the code makes, by name."""
 
 
 def make_illumination(

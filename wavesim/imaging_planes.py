@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,14 +15,12 @@ from lensdesign.errors import InputError
 from lensdesign.first_order import first_order
 from lensdesign.poses import Pose
 from lensdesign.system import Lens, Sensor
-from wavesim.chirp_z import propagate_to
 from wavesim.choosing import choose
 from wavesim.engine import Engine, Scene
 from wavesim.engines import AUTO, make_engine
-from wavesim.fields import Field
-from wavesim.frames import Frame
 from wavesim.imaging import Patch
-from wavesim.sensor import Electronics, FootprintWarning, plane_seeds, record, sensor_grid
+from wavesim.sensor import FootprintWarning, sensor_grid
+from wavesim.working_grid import LARGEST_BYTES
 
 TILED = ("eikonal", "two-level")
 """Engines whose tiles have an error that may be asked for."""
@@ -46,7 +43,15 @@ class DiversityWarning(UserWarning):
     """Recording planes are so near each other that their intensities tell little of the phase."""
 
 
-def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = None, **settings: Any) -> Engine:
+def imaging_engine(
+    scene: Scene,
+    name: str,
+    runs: int,
+    error: float | None = None,
+    *,
+    memory_bytes: float = LARGEST_BYTES,
+    **settings: Any,
+) -> Engine:
     """The engine asked for, or the cheapest that holds.
 
     Parameters
@@ -59,6 +64,8 @@ def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = Non
         How often fields will be carried.
     error
         Relative error allowed; left out, `DEFAULT_ERROR` for the choice and `TILE_ERROR` for tiles.
+    memory_bytes
+        That an engine which is chosen may take.
     **settings
         Of the engine named.
 
@@ -70,7 +77,7 @@ def imaging_engine(scene: Scene, name: str, runs: int, error: float | None = Non
         If no engine holds.
     """
     if name == AUTO and not settings:
-        chosen = choose(scene, DEFAULT_ERROR if error is None else error, runs=runs).chosen
+        chosen = choose(scene, DEFAULT_ERROR if error is None else error, memory_bytes, runs=runs).chosen
         name, settings = chosen.engine, dict(chosen.settings)
         if name in TILED:
             settings["error"] = min(settings["error"], TILE_ERROR)
@@ -100,7 +107,7 @@ def sensor_window(
     lens: Lens,
     patch: Patch,
     plane_distances_mm: Sequence[float],
-    pixels: int | None = None,
+    pixels: int | tuple[int, int] | None = None,
     pose: Pose = Pose(),
 ) -> Sensor:
     """The middle of the design's sensor, as much of it as a patch's light falls on.
@@ -112,7 +119,7 @@ def sensor_window(
     plane_distances_mm
         Recording planes, from the exit vertex.
     pixels
-        Along each side; left out, what just holds the footprint on all planes.
+        Along each side, or across and down; left out, what just holds the footprint on all planes.
     pose
         Of the lens as mounted.
 
@@ -122,6 +129,13 @@ def sensor_window(
         If more pixels are asked for than the sensor has.
     """
     whole = lens.sensor
+    if isinstance(pixels, tuple):
+        if not all(1 <= n <= most for n, most in zip(pixels, whole.pixels, strict=True)):
+            across, down = whole.pixels
+            raise InputError(
+                f"pixels = {pixels[0]} x {pixels[1]}: must be from 1 x 1 to the sensor's {across} x {down}"
+            )
+        return whole.replaced(pixels=pixels, plane_distances_mm=tuple(sorted(plane_distances_mm)))
     if pixels is not None and not 1 <= pixels <= min(whole.pixels):
         raise InputError(f"pixels = {pixels}: must be from 1 to the sensor's {min(whole.pixels)}")
     if pixels is None:
@@ -237,120 +251,3 @@ def light_window(lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, p
     needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
     across, down = (max(n, needed) for n in sensor.pixels)
     return sensor.replaced(pixels=(across, down))
-
-
-@dataclass(frozen=True, eq=False)
-class Imaged:
-    """Frames, and how they came about.
-
-    Attributes
-    ----------
-    engine : Engine
-        That carried the light to the first plane.
-    fields : tuple of Field
-        Light on each plane, wider than the sensor where the light is.
-    frames : tuple of Frame
-        As recorded.
-    """
-
-    engine: Engine
-    fields: tuple[Field, ...]
-    frames: tuple[Frame, ...]
-
-
-@dataclass(frozen=True)
-class Recording:
-    """How the sensor records.
-
-    Attributes
-    ----------
-    plane_distances_mm : tuple of float
-        From the exit vertex, as the stage states them, increasing.
-    electronics : Electronics
-        Full well, noise and quantisation.
-    seed : int or None
-        Of the noise; None for none.
-    brightest_share
-        Of full well, in each frame's brightest pixel.
-    stage_errors_mm : tuple of float
-        How much farther from the lens each plane is than stated.
-    shift_um : (x, y)
-        By how much the sensor moves from one plane to the next.
-    """
-
-    plane_distances_mm: tuple[float, ...]
-    electronics: Electronics
-    seed: int | None = 0
-    brightest_share: float = 0.8
-    stage_errors_mm: tuple[float, ...] = ()
-    shift_um: tuple[float, float] = (0.0, 0.0)
-
-
-def image_patch(
-    scene: Scene,
-    behind_object: Field,
-    sensor: Sensor,
-    windows: Sequence[Sensor],
-    recording: Recording,
-    make: Callable[[Scene], Engine],
-    progress: Callable[[str], None] | None = None,
-) -> Imaged:
-    """Carry light from behind the object to the sensor, and record it on every plane.
-
-    Parameters
-    ----------
-    scene
-        From the patch to the first plane's window (:func:`exit_scene`).
-    behind_object
-        Illumination times transmission.
-    sensor
-        Whose pixels record.
-    windows
-        For each plane, a window that holds all light (:func:`light_window`).
-    recording
-        Planes, noise and errors.
-    make
-        Makes the engine for the scene.
-    progress
-        Called with what comes next.
-
-    Raises
-    ------
-    InputError, SamplingError
-        If a setting is not usable, or samples cannot hold the light on its way.
-    """
-    tell = progress or (lambda what: None)
-    tell("engine")
-    engine = make(scene)
-    tell(f"{engine.name}: through the lens")
-    first = engine.forward(behind_object)
-    planes = recording.plane_distances_mm
-    errors = recording.stage_errors_mm or (0.0,) * len(planes)
-    fields, frames = [], []
-    for number, seed in enumerate(plane_seeds(recording.seed, len(planes))):
-        tell(f"frame {number + 1} of {len(planes)}")
-        distance = planes[number] - planes[0]
-        grid = sensor_grid(windows[number], first.grid.z_mm + distance, OVERSAMPLING)
-        field = first
-        if grid != first.grid:
-            field = (
-                make(replace(scene, exit_grid=grid)).forward(behind_object)
-                if engine.any_plane
-                else propagate_to(first, grid)
-            )
-        x, y = recording.shift_um
-        fields.append(field)
-        frames.append(
-            record(
-                field,
-                sensor,
-                planes[number],
-                recording.electronics,
-                seed,
-                brightest_share=recording.brightest_share,
-                oversampling=OVERSAMPLING,
-                stage_error_mm=errors[number],
-                shift_um=(number * x, number * y),
-            )
-        )
-    return Imaged(engine, tuple(fields), tuple(frames))

@@ -29,9 +29,10 @@ from wavesim.engine import Engine
 from wavesim.fields import Field
 from wavesim.recording_model import RecordingModel
 from wavesim.retrieval import Recorded, refuse_planes
+from wavesim.scratch import Scratch
 from wavesim.total_variation import prox_tv
 
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
+Array = NDArray[np.inexact[Any]]
 Kind = Literal["complex", "amplitude"]
 
 SCALE_ITERATIONS = 4
@@ -83,7 +84,7 @@ class Progressed:
     Attributes
     ----------
     transmission, ahead : ndarray
-        The last step, and the point from which the next one goes.
+        The last step, and the point from which the next one goes; real while an amplitude object is sought.
     momentum : float
         Of the acceleration.
     misfit : tuple of float
@@ -94,8 +95,8 @@ class Progressed:
         Kind of object that is being sought, of those that follow each other; iterations before it.
     """
 
-    transmission: ComplexArray
-    ahead: ComplexArray
+    transmission: Array
+    ahead: Array
     momentum: float
     misfit: tuple[float, ...]
     scale: float
@@ -117,6 +118,7 @@ def reconstruct(
     progress: Callable[[int, float], None] | None = None,
     resume: Progressed | None = None,
     keep: Callable[[Progressed], None] | None = None,
+    scratch: Scratch | None = None,
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -151,11 +153,14 @@ def reconstruct(
         Where a run with the same arguments was cut off: it goes on from there.
     keep
         Called after every iteration with what `resume` takes.
+    scratch
+        Where arrays lie that are kept from one iteration to the next; in memory if left out. What the caller
+        holds stays where it is: move illumination and recorded arrays by :meth:`wavesim.Scratch.moved`.
 
     Raises
     ------
     InputError
-        If a value or a shape is not usable.
+        If a value or a shape is not usable, or the disk that holds the scratch files is full.
     """
     _refuse(engine, illumination, recorded, kind, tv_weight, iterations, scale)
     if not (start is None or start == "amplitude" or isinstance(start, Field)):
@@ -164,35 +169,34 @@ def reconstruct(
         raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
     if not 0.0 <= active_width <= 1.0:
         raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
-    model = RecordingModel(engine, illumination, recorded, scale, active_width)
+    scratch = scratch or Scratch()
+    model = RecordingModel(engine, illumination, recorded, scale, active_width, scratch)
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
-    descent = _Descent(model, weight, noise, scale is None, progress, keep)
+    descent = _Descent(model, weight, noise, scale is None, progress, keep, scratch)
     stages = [(kind, iterations)]
     if start == "amplitude":
         stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
-    if resume is None:
-        now: ComplexArray = model.lit.astype(illumination.values.dtype)
-        if isinstance(start, Field):
-            now = start.values * model.lit
-        resume = Progressed(now, now, 1.0, (), model.scale, 0, 0)
-    model.scale, state, stopped = resume.scale, resume, False
-    for stage in range(resume.stage, len(stages)):
-        if stage > state.stage:
-            state = Progressed(
-                state.transmission,
-                state.transmission,
-                1.0,
-                state.misfit,
-                model.scale,
-                stage,
-                len(state.misfit),
-            )
-        if len(state.misfit) < stages[stage][1]:
-            state, stopped = descent.run(state, *stages[stage])
-    now, misfits = state.transmission, state.misfit
-    maps = tuple(a - p.amplitude for a, p in zip(model.amplitudes(now), recorded, strict=True))
-    found = Field(engine.scene.object_grid, now, illumination.wavelength_um)
+    # Given away without a name for it: the arrays of a beginning would else be held to the end.
+    begun = [resume or _beginning(model, start, stages[0][0], scratch)]
+    del resume
+    state = descent.run(begun.pop(), stages)
+    now, misfits, stopped = state.transmission, state.misfit, _settled(state)
+    del state
+    maps = tuple(model.amplitudes(now))
+    for modelled, plane in zip(maps, recorded, strict=True):
+        modelled -= plane.amplitude
+    values = now.astype(illumination.values.dtype)
+    found = Field(engine.scene.object_grid, values, illumination.wavelength_um)
     return Reconstructed(found, misfits, maps, model.scale, stopped)
+
+
+def _beginning(model: RecordingModel, start: Any, kind: Kind, scratch: Scratch) -> Progressed:
+    """Where no iteration has been made: at the start, or at 1."""
+    is_field = isinstance(start, Field)
+    dtype = model.dtype if is_field or kind == "complex" else model.real
+    now = scratch.array(model.lit.shape, dtype, "the start")
+    np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
+    return Progressed(now, now, 1.0, (), model.scale, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,33 +209,52 @@ class _Descent:
     fits_scale: bool
     progress: Callable[[int, float], None] | None
     keep: Callable[[Progressed], None] | None
+    scratch: Scratch
 
-    def run(self, state: Progressed, kind: Kind, until: int) -> tuple[Progressed, bool]:
-        """Where it stands in the end, and whether it ended because the misfit fell no more."""
-        while len(state.misfit) < until and not _settled(state):
-            state = self._stepped(state, kind)
-            if self.progress is not None:
-                self.progress(len(state.misfit) - 1, state.misfit[-1])
-            if self.keep is not None:
-                self.keep(state)
-        return state, _settled(state)
+    def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
+        """Where it stands after all stages: kinds of object, and iterations at which they end."""
+        self.model.scale = state.scale
+        for stage, (kind, until) in enumerate(stages):
+            if stage < state.stage:
+                continue
+            if stage > state.stage:
+                now, misfit = state.transmission, state.misfit
+                state = Progressed(now, now, 1.0, misfit, self.model.scale, stage, len(misfit))
+                del now
+            while len(state.misfit) < until and not _settled(state):
+                state = self._stepped(state, kind)
+                if self.progress is not None:
+                    self.progress(len(state.misfit) - 1, state.misfit[-1])
+                if self.keep is not None:
+                    self.keep(state)
+        return state
 
     def _stepped(self, state: Progressed, kind: Kind) -> Progressed:
-        k, now, ahead = len(state.misfit), state.transmission, state.ahead
-        self.model.fits_scale = self.fits_scale and k < SCALE_ITERATIONS
-        change, misfit = self.model.step(ahead)
-        weight = self._tv_weight(kind)
-        after = ahead + change
+        self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
+        now: Array = state.transmission.real if kind == "amplitude" else state.transmission
+        point, misfit = self._farther(state.ahead, kind)
+        point = prox_tv(point, self._tv_weight(kind))
         if kind == "amplitude":
-            after = np.clip(prox_tv(after.real, weight), 0.0, 1.0).astype(after.dtype)
-        else:
-            after = np.asarray(prox_tv(after, weight))
-        after *= self.model.lit
+            np.clip(point, 0.0, 1.0, out=point)
+        after = self.scratch.array(point.shape, point.dtype, "a step")
+        np.multiply(point, self.model.lit, out=after)
+        del point
         momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * state.momentum**2))
-        ahead = after + ((state.momentum - 1.0) / momentum) * (after - now)
+        ahead = self.scratch.array(after.shape, after.dtype, "a step")
+        np.subtract(after, now, out=ahead)
+        ahead *= (state.momentum - 1.0) / momentum
+        ahead += after
         return Progressed(
             after, ahead, momentum, (*state.misfit, misfit), self.model.scale, state.stage, state.began
         )
+
+    def _farther(self, ahead: Array, kind: Kind) -> tuple[Array, float]:
+        """Down the misfit from the point ahead, and the misfit there."""
+        point, misfit = self.model.step(ahead)
+        if kind == "amplitude":
+            return point.real + ahead.real, misfit
+        point += ahead
+        return point, misfit
 
     def _tv_weight(self, kind: Kind) -> float:
         if self.noise_at_scale_1 is None:

@@ -19,10 +19,9 @@ from wavesim.metrics import (
     as_passed,
     element_contrasts,
     object_correlation,
-    psnr_db,
     smallest_resolved_element,
-    ssim,
 )
+from wavesim.picture_similarity import psnr_db, ssim
 from wavesim.retrieval import amplitude_correlation
 
 OBJECT_FILE = "object.npz"
@@ -73,11 +72,18 @@ def truth_figures(case: Any, transmission: Field) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in figures.items()}
 
 
-def bar_figures(case: Any, transmission: Field, ground: Any) -> dict[str, Any]:
-    """Contrast of every element of the USAF chart, and the finest that is resolved."""
-    if not case.elements:
+def bar_figures(case: Any, transmission: Field, options: Any) -> dict[str, Any]:
+    """Contrast of every element of the USAF chart and the finest resolved; the same of charts beside it."""
+    if not case.charts:
         return {}
-    contrasts = element_contrasts(transmission.values, case.patch.grid, case.elements, ground)
+    middle, *others = (chart_figures(case, transmission, chart, options.usaf) for chart in case.charts)
+    beside = zip(options.chart_at_mm, others, strict=True)
+    return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in beside]}
+
+
+def chart_figures(case: Any, transmission: Field, elements: Any, ground: Any) -> dict[str, Any]:
+    """Contrast of every element of one chart, and the finest that is resolved."""
+    contrasts = element_contrasts(transmission.values, case.patch.grid, elements, ground)
     finest = smallest_resolved_element(contrasts)
     return {
         "smallest_resolved": None
@@ -104,17 +110,18 @@ def bar_figures(case: Any, transmission: Field, ground: Any) -> dict[str, Any]:
 def summary_of(case: Any, outcome: Any, options: Any) -> dict[str, Any]:
     """All figures of a reconstruction, ready for JSON."""
     planes = []
-    for frame, plane, error in zip(case.frames, case.recorded, outcome.residual_maps, strict=True):
+    for told, plane, error in zip(case.planes, case.recorded, outcome.residual_maps, strict=True):
         known = np.ones(error.shape, bool) if plane.known is None else plane.known
         planes.append(
             {
-                "plane_distance_mm": frame.settings.plane_distance_mm,
+                "plane_distance_mm": told.distance_mm,
+                "exposures": list(told.exposures),
                 "residual": float(np.linalg.norm(error[known]) / np.linalg.norm(plane.amplitude[known])),
                 "noise": _noise(plane, known),
                 "correlation": amplitude_correlation(
                     (plane.amplitude + error)[known], plane.amplitude[known]
                 ),
-                "saturated_share": float(np.mean(frame.saturated)),
+                "saturated_share": told.saturated_share,
             }
         )
     refocusing = outcome.refocusing
@@ -132,7 +139,7 @@ def summary_of(case: Any, outcome: Any, options: Any) -> dict[str, Any]:
         "samples": case.patch.grid.shape[0],
         "refocus_um": None if refocusing is None else 1e3 * refocusing.distance_mm,
         "truth": truth_figures(case, outcome.transmission),
-        "usaf": bar_figures(case, outcome.transmission, options.usaf),
+        "usaf": bar_figures(case, outcome.transmission, options),
     }
 
 
@@ -146,9 +153,9 @@ def _noise(plane: Any, known: Any) -> float | None:
 def write_results(case: Any, outcome: Any, summary: dict[str, Any], output: Path) -> list[str]:
     """Write all files together, and return their names."""
     found, pitch_um = outcome.transmission, 1e3 * case.patch.grid.pitch_mm
-    distances = [frame.settings.plane_distance_mm for frame in case.frames]
+    distances = [plane.distance_mm for plane in case.planes]
     amplitudes = [plane.amplitude for plane in case.recorded]
-    pixel_um = case.frames[0].settings.pixel_pitch_um
+    pixel_um = case.sensor.pixel_pitch_um
     what = "CC (A6)" if summary["method"] == "paper" else "misfit"
     how = f"method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
     title = f"{summary['design']}\n{how}"

@@ -1,17 +1,18 @@
 """From an object's transmission to the amplitudes recorded behind the lens, and the step back.
 
-Amplitudes a with standard deviations s pull with the weight (least s / s)^2: where s is infinite, nothing is
-known and nothing is replaced.
+Amplitudes a with standard deviations s pull with the weight (s of a plane's brightest pixel / s)^2, 1 at most
+(:func:`wavesim.retrieval.weights_of`): where s is infinite, nothing is known and nothing is replaced.
 
-A pixel takes the mean of |u|^2 over its square. The intensity has twice the band of the field, so that the
-field is taken twice as densely; means over the square follow from seven samples along each axis. The step is
-that of the misfit's gradient: each pixel's ratio of recorded and modelled amplitude is spread over it.
+A pixel takes the mean of |u|^2 over its square. The step is that of the misfit's gradient: each pixel's ratio
+of recorded and modelled amplitude is spread over it. Planes come one after the other, so that the fields of
+one alone are held.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,19 +20,23 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.blocks import for_blocks
 from wavesim.engine import Engine
-from wavesim.fields import Field, Grid
-from wavesim.free_space import transfer_function
-from wavesim.retrieval import Recorded, replace_amplitude, weights_of
+from wavesim.fields import Field
+from wavesim.pixel_means import PixelMeans
+from wavesim.plane_way import PlaneWay
+from wavesim.recording_kernel import change_pixels, change_samples, weighted_products
+from wavesim.retrieval import Recorded, full_weight_sigma, weights_of
+from wavesim.scratch import Scratch
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
-TAPS = 3
-"""Pairs of samples, at 1/2, 1 and 3/2 of a pixel from its middle, that with it make the mean over it."""
-
 DARK = 1e-6
 """Of a plane's mean intensity: added to recorded and modelled means of pixels, to bound their ratio."""
+
+ROWS = 64
+"""Of a plane, for a thread at a time."""
 
 
 class RecordingModel:
@@ -45,6 +50,8 @@ class RecordingModel:
         Recorded amplitude for a unit of the model's; None is 1, to be fitted.
     active_width
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
+    scratch
+        Where arrays that are kept lie; in memory if left out.
     """
 
     def __init__(
@@ -54,40 +61,38 @@ class RecordingModel:
         recorded: Sequence[Recorded],
         scale: float | None,
         active_width: float = 0.0,
+        scratch: Scratch | None = None,
     ) -> None:
         self.engine, self.illumination, self.recorded = engine, illumination, recorded
-        power = np.abs(illumination.values) ** 2
+        power = np.abs(illumination.values)
+        power *= power
         self.brightest = float(power.max())
-        self.lit = (power > 1e-6 * self.brightest).astype(power.dtype)
-        self.weights = [
-            None if w is None else w.astype(power.dtype, copy=False) for w in weights_of(recorded)
-        ]
-        grid, dtype = engine.scene.exit_grid, illumination.values.dtype
+        self.lit: NDArray[np.bool_] = power > 1e-6 * self.brightest
+        self.dtype, self.real = illumination.values.dtype, power.dtype
+        del power
+        grid = engine.scene.exit_grid
         self.pixels = PixelMeans(grid, active_width) if active_width > 0.0 else None
-        self.ways = [_way(grid, illumination.wavelength_um, p.distance_mm).astype(dtype) for p in recorded]
-        self.size = math.sqrt(
-            sum(
-                _sum(p.amplitude**2 if w is None else w * p.amplitude**2)
-                for p, w in zip(recorded, self.weights, strict=True)
-            )
-        )
+        self.ways = [PlaneWay(grid, illumination.wavelength_um, p.distance_mm, self.dtype) for p in recorded]
+        least = full_weight_sigma(recorded)
+        self._planes = [
+            _Plane.of(one, way, least, self.real, scratch or Scratch())
+            for one, way in zip(recorded, self.ways, strict=True)
+        ]
+        self.size = math.sqrt(sum(plane.energy for plane in self._planes))
         self.scale, self.fits_scale = scale or 1.0, False
 
-    def step(self, transmission: ComplexArray) -> tuple[ComplexArray, float]:
+    @property
+    def weights(self) -> list[RealArray | None]:
+        """Weights of all planes' pixels; None where all weigh 1."""
+        return [None if w is None else w.astype(self.real, copy=False) for w in weights_of(self.recorded)]
+
+    def step(self, transmission: NDArray[Any]) -> tuple[ComplexArray, float]:
         """The change of the transmission, and the misfit before it."""
-        fields, moduli = self._seen(transmission)
-        spectrum: ComplexArray | None = None
-        missed = 0.0
-        planes = zip(fields, moduli, self.ways, self.recorded, self.weights, strict=True)
-        for field, modulus, way, plane, weight in planes:
-            wanted = (plane.amplitude / self.scale).astype(modulus.dtype, copy=False)
-            difference = wanted - modulus
-            missed += self.scale**2 * _sum(difference**2 if weight is None else weight * difference**2)
-            part = self._back(field, modulus, wanted, weight)
-            part *= way.conj()
-            spectrum = part if spectrum is None else spectrum + part
-        assert spectrum is not None
-        return self._to_object(spectrum), math.sqrt(missed) / self.size
+        behind = _Behind(self._at_exit(transmission), self.pixels)
+        if self.fits_scale:
+            self._fit_scale(behind)
+        missed = sum(behind.replace(plane, self.scale) for plane in self._planes)
+        return self._to_object(behind.changed()), self.scale * math.sqrt(missed) / self.size
 
     def noise_of_step(self, seed: int = 0) -> float:
         """Standard deviation that the amplitudes' noise gives a step at scale 1, in either part of it.
@@ -108,188 +113,202 @@ class RecordingModel:
         if any(p.sigma is None for p in self.recorded):
             raise InputError("the weight of the total variation by the noise: needs sigma on every plane")
         random = np.random.default_rng(seed)
-        spectrum: ComplexArray = np.zeros(self.engine.scene.exit_grid.shape, self.illumination.values.dtype)
-        for plane, weight, way in zip(self.recorded, self.weights, self.ways, strict=True):
-            assert plane.sigma is not None
-            assert weight is not None
-            known = np.isfinite(plane.sigma)
-            size = weight * np.where(known, plane.sigma, 0.0) * random.standard_normal(weight.shape)
-            noise = size * np.exp(2j * np.pi * random.random(weight.shape))
-            spectrum += scipy.fft.fftn(noise.astype(spectrum.dtype), workers=-1) * way.conj()
-        change = self._to_object(spectrum)
-        return math.sqrt(0.5 * float(np.mean(np.abs(change[self.lit > 0.0]) ** 2, dtype=float)))
+        shape = self.engine.scene.exit_grid.shape
+        total: ComplexArray | None = None
+        for plane in self._planes:
+            # Row by row: all draws in double precision would fill more than anything else here.
+            noise = np.empty(plane.amplitude.shape, self.dtype)
+            for row, sigma in zip(noise, plane.sigma, strict=True):
+                known = np.isfinite(sigma)
+                stated = np.where(known, sigma, 1.0)
+                size = np.minimum(plane.least / stated, 1.0) ** 2 * stated * known
+                row[:] = size * random.standard_normal(len(row))
+            for row in noise:
+                row *= np.exp(2j * np.pi * random.random(len(row)))
+            part = noise.reshape(shape)
+            if not plane.way.is_none:
+                part = scipy.fft.fftn(part, workers=-1, overwrite_x=True)
+                part = scipy.fft.ifftn(plane.way.times(part, back=True), workers=-1, overwrite_x=True)
+            total = part if total is None else np.add(total, part, out=total)
+        assert total is not None
+        change = np.abs(self._to_object(total)[self.lit])
+        return math.sqrt(0.5 * float(np.mean(change * change, dtype=float)))
 
-    def amplitudes(self, transmission: ComplexArray) -> list[RealArray]:
+    def amplitudes(self, transmission: NDArray[Any]) -> list[RealArray]:
         """Amplitudes on all planes, in units of the recorded ones."""
-        return [self.scale * modulus for modulus in self._seen(transmission)[1]]
-
-    def _seen(self, transmission: ComplexArray) -> tuple[list[ComplexArray], list[RealArray]]:
-        """Fields on the planes, as densely as the pixels need them, and amplitudes of the pixels."""
-        lit = self.illumination.with_values(transmission * self.illumination.values)
-        spectrum = scipy.fft.fftn(self.engine.forward(lit).values, workers=-1)
-        if self.pixels is None:
-            fields = [scipy.fft.ifftn(spectrum * way, workers=-1, overwrite_x=True) for way in self.ways]
-            moduli = [np.abs(field) for field in fields]
-        else:
-            fields = [self.pixels.densely(spectrum * way) for way in self.ways]
-            moduli = [np.sqrt(self.pixels.means(field.real**2 + field.imag**2)) for field in fields]
+        behind = _Behind(self._at_exit(transmission), self.pixels)
         if self.fits_scale:
-            self._fit_scale(moduli)
-        return fields, moduli
+            self._fit_scale(behind)
+        results = []
+        for plane in self._planes:
+            seen = behind.intensity(plane)
+            np.sqrt(seen, out=seen)
+            seen *= self.scale
+            results.append(seen.reshape(self.engine.scene.exit_grid.shape))
+        return results
 
-    def _to_object(self, spectrum: ComplexArray) -> ComplexArray:
-        """Change of the transmission, from the sum over planes of spectra at the exit."""
-        back = scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True) / len(self.ways)
-        exit_field = Field(self.engine.scene.exit_grid, back, self.illumination.wavelength_um)
-        return np.asarray(
-            self.engine.adjoint(exit_field).values * self.illumination.values.conj() / self.brightest
-        )
+    def _at_exit(self, transmission: NDArray[Any]) -> ComplexArray:
+        """The field on the exit grid."""
+        lit = self.illumination.with_values(np.multiply(transmission, self.illumination.values))
+        return np.asarray(self.engine.forward(lit).values, self.dtype)
 
-    def _fit_scale(self, moduli: list[RealArray]) -> None:
+    def _to_object(self, change: ComplexArray) -> ComplexArray:
+        """Change of the transmission, from the sum over planes of changes at the exit; uses that up."""
+        scene, values = self.engine.scene, self.illumination.values
+        field = Field(scene.exit_grid, change.reshape(scene.exit_grid.shape), self.illumination.wavelength_um)
+        result = np.require(self.engine.adjoint(field).values, self.dtype, ["W"])
+        share = 1.0 / (self.brightest * len(self.recorded))
+
+        def rows(start: int, stop: int) -> None:
+            result[start:stop] *= values[start:stop].conj() * share
+
+        for_blocks(rows, len(result), ROWS)
+        return result
+
+    def _fit_scale(self, behind: _Behind) -> None:
         met = own = 0.0
-        for modulus, plane, weight in zip(moduli, self.recorded, self.weights, strict=True):
-            pulling = modulus if weight is None else weight * modulus
-            met += float(np.vdot(pulling, plane.amplitude))
-            own += float(np.vdot(pulling, modulus))
+        for plane in self._planes:
+            here = plane.products(behind.intensity(plane))
+            met, own = met + here[0], own + here[1]
         self.scale = met / own if met > 0.0 < own else 1.0
 
-    def _back(
-        self, field: ComplexArray, modulus: RealArray, wanted: RealArray, weight: RealArray | None
-    ) -> ComplexArray:
-        """Spectrum of what the replacement of the amplitude changes."""
-        if self.pixels is None:
-            replaced = field.copy()
-            replace_amplitude(replaced, wanted)
-            replaced -= field
-            if weight is not None:
-                replaced *= weight
-            return np.asarray(scipy.fft.fftn(replaced, workers=-1, overwrite_x=True))
-        dark = np.asarray(DARK * np.mean(wanted**2, dtype=float), modulus.dtype)
-        change = np.sqrt((wanted**2 + dark) / (modulus**2 + dark))
-        change -= 1.0
-        if weight is not None:
-            change *= weight
-        return self.pixels.coarsely(field * self.pixels.spread(change))
+
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """What was recorded on a plane, in the model's precision; a line is one row.
+
+    `sigma` has no samples where all pixels are alike; up to `least` it weighs 1.
+    """
+
+    way: PlaneWay
+    amplitude: RealArray
+    sigma: RealArray
+    least: float
+
+    @classmethod
+    def of(cls, one: Recorded, way: PlaneWay, least: float, dtype: np.dtype[Any], scratch: Scratch) -> _Plane:
+        def kept(values: RealArray, what: str) -> RealArray:
+            values = np.atleast_2d(values)
+            if values.dtype == dtype:
+                return values
+            result = scratch.array(values.shape, dtype, what)
+            result[:] = values
+            return result
+
+        sigma = np.empty((0, 0), dtype) if one.sigma is None else kept(one.sigma, "the standard deviations")
+        return cls(way, kept(one.amplitude, "the recorded amplitudes"), sigma, least)
+
+    @property
+    def energy(self) -> float:
+        """Weighted sum of squared amplitudes."""
+        return sum(self._by_rows(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
+
+    def products(self, intensity: RealArray) -> tuple[float, float]:
+        """Weighted sums of modelled times recorded amplitudes, and of modelled intensities."""
+        found = self._by_rows(lambda part: self._products(intensity[part], part))
+        return sum(met for met, _ in found), sum(own for _, own in found)
+
+    def change_pixels(self, intensity: RealArray, scale: float) -> float:
+        """Replace pixels' mean intensities by the relative changes wanted; gives the misfit."""
+        real = intensity.dtype.type
+        mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
+        dark = real(DARK * mean)
+
+        def rows(part: slice) -> float:
+            return float(change_pixels(intensity[part], *self._recorded(part), real(scale), dark))
+
+        return sum(self._by_rows(rows))
+
+    def change_samples(self, field: ComplexArray, scale: float) -> float:
+        """Replace a field by the change wanted; gives the misfit."""
+        factor = self.amplitude.dtype.type(scale)
+        return sum(
+            self._by_rows(lambda part: float(change_samples(field[part], *self._recorded(part), factor)))
+        )
+
+    def _products(self, intensity: RealArray, part: slice) -> tuple[float, float]:
+        return weighted_products(intensity, *self._recorded(part))
+
+    def _recorded(self, part: slice) -> tuple[RealArray, RealArray, Any]:
+        return self.amplitude[part], self.sigma[part], self.amplitude.dtype.type(self.least)
+
+    def _by_rows(self, work: Callable[[slice], Any]) -> list[Any]:
+        return for_blocks(lambda start, stop: work(slice(start, stop)), len(self.amplitude), ROWS)
 
 
-class PixelMeans:
-    """Means over the squares of pixels, of fields of which each pixel holds one sample.
+class _Behind:
+    """The field on the exit grid, seen on one plane after the other, and what planes change of it.
 
     Parameters
     ----------
-    grid
-        One sample in the middle of each pixel.
-    active_width
-        As of :class:`RecordingModel`.
+    values
+        Of the field; used up.
+    pixels
+        None for samples at points.
     """
 
-    def __init__(self, grid: Grid, active_width: float) -> None:
-        self.shape = grid.shape
-        self.taps = _taps(active_width)
+    def __init__(self, values: ComplexArray, pixels: PixelMeans | None) -> None:
+        self.pixels = pixels
+        self.values: ComplexArray | None = np.atleast_2d(values)
+        self._spectrum: ComplexArray | None = None
+        self._change: ComplexArray | None = None
+        self._spectrum_change: ComplexArray | None = None
+        self._rows: tuple[ComplexArray, ComplexArray] | None = None
+        if pixels is not None:
+            self._spectrum, self.values = self.spectrum, None
 
-    def densely(self, spectrum: ComplexArray) -> ComplexArray:
-        """Two samples a pixel along each axis: in its middle, and at its upper edge."""
-        for axis, count in enumerate(self.shape):
-            spectrum = _padded(spectrum, axis, 2 * count)
-            spectrum = scipy.fft.ifft(spectrum, axis=axis, workers=-1, overwrite_x=True)
-            spectrum *= 2.0
-        return spectrum
+    @property
+    def spectrum(self) -> ComplexArray:
+        """Of the field; computed where it is first needed."""
+        if self._spectrum is None:
+            assert self.values is not None
+            # The values themselves go where pixels integrate, for then no plane needs them.
+            self._spectrum = scipy.fft.fftn(self.values, workers=-1, overwrite_x=self.pixels is not None)
+        return self._spectrum
 
-    def coarsely(self, fine: ComplexArray) -> ComplexArray:
-        """Spectrum of fine samples within the pixels' band; undoes :meth:`densely`, and is its adjoint."""
-        for axis, count in reversed(list(enumerate(self.shape))):
-            fine = scipy.fft.fft(fine, axis=axis, workers=-1, overwrite_x=True)
-            fine = 0.5 * _cropped(fine, axis, count)
-        return fine
+    def intensity(self, plane: _Plane) -> RealArray:
+        """On a plane: pixels' means, or at points."""
+        if self.pixels is not None:
+            self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
+            return self.pixels.intensity(self._rows)
+        field = self._samples(plane)
+        return np.asarray(field.real**2 + field.imag**2)
 
-    def means(self, fine: RealArray, signed: bool = False) -> RealArray:
-        """Means over the squares of fine samples; never negative."""
-        for axis in range(fine.ndim):
-            halves = _halves(fine, axis)
-            total = self.taps[0] * halves[0]
-            for away, tap in enumerate(self.taps[1:], start=1):
-                half, (behind, before) = halves[away % 2], _shifts(away)
-                total += tap * (np.roll(half, -behind, axis) + np.roll(half, before, axis))
-            fine = total
-        return fine if signed else np.maximum(fine, 0.0)
+    def replace(self, plane: _Plane, scale: float) -> float:
+        """Take the amplitudes recorded on a plane, and give the misfit before."""
+        if self.pixels is not None:
+            change = self.intensity(plane)
+            assert self._rows is not None
+            missed = plane.change_pixels(change, scale)
+            if self._spectrum_change is None:
+                self._spectrum_change = np.zeros_like(self.spectrum)
+            self.pixels.add_back(self._rows, change, plane.way, self._spectrum_change)
+            return missed
+        field = self._samples(plane)
+        missed = plane.change_samples(field, scale)
+        if plane.way.is_none:
+            self._change = _added(self._change, field)
+        else:
+            field = scipy.fft.fftn(field, workers=-1, overwrite_x=True)
+            self._spectrum_change = _added(self._spectrum_change, plane.way.times(field, back=True))
+        return missed
 
-    def spread(self, values: RealArray) -> RealArray:
-        """The adjoint of :meth:`means`, such that means remain."""
-        for axis in reversed(range(values.ndim)):
-            shape = list(values.shape)
-            shape[axis] *= 2
-            fine = np.zeros(shape, values.dtype)
-            halves = _halves(fine, axis)
-            halves[0][...] = self.taps[0] * values
-            for away, tap in enumerate(self.taps[1:], start=1):
-                half, (behind, before) = halves[away % 2], _shifts(away)
-                half += tap * (np.roll(values, behind, axis) + np.roll(values, -before, axis))
-            fine *= 2.0
-            values = fine
-        return values
+    def changed(self) -> ComplexArray:
+        """The sum of all changes, at the exit; uses up all else."""
+        self.values = self._spectrum = self._rows = None
+        if self._spectrum_change is None:
+            assert self._change is not None
+            return self._change
+        change = scipy.fft.ifftn(self._spectrum_change, workers=-1, overwrite_x=True)
+        return _added(self._change, change)
 
-
-def _shifts(away: int) -> tuple[int, int]:
-    """How many pixels up and down the samples lie that are so many half pixels away on either side."""
-    return away // 2, away - away // 2
-
-
-def _taps(active_width: float) -> list[float]:
-    """Weights of the middle and of pairs of samples, fitted to the pixel's transfer up to twice the band.
-
-    An intensity has less and less towards that end, and so do the fit's weights.
-    """
-    cycles = np.linspace(0.0, 1.0, 201)
-    cosines = 2.0 * np.cos(np.pi * np.outer(cycles, np.arange(1, TAPS + 1)))
-    weights = 1.0 - cycles
-    # All together make 1: the middle has what the pairs leave.
-    found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
-    )
-    return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]
+    def _samples(self, plane: _Plane) -> ComplexArray:
+        if plane.way.is_none:
+            assert self.values is not None
+            return self.values.copy()
+        carried = plane.way.times(self.spectrum.copy())
+        return np.asarray(scipy.fft.ifftn(carried, workers=-1, overwrite_x=True))
 
 
-def _way(grid: Grid, wavelength_um: float, distance_mm: float) -> ComplexArray:
-    way = transfer_function(grid.shape, grid.pitch_mm, wavelength_um, 1.0, distance_mm, band_limit=False)
-    return np.asarray(way)
-
-
-def _halves(fine: RealArray, axis: int) -> tuple[RealArray, RealArray]:
-    """Views on the samples in the pixels' middles and at their edges."""
-    whole = [slice(None)] * fine.ndim
-    return tuple(  # type: ignore[return-value]
-        fine[tuple(slice(first, None, 2) if i == axis else part for i, part in enumerate(whole))]
-        for first in (0, 1)
-    )
-
-
-def _padded(spectrum: ComplexArray, axis: int, count: int) -> ComplexArray:
-    shape = list(spectrum.shape)
-    shape[axis] = count
-    result = np.zeros(shape, spectrum.dtype)
-    for mine, other in _bands(spectrum.shape[axis], count):
-        result[_on(axis, other, spectrum.ndim)] = spectrum[_on(axis, mine, spectrum.ndim)]
-    return result
-
-
-def _cropped(spectrum: ComplexArray, axis: int, count: int) -> ComplexArray:
-    shape = list(spectrum.shape)
-    shape[axis] = count
-    result = np.empty(shape, spectrum.dtype)
-    for mine, other in _bands(count, spectrum.shape[axis]):
-        result[_on(axis, mine, spectrum.ndim)] = spectrum[_on(axis, other, spectrum.ndim)]
-    return result
-
-
-def _bands(few: int, many: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Where the frequencies from 0 on, and those below it, lie in a short and in a long spectrum."""
-    positive = (few + 1) // 2
-    return (slice(0, positive),) * 2, (slice(positive, few), slice(many - few + positive, many))
-
-
-def _on(axis: int, part: slice, dimensions: int) -> tuple[slice, ...]:
-    return tuple(part if i == axis else slice(None) for i in range(dimensions))
-
-
-def _sum(values: RealArray) -> float:
-    return float(np.sum(values, dtype=float))
+def _added(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:
+    return part if total is None else np.add(total, part, out=total)

@@ -108,14 +108,27 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
     return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
 
 
+def full_weight_sigma(recorded: Sequence[Recorded]) -> float:
+    """Standard deviation up to which a pixel weighs 1: that of a plane's brightest known pixel, the smallest.
+
+    Where long exposures know faint light better than that, weights by the smallest of all would leave the
+    bright pixels, which hold most of the light, next to none: a descent would not come to them.
+    """
+    at_brightest = []
+    for plane in recorded:
+        if plane.sigma is not None:
+            brightest = np.argmax(np.where(np.isfinite(plane.sigma), plane.amplitude, -1.0))
+            at_brightest.append(float(plane.sigma.flat[int(brightest)]))
+    return min(at_brightest, default=1.0)
+
+
 def weights_of(recorded: Sequence[Recorded]) -> list[Array | None]:
-    """Weights of all planes' pixels: (smallest standard deviation / standard deviation) squared.
+    """Weights of all planes' pixels: (:func:`full_weight_sigma` / standard deviation) squared, 1 at most.
 
     None for a plane without standard deviations, whose pixels all weigh 1.
     """
-    stated = [p.sigma for p in recorded if p.sigma is not None]
-    least = min((float(np.min(sigma)) for sigma in stated), default=1.0)
-    return [None if p.sigma is None else np.asarray((least / p.sigma) ** 2) for p in recorded]
+    full = full_weight_sigma(recorded)
+    return [None if p.sigma is None else np.asarray(np.minimum(full / p.sigma, 1.0) ** 2) for p in recorded]
 
 
 @dataclass(frozen=True, eq=False)

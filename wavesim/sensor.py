@@ -1,98 +1,43 @@
-"""The image sensor: from a field on a recording plane to a frame of counts, and back to intensity.
+"""The image sensor: from a field on a recording plane to the light on its pixels, and to frames of counts.
 
-Electrons are the mean intensity over a pixel's photosensitive square times the exposure. They scatter as a
-Poisson law says, are clipped at full well, gain the amplifier's noise, and are rounded to counts: the linear
-camera model of EMVA standard 1288.
+Electrons are the mean intensity over a pixel's photosensitive square times the exposure; what becomes of them
+is in :mod:`wavesim.exposures`.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import scipy.fft
-from pydantic import Field as Setting
 from pydantic import ValidationError
 
 from lensdesign.errors import InputError
-from lensdesign.system import Positive, Section, Sensor
+from lensdesign.system import Sensor
 from wavesim.chirp_z import propagate_to
+from wavesim.exposures import (
+    Electronics,
+    SaturationWarning,
+    Seed,
+    expose,
+    exposure_for,
+    exposure_seeds,
+)
 from wavesim.fields import Field, Grid
-from wavesim.frames import Array, Bits, Frame, FrameSettings, NotNegative, Offset
-
-Seed = int | np.random.SeedSequence
+from wavesim.frames import Array, Frame, FrameSettings
+from wavesim.pixel_light import PixelLight
 
 LOST = 1e-3
 """Share of the light beside the sensor from which on it is told."""
 NO_LIGHT = 1e-9
 """Share of the light on the sensor up to which it is taken for rounding."""
-CLEAR = 3.0
-"""Standard deviations of read noise by which a pixel must stay below full well to count as not clipped."""
-
-
-BLOCK = 1024
-"""Rows or columns of which pixels' means are taken at one time."""
 
 
 class FootprintWarning(UserWarning):
     """A stated share of the light does not fall on the sensor."""
-
-
-class SaturationWarning(UserWarning):
-    """A stated number of pixels is clipped, so that their intensity is only known to be larger."""
-
-
-class Electronics(Section):
-    """How a sensor turns light into counts.
-
-    Attributes
-    ----------
-    full_well_electrons
-        Most electrons that a pixel holds.
-    read_noise_electrons
-        Standard deviation of the amplifier's noise.
-    bits
-        Of a count.
-    offset_counts
-        Added to all counts, so that read noise of dark pixels is not clipped at 0.
-    gain_electrons_per_count
-        Electrons that raise a pixel by one count; if left out, full well reaches the top count.
-    active_width
-        Side of a pixel's photosensitive square, as a share of the pitch; 0 is a point.
-    """
-
-    full_well_electrons: Positive = 10_000.0
-    read_noise_electrons: NotNegative = 2.0
-    bits: Bits = 12
-    offset_counts: Offset = 64.0
-    gain_electrons_per_count: Positive | None = None
-    active_width: Annotated[float, Setting(ge=0.0, le=1.0)] = 1.0
-
-    @property
-    def gain(self) -> float:
-        """Electrons that raise a pixel by one count.
-
-        Raises
-        ------
-        InputError
-            If the offset leaves no counts for light.
-        """
-        if self.gain_electrons_per_count is not None:
-            return self.gain_electrons_per_count
-        room = 2**self.bits - 1 - self.offset_counts
-        if room <= 0.0:
-            raise InputError(f"offset_counts = {self.offset_counts:g}: {self.bits} bits leave none for light")
-        return self.full_well_electrons / room
-
-    @property
-    def saturation_counts(self) -> int:
-        """From which count on a pixel may have been clipped, at full well or at the top count."""
-        clear = self.full_well_electrons - CLEAR * self.read_noise_electrons
-        return int(min(max(math.floor(self.offset_counts + clear / self.gain), 1), 2**self.bits - 1))
 
 
 def sensor_grid(sensor: Sensor, z_mm: float, oversampling: int = 1) -> Grid:
@@ -139,6 +84,7 @@ def light_on_pixels(
     Returns
     -------
     ndarray, shape (ny, nx)
+        In single precision if the field is.
 
     Raises
     ------
@@ -172,23 +118,10 @@ def light_on_pixels(
         field = Field(grid, field.values[part], field.wavelength_um, field.index)
     elif field.grid != grid:
         field = propagate_to(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
-    values = np.asarray(field.values)
-    caught, across = 0.0, np.empty((len(values), sensor.pixels[0]))
-    for rows in _blocks(len(values)):
-        intensity = np.abs(values[rows]).astype(float) ** 2
-        caught += float(intensity.sum())
-        across[rows] = _pixel_means(intensity, oversampling, active_width)
-    _tell_footprint(caught * grid.cell, total, sensor)
-    means = np.empty((sensor.pixels[1], sensor.pixels[0]))
-    for columns in _blocks(sensor.pixels[0]):
-        means[:, columns] = _pixel_means(across[:, columns].T, oversampling, active_width).T
-    # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
-    return np.maximum(means, 0.0, out=means)
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Parts of a range, so that a large sensor is not transformed at one time."""
-    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
+    light = PixelLight(sensor, field.values.dtype, oversampling, active_width)
+    light.add(slice(0, len(field.values)), np.asarray(field.values))
+    tell_footprint(light.caught * grid.cell, total, sensor)
+    return light.means()
 
 
 def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) -> Array:
@@ -196,31 +129,19 @@ def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) 
     return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * active_width))
 
 
-def _pixel_means(fine: Array, oversampling: int, active_width: float) -> Array:
-    """Means over pixels along the last axis, by the pixel's transfer on a cosine series.
+def tell_footprint(caught: float, total: float, sensor: Sensor) -> None:
+    """Tell how much of the energy falls beside the sensor.
 
-    The series continues the light mirrored at the window's borders, so that nothing wraps around. At the
-    pixels' middles cosines of higher order than there are pixels look like lower ones: these are summed.
+    Raises
+    ------
+    InputError
+        If all of it does.
+
+    Warns
+    -----
+    FootprintWarning
+        If more than `LOST` of it does.
     """
-    if oversampling == 1:
-        return fine
-    pixels = fine.shape[-1] // oversampling
-    order = np.arange(fine.shape[-1])
-    series = scipy.fft.dct(fine, axis=-1) * np.sinc(0.5 * active_width * order / pixels)
-    folded = np.zeros((*fine.shape[:-1], pixels))
-    for part in range(oversampling):
-        block = series[..., part * pixels : (part + 1) * pixels]
-        sign = (1.0, -1.0, -1.0, 1.0)[part % 4]
-        if part % 2:
-            folded[..., 1:] += sign * block[..., :0:-1]
-        else:
-            folded += sign * block
-            if part:  # the series counts its constant once, all others twice
-                folded[..., 0] += sign * block[..., 0]
-    return np.asarray(scipy.fft.idct(folded, axis=-1) / oversampling)
-
-
-def _tell_footprint(caught: float, total: float, sensor: Sensor) -> None:
     if caught <= NO_LIGHT * total:
         raise InputError("no light falls on the sensor: the field is dark, or lies beside it")
     lost = 1.0 - caught / total
@@ -232,75 +153,6 @@ def _tell_footprint(caught: float, total: float, sensor: Sensor) -> None:
             FootprintWarning,
             stacklevel=3,
         )
-
-
-def exposure_for(intensity: Array, brightest_electrons: float) -> float:
-    """Electrons per unit of intensity at which the brightest pixel is to hold a given number.
-
-    Raises
-    ------
-    InputError
-        If there is no light, or the number is not usable.
-    """
-    if not (math.isfinite(brightest_electrons) and brightest_electrons > 0.0):
-        raise InputError(f"brightest_electrons = {brightest_electrons!r}: must be finite and greater than 0")
-    brightest = float(np.max(intensity, initial=0.0))
-    exposure = brightest_electrons / brightest if brightest > 0.0 else math.inf
-    if not (math.isfinite(exposure) and exposure > 0.0):
-        raise InputError(f"the brightest pixel's intensity is {brightest:g}: no light to expose for")
-    return exposure
-
-
-def expose(intensity: Array, exposure: float, electronics: Electronics, seed: Seed | None) -> np.ndarray:
-    """Counts of pixels on which a mean intensity falls.
-
-    Parameters
-    ----------
-    intensity
-        Not negative.
-    exposure
-        Electrons per unit of intensity.
-    electronics
-        Full well, noise and quantisation.
-    seed
-        Of the noise; None gives the counts of the mean, rounded, without noise.
-
-    Returns
-    -------
-    ndarray of uint16, of the shape of `intensity`
-
-    Warns
-    -----
-    SaturationWarning
-        If pixels are clipped, at full well or at the top count.
-    """
-    electrons = np.asarray(intensity, float) * exposure
-    if not (np.all(np.isfinite(electrons)) and np.all(electrons >= 0.0)):
-        raise InputError("the electrons to expect must be finite and not negative in all pixels")
-    full = electronics.full_well_electrons
-    if seed is not None:
-        random = _generator(seed)
-        # Beyond twice full well all is clipped, and Poisson numbers have no upper end.
-        electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)
-    clipped = electrons > full
-    electrons = np.minimum(electrons, full)
-    if seed is not None:
-        electrons += electronics.read_noise_electrons * random.standard_normal(electrons.shape)
-    counts = np.rint(electrons / electronics.gain + electronics.offset_counts)
-    top = 2**electronics.bits - 1
-    number = int(np.count_nonzero(clipped | (counts > top)))
-    if number:
-        warnings.warn(
-            f"{number} of {counts.size} pixels are saturated: expose less", SaturationWarning, stacklevel=2
-        )
-    return np.clip(counts, 0, top).astype(np.uint16)
-
-
-def _generator(seed: Seed) -> np.random.Generator:
-    try:
-        return np.random.Generator(np.random.PCG64(seed))
-    except (TypeError, ValueError):
-        raise InputError(f"seed = {seed!r}: must be a whole number from 0, or a SeedSequence") from None
 
 
 def record(
@@ -326,7 +178,7 @@ def record(
     plane_distance_mm
         Of the field's plane from the exit vertex: what the frame will say, whatever the stage error.
     electronics, seed
-        As of :func:`expose`.
+        As of :func:`wavesim.exposures.expose`.
     brightest_share
         Electrons to expect in the brightest pixel, as a share of full well.
     exposure
@@ -354,48 +206,123 @@ def record(
     )
     if exposure is None:
         exposure = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
-    settings = _settings(
-        pixel_pitch_um=sensor.pixel_pitch_um,
-        plane_distance_mm=plane_distance_mm,
-        wavelength_um=field.wavelength_um,
-        exposure=exposure,
-        bits=electronics.bits,
-        offset_counts=electronics.offset_counts,
-        gain_electrons_per_count=electronics.gain,
-        read_noise_electrons=electronics.read_noise_electrons,
-        saturation_counts=electronics.saturation_counts,
-        title=title,
-    )
+    settings = _settings(sensor, plane_distance_mm, field.wavelength_um, electronics, exposure, title)
     return Frame(expose(intensity, exposure, electronics, seed), settings)
 
 
-def _settings(**values: Any) -> FrameSettings:
+def record_exposures(
+    field: Field,
+    sensor: Sensor,
+    plane_distance_mm: float,
+    electronics: Electronics,
+    seed: Seed | None,
+    times: Sequence[float],
+    *,
+    brightest_share: float = 0.8,
+    oversampling: int = 2,
+    stage_error_mm: float = 0.0,
+    shift_um: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Frame, ...]:
+    """Record a field several times, each time with another exposure.
+
+    Parameters
+    ----------
+    field, sensor, plane_distance_mm, electronics, seed
+        As of :func:`record`. With one exposure the noise is that of :func:`record`.
+    times
+        Exposures, as multiples of the one that puts `brightest_share` into the brightest pixel.
+    brightest_share, oversampling, stage_error_mm, shift_um
+        As of :func:`record`.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As of :func:`record`, or if there are no exposures, or one is not above 0.
+
+    Warns
+    -----
+    FootprintWarning
+        If light falls beside the sensor.
+    SaturationWarning
+        If pixels are clipped by an exposure of 1 or less; longer ones are meant to clip.
+    """
+    if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
+        raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
+    intensity = light_on_pixels(
+        field,
+        sensor,
+        active_width=electronics.active_width,
+        oversampling=oversampling,
+        stage_error_mm=stage_error_mm,
+        shift_um=shift_um,
+    )
+    return frames_of_light(
+        intensity,
+        sensor,
+        plane_distance_mm,
+        field.wavelength_um,
+        electronics,
+        seed,
+        times,
+        brightest_share,
+    )
+
+
+def frames_of_light(
+    intensity: Array,
+    sensor: Sensor,
+    plane_distance_mm: float,
+    wavelength_um: float,
+    electronics: Electronics,
+    seed: Seed | None,
+    times: Sequence[float],
+    brightest_share: float = 0.8,
+) -> tuple[Frame, ...]:
+    """Record light several times; as :func:`record_exposures`, from the mean intensity on each pixel.
+
+    Raises
+    ------
+    InputError
+        If there is no light, or a setting of a frame is not allowed.
+
+    Warns
+    -----
+    SaturationWarning
+        If pixels are clipped by an exposure of 1 or less.
+    """
+    least = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
+    frames = []
+    for time, own in zip(times, exposure_seeds(seed, len(times)), strict=True):
+        exposure = time * least
+        settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure)
+        with warnings.catch_warnings():
+            if time > 1.0:
+                warnings.simplefilter("ignore", SaturationWarning)
+            frames.append(Frame(expose(intensity, exposure, electronics, own), settings))
+    return tuple(frames)
+
+
+def _settings(
+    sensor: Sensor,
+    plane_distance_mm: float,
+    wavelength_um: float,
+    electronics: Electronics,
+    exposure: float,
+    title: str = "",
+) -> FrameSettings:
     try:
-        return FrameSettings(**values)
+        return FrameSettings(
+            pixel_pitch_um=sensor.pixel_pitch_um,
+            plane_distance_mm=plane_distance_mm,
+            wavelength_um=wavelength_um,
+            exposure=exposure,
+            bits=electronics.bits,
+            offset_counts=electronics.offset_counts,
+            gain_electrons_per_count=electronics.gain,
+            read_noise_electrons=electronics.read_noise_electrons,
+            saturation_counts=electronics.saturation_counts,
+            title=title,
+        )
     except ValidationError as error:
         faults = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in error.errors())
         raise InputError(f"frame settings: {faults}") from None
-
-
-def plane_seeds(seed: int | None, planes: int) -> Sequence[Seed | None]:
-    """Independent seeds for frames of several planes: one seed for all would repeat the noise."""
-    return [None] * planes if seed is None else np.random.SeedSequence(seed).spawn(planes)
-
-
-def estimate_intensity(frame: Frame) -> tuple[Array, Array]:
-    """Intensity on each pixel and the variance of its error, from a frame.
-
-    The variance is that of shot noise, read noise and rounding (one twelfth of a count squared). The
-    estimate may be negative where it is dark, so that means are not biased.
-
-    Returns
-    -------
-    intensity, variance : ndarray, shape (ny, nx)
-        The variance is infinite in pixels that may have been clipped.
-    """
-    settings = frame.settings
-    gain = settings.gain_electrons_per_count
-    electrons = (frame.counts.astype(float) - settings.offset_counts) * gain
-    fixed = settings.read_noise_electrons**2 + gain**2 / 12.0
-    variance = np.where(frame.saturated, np.inf, (np.maximum(electrons, 0.0) + fixed) / settings.exposure**2)
-    return electrons / settings.exposure, variance

@@ -11,10 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavesim.blocks import for_blocks
+from wavesim.tile_operator import THREADS
+from wavesim.total_variation_kernel import project, slope_line, subtract
+
 Values = NDArray[np.inexact[Any]]
 
 PROX_ITERATIONS = 12
 PROX_STEP = 0.248
+
+ROWS = 64
 
 
 def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) -> Values:
@@ -31,32 +37,22 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
     """
     if weight == 0.0:
         return values
-    flow = np.zeros((values.ndim, *values.shape), values.dtype)
-    step = PROX_STEP * (2.0 / values.ndim) / 2.0
+    result = np.array(values, ndmin=2, order="C")
+    flow = tuple(np.zeros_like(result) for _ in range(2))
+    real = result.real.dtype.type
+    step, inverse = real(PROX_STEP / values.ndim), real(1.0 / weight)
+    height = len(result)
+    starts = list(range(0, height, max(1, -(-height // THREADS))))
+    parts = list(zip(starts, [*starts[1:], height], strict=True))
+    # Of the rows at which threads meet; there is none after the last.
+    meeting = np.empty((len(parts) + 1, result.shape[1]), result.dtype)
     for _ in range(iterations):
-        slope = _gradient(_divergence(flow) - values / weight)
-        modulus = np.sqrt(np.sum(np.abs(slope) ** 2, axis=0))
-        flow = (flow + step * slope) / (1.0 + step * modulus)
-    return np.asarray(values - weight * _divergence(flow))
-
-
-def _gradient(values: Values) -> Values:
-    result = np.zeros((values.ndim, *values.shape), values.dtype)
-    for axis in range(values.ndim):
-        result[axis][_part(values.ndim, axis, slice(0, -1))] = np.diff(values, axis=axis)
-    return result
-
-
-def _divergence(flow: Values) -> Values:
-    """Negative adjoint of the gradient."""
-    dimensions = len(flow)
-    result = np.zeros(flow.shape[1:], flow.dtype)
-    for axis in range(dimensions):
-        inner = flow[axis][_part(dimensions, axis, slice(0, -1))]
-        result[_part(dimensions, axis, slice(0, -1))] += inner
-        result[_part(dimensions, axis, slice(1, None))] -= inner
-    return result
-
-
-def _part(dimensions: int, axis: int, part: slice) -> tuple[slice, ...]:
-    return tuple(part if i == axis else slice(None) for i in range(dimensions))
+        for line, start in zip(meeting, starts, strict=False):
+            slope_line(result, *flow, start, inverse, line)
+        for_blocks(
+            lambda k, _: project(result, *flow, meeting[k], meeting[k + 1], parts[k], step, inverse),
+            len(parts),
+            1,
+        )
+    for_blocks(lambda a, b: subtract(result, *flow, real(weight), inverse, a, b), height, ROWS)
+    return result.reshape(values.shape)

@@ -202,6 +202,11 @@ class TwoLevelTiles(Engine):
             groups = (SuperTile(settings, tuple(together)) for together in inside.values())
             return tuple(group for group in groups if not group.empty)
 
+    @property
+    def sums_bytes(self) -> int:
+        """Of the fields of all super-tiles on their own grids."""
+        return sum(8 * math.prod(group.shape) for group in self.groups)
+
     def _forward(self, values: Any) -> Any:
         height, width = self.scene.exit_grid.shape
         if self.device is not None and COMPLEX64 * height * width > self.device.memory_bytes:

@@ -29,6 +29,8 @@ from wavesim.targets import ComplexArray, Ground, on_ground
 
 GROUPS = range(4, 11)
 ELEMENTS = range(1, 7)
+BESIDE = 8
+"""Coarsest group of charts beside the one in the middle."""
 BARS = 3
 LENGTH = 5.0
 """Of a bar, and side of a set, in line widths."""
@@ -126,10 +128,15 @@ def usaf_elements(
         for group in chosen
         for element in ELEMENTS
     ]
-    around = chart_outline(placed)
+    return _about(placed, centre_mm)
+
+
+def _about(elements: Sequence[UsafElement], centre_mm: tuple[float, float]) -> tuple[UsafElement, ...]:
+    """Elements moved such that the middle of the rectangle around them lies at a point."""
+    around = chart_outline(elements)
     dx = centre_mm[0] - 0.5 * (around.left_mm + around.right_mm)
     dy = centre_mm[1] - 0.5 * (around.low_mm + around.high_mm)
-    return tuple(replace(one, centre_mm=(one.centre_mm[0] + dx, one.centre_mm[1] + dy)) for one in placed)
+    return tuple(replace(one, centre_mm=(one.centre_mm[0] + dx, one.centre_mm[1] + dy)) for one in elements)
 
 
 def chart_outline(elements: Sequence[UsafElement]) -> Rectangle:
@@ -169,12 +176,78 @@ def usaf_elements_within(grid: Grid, side_mm: float) -> tuple[UsafElement, ...]:
             break
     else:
         raise InputError(f"side_mm = {side_mm:g}: too small for group {GROUPS[-1]}, the finest of the chart")
+    return _shown(elements, grid, f"fit {side_mm:g} mm")
+
+
+def usaf_elements_beside(
+    grid: Grid,
+    centre_mm: tuple[float, float],
+    field_stop_mm: float,
+    charts: Sequence[Sequence[UsafElement]],
+) -> tuple[UsafElement, ...]:
+    """Fine groups about a point beside other charts: 8 to 10, or fewer where there is no room for all.
+
+    Parameters
+    ----------
+    grid
+        A plane.
+    centre_mm
+        Middle (x, y) of the chart, from the grid's centre.
+    field_stop_mm
+        Diameter of the round field stop about the grid's centre, in which the chart must lie.
+    charts
+        Elements of each chart that is there already.
+
+    Raises
+    ------
+    InputError
+        If not even the finest group fits between the others and the field stop's edge.
+    SamplingError
+        If the grid is too coarse for every element that fits.
+    """
+    refuse_line(grid)
+    x, y = centre_mm
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"chart at {x!r}, {y!r} mm: must be finite")
+    middle = (grid.centre_mm[0] + x, grid.centre_mm[1] + y)
+    others = [chart_outline(chart) for chart in charts]
+    finest = _shown(usaf_elements(range(BESIDE, GROUPS.stop)), grid, f"stand {x:g}, {y:g} mm off the middle")
+    said = ""
+    for coarsest in range(BESIDE, finest[-1].group + 1):
+        elements = _about([one for one in finest if one.group >= coarsest], middle)
+        around = chart_outline(elements)
+        said = _no_room(around, grid.centre_mm, 0.5 * field_stop_mm, others)
+        if not said:
+            return elements
+    sides = f"{around.right_mm - around.left_mm:.3g} mm x {around.high_mm - around.low_mm:.3g} mm"
+    raise InputError(f"chart at {x:g}, {y:g} mm: even of group {coarsest} alone, {sides}, it {said}")
+
+
+def _no_room(
+    around: Rectangle, centre_mm: tuple[float, float], radius_mm: float, others: list[Rectangle]
+) -> str:
+    """Why a chart cannot stand in a rectangle; nothing if it can."""
+    corners = [(x, y) for x in (around.left_mm, around.right_mm) for y in (around.low_mm, around.high_mm)]
+    if any(math.dist(corner, centre_mm) > radius_mm for corner in corners):
+        return f"reaches beyond the field stop of {2.0 * radius_mm:g} mm"
+    apart = (
+        around.left_mm > one.right_mm
+        or one.left_mm > around.right_mm
+        or around.low_mm > one.high_mm
+        or one.low_mm > around.high_mm
+        for one in others
+    )
+    return "" if all(apart) else "overlaps another chart"
+
+
+def _shown(elements: Sequence[UsafElement], grid: Grid, where: str) -> tuple[UsafElement, ...]:
+    """Elements whose lines a grid shows."""
     narrowest = SAMPLES_PER_FEATURE * 1e3 * grid.pitch_mm
     shown = tuple(one for one in elements if one.line_width_um >= narrowest)
     if not shown:
         raise SamplingError(
             f"the grid's pitch of {1e3 * grid.pitch_mm:.4g} um: too coarse for lines of "
-            f"{elements[0].line_width_um:.4g} um, the widest that fit {side_mm:g} mm; give "
+            f"{elements[0].line_width_um:.4g} um, the widest that {where}; give "
             f"{elements[0].line_width_um / SAMPLES_PER_FEATURE:.4g} um or less"
         )
     return shown

@@ -13,8 +13,9 @@ from wavesim.cli import main
 from wavesim.exposures import Electronics
 from wavesim.field_files import write_field
 from wavesim.frames import write_frame
+from wavesim.image_recording import Recording, image_patch
 from wavesim.imaging import make_illumination, make_target, object_patch
-from wavesim.imaging_planes import Recording, exit_scene, image_patch, imaging_engine, sensor_window
+from wavesim.imaging_planes import exit_scene, imaging_engine, sensor_window
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
@@ -38,13 +39,13 @@ def write_frames(folder: Path, pose: Pose = Pose()) -> None:
     target = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
     light = make_illumination(patch)
     sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
+    scene = exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2)
     made = image_patch(
-        exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2),
+        imaging_engine(scene, "eikonal", 1, 0.3),
         light.with_values(light.values * target.transmission.values),
         sensor,
         [sensor, sensor],
         Recording(PLANES_MM, Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16), 1),
-        lambda scene: imaging_engine(scene, "eikonal", 1, 0.3),
     )
     for number, frame in enumerate(made.frames, start=1):
         write_frame(frame, folder / f"frame_{number}.tif")

@@ -1,6 +1,7 @@
 """The command `wavesim image`, end to end on a small twin."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from wavesim_command import run_wavesim
 
 from lensdesign import load_design, save_design, scaled
+from wavesim.exposures import estimate_intensity
 from wavesim.frames import read_frame
-from wavesim.sensor import estimate_intensity
+from wavesim.imaging import make_target, object_patch
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +103,15 @@ def test_results_are_replaced_and_what_else_is_there_stays(
         (("--stage-error-mm", "0,0,0"), "--stage-error-mm = '0,0,0': must be 1 or 2 numbers"),
         (("--pixels", 100), "reaches beyond the sensor's"),
         (("--pixels", 1000), "pixels = 1000: must be from 1 to"),
+        (("--pixels", "100x300"), "pixels = 100 x 300: must be from 1 x 1 to the sensor's 292 x 219"),
+        (("--pixels", "1x2x3"), "--pixels = '1x2x3': must be a whole number, two such as 9344x7000, or all"),
+        (("--pixels", "-3"), "--pixels = '-3'"),
+        (("--exposures", "0,1"), "--exposures = '0,1': must be greater than 0"),
+        (("--exposures", "long"), "--exposures = 'long'"),
+        (("--object", "star", "--chart-at-mm", "0,0"), "object = 'star': only usaf has charts beside"),
+        (("--chart-at-mm", "0.01"), "--chart-at-mm = '0.01': must be 2 numbers"),
+        (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even of group 9 alone"),
+        (("--chart-at-mm", "0.024,0"), "reaches beyond the field stop of 0.05 mm"),
         (("--bits", 20), "bits = 20"),
         (("--full-well", 0), "full_well_electrons = 0.0"),
         (("--seed", -1), "--seed = -1"),
@@ -135,3 +146,46 @@ def test_a_file_in_place_of_the_folder_is_refused_and_kept(
     assert code == 2
     assert "is no folder" in err
     assert place.read_text() == "mine"
+
+
+def test_exposures_of_each_plane_stand_side_by_side(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    several = (*QUICK, "--exposures", "1000,1", "--seed", 2, "--pixels", "all")
+    code, out, err = run(monkeypatch, capsys, twin, *several, "-o", tmp_path / "a", "--json")
+    assert (code, err) == (0, "")
+    told = json.loads(out)["frames"]
+    names = ["frame_1_1.tif", "frame_1_2.tif", "frame_2_1.tif", "frame_2_2.tif"]
+    assert [frame["file"] for frame in told] == names
+    assert [frame["times"] for frame in told] == [1.0, 1000.0, 1.0, 1000.0]
+    assert told[0]["saturated_pixels"] == 0 < told[1]["saturated_pixels"]
+    frames = [read_frame(tmp_path / "a" / name) for name in names]
+    # The whole sensor, wider than high.
+    assert all(frame.counts.shape == (219, 292) for frame in frames)
+    assert frames[1].settings.exposure == pytest.approx(1000.0 * frames[0].settings.exposure)
+    known = ~frames[1].saturated
+    (short, about), (long, more) = (estimate_intensity(frame) for frame in frames[:2])
+    error = math.sqrt(float(about[known].sum() + more[known].sum()))
+    assert short[known].sum() == pytest.approx(long[known].sum(), abs=4.5 * error)
+    # One exposure has the names and the noise that it would have without the option; a long one says nothing.
+    for name, options in {"b": (), "c": ("--exposures", 1), "d": ("--exposures", 1000)}.items():
+        code, out, err = run(monkeypatch, capsys, twin, *QUICK, *options, "-o", tmp_path / name)
+        assert (code, err) == (0, "")
+    assert "1000 x" in out
+    plain, one, longer = (read_frame(tmp_path / name / "frame_1.tif").counts for name in "bcd")
+    assert np.array_equal(plain, one)
+    assert not np.array_equal(plain, longer)
+
+
+def test_a_chart_stands_beside_the_middle_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    options = (*QUICK[2:], "--patch-mm", 0.09, "--planes-mm", 0.1, "--no-noise", "--chart-at-mm", "0.036,0")
+    code, out, err = run(monkeypatch, capsys, twin, *options, "-o", tmp_path, "--json")
+    assert (code, err) == (0, "")
+    target = make_target(object_patch(load_design(twin), 0.09), "usaf", numerical_aperture=0.5)
+    assert json.loads(out)["object"]["elements"] == len(target.elements) + 2
+    stored = np.abs(np.load(tmp_path / "object.npz")["values"])
+    x = target.transmission.grid.x_mm
+    other = (abs(stored - np.abs(target.transmission.values)) > 1e-3).any(axis=0)
+    assert 0.028 < x[other].min() < 0.036 < x[other].max() < 0.044

@@ -14,7 +14,7 @@ from wavesim_command import (
     write_frames,
 )
 
-from wavesim import reconstruction, recording_model, resumable
+from wavesim import reconstruction, recording_model, resumable, retrieval_steps
 from wavesim.frames import Frame, read_frame, write_frame
 
 
@@ -89,23 +89,23 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     method: str,
     start: str,
 ) -> None:
-    monkeypatch.setattr(resumable, "PART_ITERATIONS", 3)
     monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "KEEP_SHARE", np.inf)
     monkeypatch.setattr(reconstruction, "AMPLITUDE_START", 2)
     options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
     options = (*options, "--refocus-mm=-0.002,0.002")
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
     assert code == 0, err
 
-    step = {"object": (recording_model.RecordingModel, "step"), "paper": (resumable, "retrieve")}[method]
+    step = {"object": recording_model.RecordingModel, "paper": retrieval_steps.Passes}[method], "step"
     call: Any = getattr(*step)
     taken: list[int] = []
 
-    def stopped(*args: Any, **settings: Any) -> Any:
-        taken.append(settings.get("iterations", 1))
-        if sum(taken) > 3:
+    def stopped(*args: Any) -> Any:
+        taken.append(1)
+        if len(taken) > 3:
             raise KeyboardInterrupt
-        return call(*args, **settings)
+        return call(*args)
 
     monkeypatch.setattr(*step, stopped)
     code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
@@ -113,15 +113,15 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     assert "interrupted after 3 of 7 iterations; the same command goes on" in err
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
 
-    def counted(*args: Any, **settings: Any) -> Any:
-        taken.append(settings.get("iterations", 1))
-        return call(*args, **settings)
+    def counted(*args: Any) -> Any:
+        taken.append(1)
+        return call(*args)
 
     taken.clear()
     monkeypatch.setattr(*step, counted)
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert code == 0, err
-    assert sum(taken) == 4
+    assert len(taken) == 4
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
@@ -158,6 +158,8 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
         return changed(frame, path, pixel_pitch_um=3.3)
     if fault == "wavelength":
         return changed(frame, path, wavelength_um=0.6)
+    if fault == "twice":
+        return data / "frame_1.tif"
     if fault == "plane":
         return changed(frame, path, plane_distance_mm=PLANES_MM[0])
     path.write_bytes((data / "frame_2.tif").read_bytes()[:3000])
@@ -172,7 +174,8 @@ def bad_frame(data: Path, folder: Path, fault: str) -> Path:
         ("empty", "bad.tif: is empty"),
         ("pitch", "bad.tif: pixel_pitch_um = 3.3"),
         ("wavelength", "bad.tif: wavelength_um = 0.6"),
-        ("plane", "both state plane_distance_mm = 0.0625"),
+        ("plane", "both state plane_distance_mm = 0.0625, but show different intensities"),
+        ("twice", "frame_1.tif: is named twice"),
         ("corrupt", "bad.tif: damaged TIFF"),
     ],
 )
@@ -211,6 +214,8 @@ def test_bad_frames_are_one_message_status_two_and_nothing_written(
         (("--field-stop-mm", 1), "field_stop_mm = 1"),
         (("--truth", "nowhere"), "cannot read the measured field nowhere"),
         (("--refocus-mm", "1"), "--refocus-mm = '1'"),
+        (("--chart-at-mm", "0.02,0"), "--chart-at-mm: means nothing without --usaf"),
+        (("--chart-at-mm", "0.02,0", "--usaf", "bright"), "chart at 0.02, 0 mm"),
     ],
 )
 def test_bad_options_are_one_message_status_two_and_nothing_written(
@@ -261,3 +266,39 @@ def test_foreign_frames_and_little_diversity_are_told(
     assert "little diversity between planes 0.0625, 0.0635 mm: dz w^2 / (lambda f^2) =" in err.replace(
         "\n", " "
     )
+
+
+def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    chart = ("--patch-mm", 0.09, "--engine", "eikonal", "--error", 0.3, "--chart-at-mm", "0.036,0")
+    exposed = (*chart, "--exposures", "1,30", "--planes-mm", 0.0625, "--pixels", "all", "-o", tmp_path)
+    code, _, err = run_wavesim(monkeypatch, capsys, "image", data / "twin.toml", *exposed)
+    assert (code, err) == (0, "")
+    merged, alone = tmp_path / "merged", tmp_path / "alone"
+    both = (tmp_path / "frame_1_1.tif", tmp_path / "frame_1_2.tif")
+    usual = (
+        "--design",
+        data / "twin.toml",
+        *chart,
+        "--usaf",
+        "bright",
+        "--kind",
+        "amplitude",
+        "--iterations",
+        8,
+    )
+    code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
+    assert (code, err.strip()) == (0, "")
+    assert "at 0.036, 0 mm resolved down to group 9, element 2" in out.replace("\n", " ")
+    code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
+    assert code == 0
+    told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
+    assert [len(one["planes"][0]["exposures"]) for one in told] == [2, 1]
+    assert told[0]["planes"][0]["noise"] < 0.7 * told[1]["planes"][0]["noise"]
+    (beside,) = told[0]["usaf"]["beside"]
+    assert beside["at_mm"] == [0.036, 0.0]
+    assert [one["group"] for one in beside["elements"]] == [9, 9]
+    code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
+    assert code == 2
+    assert "--method paper: needs frames of two planes" in err

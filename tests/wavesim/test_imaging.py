@@ -9,10 +9,17 @@ import pytest
 from PIL import Image
 
 from lensdesign import load_design, scaled
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.first_order import first_order
 from lensdesign.poses import Pose
-from wavesim.imaging import MAKERS, make_illumination, make_target, object_patch
+from wavesim.imaging import (
+    MAKERS,
+    make_illumination,
+    make_target,
+    object_patch,
+    usaf_charts_of,
+    usaf_elements_of,
+)
 from wavesim.imaging_planes import (
     TILE_ERROR,
     DiversityWarning,
@@ -25,7 +32,9 @@ from wavesim.imaging_planes import (
     light_window,
     sensor_window,
 )
+from wavesim.metrics import element_contrasts
 from wavesim.sensor import FootprintWarning
+from wavesim.usaf import chart_outline
 
 PAPER = load_design("designs/paper_singlet.toml")
 TWIN = scaled(PAPER, 0.125)
@@ -56,7 +65,7 @@ def test_patches_that_are_refused(patch_mm: float, stop_mm: float | None, messag
         object_patch(TWIN, patch_mm, stop_mm)
 
 
-@pytest.mark.parametrize("name", list(MAKERS))
+@pytest.mark.parametrize("name", ["usaf", *MAKERS])
 def test_objects_lie_within_the_field_stop(name: str) -> None:
     patch = object_patch(TWIN, 0.1)
     values = make_target(patch, name, "dark", numerical_aperture=0.5, seed=3).transmission.values
@@ -74,6 +83,45 @@ def test_the_chart_tells_its_elements_and_both_grounds_add_up() -> None:
     np.testing.assert_allclose(bright.transmission.values + dark.transmission.values, 1.0, atol=1e-6)
     assert bright.elements == dark.elements
     assert min(one.line_width_um for one in bright.elements) == pytest.approx(0.87, abs=0.01)
+
+
+def test_charts_beside_the_middle_lie_about_their_points_and_apart() -> None:
+    patch = object_patch(PAPER, 0.4)
+    points = [(0.15, 0.0), (-0.12, 0.1)]
+    charts = usaf_charts_of(patch, points)
+    assert charts[0] == usaf_elements_of(patch)
+    for chart, point in zip(charts[1:], points, strict=True):
+        assert {one.group for one in chart} <= {8, 9, 10}
+        around = chart_outline(chart)
+        middle = (0.5 * (around.left_mm + around.right_mm), 0.5 * (around.low_mm + around.high_mm))
+        assert middle == pytest.approx(point, abs=1e-12)
+        assert min(one.line_width_um for one in chart) == min(one.line_width_um for one in charts[0])
+    target = make_target(patch, "usaf", numerical_aperture=0.5, chart_at_mm=points)
+    assert target.elements == tuple(one for chart in charts for one in chart)
+    contrasts = element_contrasts(target.transmission.values, patch.grid, charts[1])
+    assert all(one.contrast > 0.9 for one in contrasts)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([(0.02, 0.01)], "overlaps another chart"),
+        ([(0.15, 0.0), (0.15, 0.0)], "chart at 0.15, 0 mm: .* overlaps another chart"),
+        ([(0.199, 0.0)], "reaches beyond the field stop of 0.4 mm"),
+        ([(math.nan, 0.0)], "chart at nan, 0.0 mm: must be finite"),
+    ],
+)
+def test_charts_without_room_are_refused(points: list[tuple[float, float]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        usaf_charts_of(object_patch(PAPER, 0.4), points)
+
+
+def test_a_chart_beside_takes_fewer_groups_where_there_is_less_room() -> None:
+    patch = object_patch(PAPER, 0.4, object_pitch_um=0.24)
+    groups = [{one.group for one in usaf_charts_of(patch, [(x, 0.0)])[1]} for x in (0.15, 0.18, 0.19)]
+    assert groups == [{8, 9, 10}, {9, 10}, {10}]
+    with pytest.raises(SamplingError, match=r"lines of 1\.953 um, the widest that stand 0\.15, 0 mm off"):
+        usaf_charts_of(object_patch(PAPER, 0.4, object_pitch_um=1.5), [(0.15, 0.0)])
 
 
 def test_a_picture_larger_than_the_field_stop_is_refused(tmp_path: Path) -> None:
@@ -127,6 +175,11 @@ def test_windows_hold_the_footprint_and_no_more_than_the_sensor() -> None:
     assert 0.1 < wider < 0.2
     with pytest.raises(InputError, match="pixels = 300: must be from 1 to the sensor's 219"):
         sensor_window(SMALL, patch, planes, 300)
+    # The sensor is wider than high.
+    assert sensor_window(SMALL, patch, planes, SMALL.sensor.pixels).pixels == (292, 219)
+    assert sensor_window(SMALL, patch, planes, (292, 100)).pixels == (292, 100)
+    with pytest.raises(InputError, match="pixels = 219 x 292: must be from 1 x 1 to the sensor's 292 x 219"):
+        sensor_window(SMALL, patch, planes, (219, 292))
 
 
 def test_a_footprint_beyond_the_sensor_is_told_then_refused() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from wavesim.engine import Engine, Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid, correlation
 from wavesim.free_space import transfer_function
-from wavesim.reconstruction import LEAST_TV, Kind, reconstruct
+from wavesim.reconstruction import LEAST_TV, Kind, Progressed, reconstruct
 from wavesim.recording_model import RecordingModel
 from wavesim.retrieval import Recorded, recorded_intensity
+from wavesim.scratch import Scratch
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +267,39 @@ def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
     assert told == list(range(16))
     assert score(case, found.transmission) > 0.9
     assert np.any(found.transmission.values.imag != 0.0)
+
+
+@pytest.mark.parametrize("start", [None, "amplitude"])
+def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | None) -> None:
+    """Whether or not arrays lie in files; what is kept is not changed by what comes after."""
+    kept: list[Progressed] = []
+    settings: dict[str, Any] = {"tv_weight": 0.02, "iterations": 16, "start": start}
+    whole = reconstruct(case.engine, case.illumination, case.recorded, keep=kept.append, **settings)
+    assert len(kept) == len(whole.misfit)
+    for k in (2, 11, 12):
+        again = reconstruct(case.engine, case.illumination, case.recorded, resume=kept[k], **settings)
+        np.testing.assert_array_equal(again.transmission.values, whole.transmission.values)
+        assert again.misfit == whole.misfit
+    assert np.isrealobj(kept[3].ahead) == (start == "amplitude")
+    assert np.iscomplexobj(kept[-1].ahead)
+
+
+@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("complex", 0.0)])
+def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, active_width: float) -> None:
+    room, used = Scratch(tmp_path, 0.0), []
+    quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-3)) for p in case.recorded]
+    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "active_width": active_width}
+    settings |= {"iterations": 4, "keep": lambda _: used.append(room.bytes_in_files)}
+    in_files, in_memory = (
+        reconstruct(case.engine, case.illumination, quiet, scratch=scratch, **settings)
+        for scratch in (room, None)
+    )
+    np.testing.assert_array_equal(in_files.transmission.values, in_memory.transmission.values)
+    assert in_files.misfit == in_memory.misfit
+    # The steps, and standard deviations in the model's precision.
+    step = case.illumination.values.nbytes // (2 if kind == "amplitude" else 1)
+    assert used[3] >= 2 * step + sum(p.amplitude.nbytes for p in case.recorded)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

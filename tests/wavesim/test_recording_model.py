@@ -6,60 +6,13 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
-from lensdesign.system import Sensor
 from wavesim.engine import Scene
 from wavesim.engines import make_engine
 from wavesim.fields import Field, Grid
-from wavesim.recording_model import PixelMeans, RecordingModel
+from wavesim.recording_model import RecordingModel
 from wavesim.retrieval import Recorded
-from wavesim.sensor import light_on_pixels
 
 PITCH = 3.2e-3
-GRID = Grid((48, 40), PITCH, 1.0)
-
-
-def field(seed: int = 1) -> Field:
-    """Speckle that fills nine tenths of the pixels' band, in a soft window."""
-    rng = np.random.default_rng(seed)
-    spectrum = rng.standard_normal(GRID.shape) + 1j * rng.standard_normal(GRID.shape)
-    for axis, count in enumerate(GRID.shape):
-        inside = np.abs(np.fft.fftfreq(count)) < 0.45
-        spectrum *= inside.reshape((-1, 1) if axis == 0 else (1, -1))
-    values = np.fft.ifft2(spectrum)
-    edge = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in GRID.shape]
-    return Field(GRID, values * np.outer(*edge), 0.532)
-
-
-@pytest.mark.parametrize("active_width", [0.3, 0.7, 1.0])
-def test_means_are_those_of_the_sensor(active_width: float) -> None:
-    """The sensor's means come from a cosine series, by another way."""
-    one = field()
-    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
-    expected = light_on_pixels(one, sensor, active_width=active_width, oversampling=4)
-    pixels = PixelMeans(GRID, active_width)
-    fine = pixels.densely(np.fft.fft2(one.values))
-    means = pixels.means(np.abs(fine) ** 2)
-    off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
-    at_points = np.linalg.norm(np.abs(one.values) ** 2 - expected) / np.linalg.norm(expected)
-    assert off < 0.01
-    assert off < 0.3 * at_points
-
-
-def test_dense_samples_and_back() -> None:
-    one, pixels = field(), PixelMeans(GRID, 1.0)
-    spectrum = np.fft.fft2(one.values)
-    fine = pixels.densely(spectrum.copy())
-    np.testing.assert_allclose(fine[::2, ::2], one.values, atol=1e-12)
-    np.testing.assert_allclose(pixels.coarsely(fine.copy()), spectrum, atol=1e-10)
-
-
-def test_spread_is_the_adjoint_of_means() -> None:
-    rng = np.random.default_rng(2)
-    pixels = PixelMeans(GRID, 1.0)
-    fine, coarse = rng.random([2 * n for n in GRID.shape]), rng.random(GRID.shape)
-    assert np.vdot(pixels.means(fine), coarse) == pytest.approx(0.25 * np.vdot(fine, pixels.spread(coarse)))
-    assert pixels.spread(np.ones(GRID.shape)).mean() == pytest.approx(1.0)
-    np.testing.assert_allclose(pixels.means(np.ones([2 * n for n in GRID.shape])), 1.0)
 
 
 @pytest.fixture(scope="module")

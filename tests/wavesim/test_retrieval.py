@@ -223,17 +223,18 @@ def test_amplitudes_of_an_estimated_intensity() -> None:
     assert saturated.sigma[0] == pytest.approx(0.25)
 
 
-def test_weights_are_relative_to_the_best_pixel_of_all_planes() -> None:
+def test_weights_are_relative_to_the_brightest_pixel_and_none_exceeds_1() -> None:
     planes = [
-        Recorded(0.0, np.ones(2), np.array([0.5, 1.0])),
-        Recorded(1.0, np.ones(2), np.array([2.0, np.inf])),
+        # The brightest is clipped, the faintest known far better than the brightest that is not.
+        Recorded(0.0, np.array([9.0, 4.0, 2.0, 0.5]), np.array([np.inf, 0.5, 1.0, 0.01])),
+        Recorded(1.0, np.array([3.0, 1.0]), np.array([2.0, np.inf])),
         Recorded(2.0, np.ones(2)),
     ]
     first, second, third = weights_of(planes)
     assert first is not None
     assert second is not None
     assert third is None
-    np.testing.assert_allclose(first, [1.0, 0.25])
+    np.testing.assert_allclose(first, [0.0, 1.0, 0.25, 1.0])
     np.testing.assert_allclose(second, [0.0625, 0.0])
 
 

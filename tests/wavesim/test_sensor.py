@@ -14,23 +14,19 @@ from scipy.special import erf
 
 from lensdesign.errors import InputError
 from lensdesign.system import Sensor
-from wavesim.fields import Field, Grid
-from wavesim.frames import Frame, FrameSettings
-from wavesim.free_space import propagate
-from wavesim.sensor import (
+from wavesim.exposures import (
     Electronics,
-    FootprintWarning,
     SaturationWarning,
-    _pixel_means,
     estimate_intensity,
     expose,
     exposure_for,
-    light_on_pixels,
-    pixel_mtf,
     plane_seeds,
-    record,
-    sensor_grid,
 )
+from wavesim.fields import Field, Grid
+from wavesim.frames import Frame, FrameSettings
+from wavesim.free_space import propagate
+from wavesim.pixel_light import pixel_means
+from wavesim.sensor import FootprintWarning, light_on_pixels, pixel_mtf, record, sensor_grid
 
 PITCH_UM = 3.2
 SENSOR = Sensor(pixel_pitch_um=PITCH_UM, pixels=(48, 40), plane_distances_mm=(3.0,))
@@ -95,7 +91,7 @@ def test_pixels_pass_a_cosine_by_their_mtf(
     cycles_per_pixel = 0.5 * order / pixels
     fine = (np.arange(oversampling * pixels) + 0.5) / oversampling
     middle = np.arange(pixels) + 0.5
-    got = _pixel_means(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width)[0]
+    got = pixel_means(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width)[0]
     mtf = pixel_mtf(cycles_per_pixel * 1e3 / PITCH_UM, SENSOR, width)
     np.testing.assert_allclose(got, mtf * np.cos(2 * np.pi * cycles_per_pixel * middle), atol=1e-12)
 

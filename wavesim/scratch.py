@@ -1,0 +1,141 @@
+"""Room for large arrays: in memory up to a limit, and in files beyond it."""
+
+from __future__ import annotations
+
+import errno
+import math
+import mmap
+import os
+import shutil
+import tempfile
+import weakref
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lensdesign.errors import InputError
+
+WRITTEN = 2**20
+"""Bytes at a time, where a system cannot reserve a file's room at once."""
+
+
+class Scratch:
+    """Gives arrays that lie in memory while all of them fit a limit, and otherwise in files.
+
+    Files have no name: nothing is left behind, however a run ends. Their room is reserved at once, for a disk
+    that is full only when an array is written would end the process. Room comes back where an array, with all
+    views on it, is no longer used.
+
+    Parameters
+    ----------
+    folder
+        Where files lie, on a disk and not in memory, as some /tmp do; None: all arrays lie in memory.
+    memory_bytes
+        Most that arrays in memory may take together.
+
+    Raises
+    ------
+    InputError
+        If the limit is not usable, or set without a folder.
+    """
+
+    def __init__(self, folder: Path | None = None, memory_bytes: float = math.inf) -> None:
+        if not memory_bytes >= 0.0:
+            raise InputError(f"memory_bytes = {memory_bytes!r}: must be 0 or more")
+        if folder is None and math.isfinite(memory_bytes):
+            raise InputError(f"memory_bytes = {memory_bytes:g}: needs a folder for what is beyond it")
+        self.folder, self.memory_bytes = folder, memory_bytes
+        self.bytes_in_memory = 0
+        self.bytes_in_files = 0
+
+    def array(self, shape: tuple[int, ...], dtype: DTypeLike, what: str = "an array") -> NDArray[Any]:
+        """An array of zeros.
+
+        Parameters
+        ----------
+        shape, dtype
+            Of the array.
+        what
+            Named in messages.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be made, or the disk is full.
+        """
+        dtype = np.dtype(dtype)
+        size = math.prod(shape) * dtype.itemsize
+        in_file = self.folder is not None and size > 0 and self.bytes_in_memory + size > self.memory_bytes
+        flat = self._mapped(size, what) if in_file else np.zeros(size, np.uint8)
+        self._count(in_file, size)
+        weakref.finalize(flat, self._count, in_file, -size).atexit = False
+        return flat.view(dtype).reshape(shape)
+
+    def moved(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
+        """A copy of an array; the memory of the original comes back where it is no longer used.
+
+        Raises
+        ------
+        InputError
+            As :meth:`array`.
+        """
+        result = self.array(values.shape, values.dtype, what)
+        result[...] = values
+        return result
+
+    def _count(self, in_file: bool, size: int) -> None:
+        if in_file:
+            self.bytes_in_files += size
+        else:
+            self.bytes_in_memory += size
+
+    def _mapped(self, size: int, what: str) -> NDArray[np.uint8]:
+        try:
+            # Unlinked at once; the mapping keeps it.
+            with tempfile.TemporaryFile(dir=self.folder, prefix=".scratch.") as file:
+                handle = cast(BinaryIO, file)
+                _reserve(handle, size)
+                return np.frombuffer(mmap.mmap(handle.fileno(), size), np.uint8)
+        except OSError as error:
+            if error.errno == errno.ENOSPC:
+                raise InputError(
+                    f"the disk that holds {self.folder} is full: {1e-9 * size:.2f} GB are needed for {what}, "
+                    f"{self._free()} are free"
+                ) from error
+            raise InputError(
+                f"cannot make a file in {self.folder} for {what}: {error.strerror or error}"
+            ) from error
+
+    def _free(self) -> str:
+        assert self.folder is not None
+        return f"{1e-6 * shutil.disk_usage(self.folder).free:.0f} MB"
+
+
+def scratch_in(folder: Path, memory_bytes: float) -> Scratch:
+    """Room in memory, and in files of a folder, which is made where they are needed.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made.
+    """
+    if math.isinf(memory_bytes):
+        return Scratch()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {folder}: {error.strerror or error}") from error
+    return Scratch(folder, memory_bytes)
+
+
+def _reserve(file: BinaryIO, size: int) -> None:
+    """Fill a file with zeros that lie on the disk."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+        return
+    zeros = bytes(WRITTEN)
+    for start in range(0, size, WRITTEN):
+        file.write(zeros[: size - start])
+    file.flush()
