@@ -15,6 +15,7 @@ SCRIPTS = (
     "pupil_trial",
     "eikonal_speed",
     "full_field",
+    "field_scaling",
     "gpu_field",
     "chooser",
     "reconstruction",

@@ -40,14 +40,24 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
     Parameters
     ----------
     frames
-        One or more.
+        One or more; several exposures of a plane stand side by side, planes below each other then.
     title
         Written on top.
     """
     from matplotlib.colors import LogNorm
 
-    figure, axes = _row(len(frames), title)
-    for place, frame in zip(axes, frames, strict=True):
+    planes: dict[float, list[Frame]] = {}
+    for frame in frames:
+        planes.setdefault(frame.settings.plane_distance_mm, []).append(frame)
+    most = max(len(own) for own in planes.values())
+    single = most == 1
+    figure, axes = _panels(1 if single else len(planes), len(planes) if single else most, title)
+    for place in axes.ravel():
+        place.set_visible(False)
+    placed = [(i, j, frame) for i, own in enumerate(planes.values()) for j, frame in enumerate(own)]
+    for i, j, frame in placed:
+        place = axes[0, i] if single else axes[i, j]
+        place.set_visible(True)
         settings = frame.settings
         gain = settings.gain_electrons_per_count
         counts, pitch_um = _for_screen(frame.counts, settings.pixel_pitch_um)
@@ -57,7 +67,9 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
         shown = np.maximum(electrons, low)
         picture = place.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
         _colour_bar(figure, picture, place, "electrons")
-        place.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex")
+        shortest = min(one.settings.exposure for one in planes[settings.plane_distance_mm])
+        times = "" if single else f", exposure {settings.exposure / shortest:.4g} x"
+        place.set_title(f"{settings.plane_distance_mm:g} mm behind the exit vertex{times}")
         _scale_bar(place, shown.shape, pitch_um)
     return figure
 
@@ -148,11 +160,17 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
 
 
 def _row(count: int, title: str) -> tuple[Figure, Any]:
+    figure, axes = _panels(1, count, title)
+    return figure, axes[0]
+
+
+def _panels(rows: int, columns: int, title: str) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4 * count, 5.6 + (0.4 if title else 0.0)), layout="constrained")
+    size = 6.4 * columns, 5.6 * rows + (0.4 if title else 0.0)
+    figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(visible(title), fontsize=13, parse_math=False)
-    return figure, figure.subplots(1, count, squeeze=False)[0]
+    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def _for_screen(values: Any, pitch_um: float) -> tuple[Array, float]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from wavesim.fields import Field, Grid
-from wavesim.imaging_plots import MOST_DRAWN, object_figure
+from wavesim.frames import Frame, FrameSettings
+from wavesim.imaging_plots import MOST_DRAWN, frames_figure, object_figure
 
 
 @pytest.mark.parametrize(("samples", "factor"), [(300, 1), (2 * MOST_DRAWN + 5, 3)])
@@ -23,3 +24,24 @@ def test_a_picture_has_no_more_samples_than_a_screen(samples: int, factor: int) 
     length_um = float(np.ptp(np.asarray(bar.get_xdata()))) * factor
     (text,) = (t.get_text() for t in axes.texts)
     assert text == (f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm")
+
+
+def test_exposures_stand_beside_each_other_and_planes_below() -> None:
+    settings = FrameSettings(
+        pixel_pitch_um=3.2, plane_distance_mm=2.0, wavelength_um=0.5, exposure=4.0, bits=12,
+        offset_counts=10.0, gain_electrons_per_count=2.0,
+    )  # fmt: skip
+    counts = np.full((12, 10), 100, np.uint16)
+    frames = [
+        Frame(counts, settings.model_copy(update={"plane_distance_mm": z, "exposure": exposure}))
+        for z, exposures in ((2.0, (4.0, 120.0)), (22.0, (9.0,)))
+        for exposure in exposures
+    ]
+    shown = [a.get_title() for a in frames_figure(frames).axes if a.get_visible() and a.get_title()]
+    assert shown == [
+        "2 mm behind the exit vertex, exposure 1 x",
+        "2 mm behind the exit vertex, exposure 30 x",
+        "22 mm behind the exit vertex, exposure 1 x",
+    ]
+    alone = [a.get_title() for a in frames_figure(frames[1:]).axes if a.get_title()]
+    assert alone == ["2 mm behind the exit vertex", "22 mm behind the exit vertex"]
