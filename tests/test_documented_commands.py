@@ -47,6 +47,8 @@ SHORTER = {
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
     # The whole field of the full-size lens (half an hour): of a small twin.
     r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/small_twin.toml\1",
+    # Its fine lines need samples and exposures that the twin has no room for; nobody runs a cluster here.
+    r" --(chart-at-mm|object-pitch-um|cluster) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
     r"^wavesim compare \S+ (.*)": r"wavesim compare designs/small_twin.toml \1 --scale 1 --patch-mm 0.004 "
     "--most-seconds 0.003 --radius-mm 0.02 --no-maps",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import typer
 
-from lensdesign.console import print_json, progress_bar
+from lensdesign.console import print_json
 from lensdesign.errors import InputError
 from lensdesign.files import load_design
 from lensdesign.plain_text import visible
@@ -29,10 +32,12 @@ from wavesim.cli_imaging import (
     AsJson,
     Bits,
     ChartAtMm,
+    Cluster,
     DecenterXMm,
     DecenterYMm,
     DesignOption,
     DespaceMm,
+    Device,
     EngineName,
     Error,
     Exposure,
@@ -42,6 +47,7 @@ from wavesim.cli_imaging import (
     Illumination,
     LightPitchUm,
     LightTiltDeg,
+    MemoryGb,
     ObjectPitchUm,
     OffsetCounts,
     Options,
@@ -56,10 +62,7 @@ from wavesim.cli_imaging import (
     WaistMm,
     WavelengthUm,
     chart_points,
-    engine_options,
     engine_summary,
-    framed_patch,
-    key_of_frames,
     pose_of,
     refuse_other,
     versions,
@@ -70,7 +73,6 @@ METHODS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitud
 
 ITERATIONS = {"paper": 500, "object": 30}
 PAPER_REFOCUS_MM = "-0.01,0.01"
-ONE_PLANE = "--method paper: needs frames of two planes or more; --method object can do with one"
 
 
 def reconstruct(
@@ -96,6 +98,9 @@ def reconstruct(
     light_pitch_um: LightPitchUm = None,
     engine: EngineName = "auto",
     error: Error = None,
+    memory_gb: MemoryGb = None,
+    cluster: Cluster = None,
+    device: Device = None,
     tile_width_mm: TileWidthMm = None,
     slices: Slices = None,
     compensation: Compensation = None,
@@ -118,6 +123,10 @@ def reconstruct(
     ] = None,
     usaf: Annotated[str | None, typer.Option(help="The object is a USAF chart: bright or dark.")] = None,
     chart_at_mm: ChartAtMm = None,
+    region_mm: Annotated[
+        str | None,
+        typer.Option(help="x,y,width,height: the part of the object that is judged and written."),
+    ] = None,
     plane_distance_mm: PlaneDistanceMm = None,
     pixel_pitch_um: PixelPitchUm = None,
     wavelength_um: WavelengthUm = None,
@@ -134,20 +143,24 @@ def reconstruct(
     """
     from wavesim.field_files import refuse_no_folder
     from wavesim.reconstruction_results import summary_of, write_results
+    from wavesim.reconstruction_run import case_of, run
 
     options = Options(**locals())
     _refuse(options)
     refuse_no_folder(output)
-    with warnings.catch_warnings(record=True) as caught:
+    with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        case = _case(load_design(design), options)
+        case = case_of(load_design(design), options)
         print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
-        outcome = _run(case, options)
-    summary = summary_of(case, outcome, options) | {
-        "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
-        "engine": engine_summary(case.engine),
-        "versions": versions(),
-    }
+        if not as_json:
+            print(case.memory.line(output), file=sys.stderr)
+        outcome = run(case, options)
+        summary = summary_of(case, outcome, options) | {
+            "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
+            "engine": engine_summary(case.engine),
+            "memory": case.memory.as_dict(),
+            "versions": versions(),
+        }
     summary["files"] = [str(output / name) for name in write_results(case, outcome, summary, output)]
     case.checkpoint.drop()
     if as_json:
@@ -156,35 +169,15 @@ def reconstruct(
         _print(summary, output)
 
 
-class Case(NamedTuple):
-    """What is reconstructed from what."""
-
-    lens: Any
-    patch: Any
-    light: Any
-    sensor: Any
-    planes: Any
-    recorded: Any
-    engine: Any
-    truth: Any
-    charts: Any
-    diversity: float
-    checkpoint: Any
-
-
-class Outcome(NamedTuple):
-    """What came out.
-
-    `behind` is the field behind the object, `curve` the misfit (object) or the correlation A6 (paper) for
-    every iteration; `said` holds figures of one method alone.
-    """
-
-    transmission: Any
-    behind: Any
-    residual_maps: Any
-    curve: Any
-    refocusing: Any
-    said: dict[str, Any]
+@contextmanager
+def _no_empty_folder(folder: Path) -> Iterator[None]:
+    """Remove a folder that was made for files of large arrays, if nothing else came into it."""
+    made = not folder.exists()
+    try:
+        yield
+    finally:
+        if made and folder.exists() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _refuse(options: Any) -> None:
@@ -200,6 +193,8 @@ def _refuse(options: Any) -> None:
     options.chart_at_mm = chart_points(options)
     if options.chart_at_mm and options.usaf is None:
         raise InputError("--chart-at-mm: means nothing without --usaf")
+    if options.region_mm is not None:
+        options.region_mm = numbers(options.region_mm, "--region-mm", 4)
     if options.tv_weight != "auto":
         options.tv_weight = numbers(options.tv_weight, "--tv-weight", 1)[0]
     if options.calibration is not None and pose_of(options) != Pose():
@@ -209,136 +204,13 @@ def _refuse(options: Any) -> None:
     if options.iterations < 1:
         raise InputError(f"--iterations = {options.iterations}: must be at least 1")
     if options.method == "paper" and len(options.frames) < 2:
+        from wavesim.reconstruction_run import ONE_PLANE
+
         raise InputError(ONE_PLANE)
     if options.refocus_mm is None and options.method == "paper":
         options.refocus_mm = PAPER_REFOCUS_MM
     if options.refocus_mm is not None:
         options.refocus_mm = tuple(numbers(options.refocus_mm, "--refocus-mm", 2))
-
-
-def _case(lens: Any, options: Any) -> Case:
-    from wavesim.frame_sets import planes_of_frames, recorded_planes
-    from wavesim.imaging import usaf_charts_of
-    from wavesim.imaging_planes import exit_scene, imaging_engine
-    from wavesim.mounting import read_mounting
-    from wavesim.reconstruction_results import read_truth
-    from wavesim.resumable import Checkpoint
-
-    mounting = None if options.calibration is None else read_mounting(options.calibration)
-    pose = pose_of(options) if mounting is None else mounting.pose
-    frames, planes, sensor, patch, light, diversity = framed_patch(lens, options, pose)
-    if options.method == "paper" and len(planes) < 2:
-        raise InputError(ONE_PLANE)
-    truth = None if options.truth is None else read_truth(options.truth, patch)
-    charts = usaf_charts_of(patch, options.chart_at_mm) if options.usaf else ()
-    settings = engine_options(options)
-    scene = exit_scene(lens, patch, sensor, planes[0], pose)
-    recorded = recorded_planes(frames)
-    if mounting is not None:
-        scene, light, recorded = (
-            mounting.scene(scene),
-            mounting.illumination(light),
-            mounting.recorded(recorded),
-        )
-    runs = 2 * options.iterations if options.method == "object" else 2
-    engine = imaging_engine(scene, options.engine, runs, options.error, **settings)
-    checkpoint = Checkpoint(
-        options.output / "checkpoint.npz", _key(lens, frames, options, light, recorded, engine)
-    )
-    seen = planes_of_frames(frames)
-    return Case(lens, patch, light, sensor, seen, recorded, engine, truth, charts, diversity, checkpoint)
-
-
-def _key(lens: Any, frames: Any, options: Any, light: Any, recorded: Any, engine: Any) -> str:
-    told = {
-        name: str(getattr(options, name))
-        for name in ("method", "kind", "iterations", "tv_weight", "start", "scale")
-    }
-    told |= {"active_width": str(options.active_width), "pose": str(engine.scene.pose)}
-    told |= {"engine": engine.name, "settings": str(engine.settings())}
-    told |= {"object_z": str(light.grid.z_mm), "planes": str([p.distance_mm for p in recorded])}
-    return key_of_frames(lens, frames, light, str(sorted(told.items())))
-
-
-def _run(case: Case, options: Any) -> Outcome:
-    """Reconstruct and refocus, with a bar; an interrupt says what is kept."""
-    done = 0
-    try:
-        with progress_bar() as bar:
-            task = bar.add_task(f"{options.method}: engine {case.engine.name}", total=options.iterations)
-
-            def show(k: int, figure: float) -> None:
-                nonlocal done
-                done = k + 1
-                name = "CC" if options.method == "paper" else "misfit"
-                bar.update(task, completed=done, description=f"{options.method}: {name} {figure:.5f}")
-
-            outcome = (_paper if options.method == "paper" else _object)(case, options, show)
-            if options.refocus_mm is None:
-                return outcome
-            bar.update(task, description="refocusing", completed=0, total=None)
-            return _refocused(
-                case, options, outcome, lambda k, total: bar.update(task, completed=k, total=total)
-            )
-    except KeyboardInterrupt:
-        kept = case.checkpoint.load() is not None
-        where = "the same command goes on from where it was last kept" if kept else "nothing was written"
-        raise KeyboardInterrupt(
-            f"interrupted after {done} of {options.iterations} iterations; {where}"
-        ) from None
-
-
-def _object(case: Case, options: Any, show: Any) -> Outcome:
-    from wavesim.resumable import reconstruct_resumably
-
-    found = reconstruct_resumably(
-        case.engine,
-        case.light,
-        case.recorded,
-        case.checkpoint,
-        kind=options.kind,
-        tv_weight=options.tv_weight,
-        iterations=options.iterations,
-        scale=options.scale,
-        start="amplitude" if options.start == "amplitude" else None,
-        active_width=options.active_width,
-        progress=show,
-    )
-    said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_early": found.stopped_early}
-    behind = case.light.with_values(case.light.values * found.transmission.values)
-    return Outcome(found.transmission, behind, found.residual_maps, found.misfit, None, said)
-
-
-def _paper(case: Case, options: Any, show: Any) -> Outcome:
-    from wavesim.imaging import transmission_of
-    from wavesim.resumable import retrieve_resumably
-
-    retrieved, maps = retrieve_resumably(
-        case.engine,
-        case.light,
-        case.recorded,
-        case.checkpoint,
-        iterations=options.iterations,
-        start=options.start,
-        progress=show,
-    )
-    back = case.engine.adjoint(retrieved.field)
-    said = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
-    return Outcome(transmission_of(back, case.light), back, maps, retrieved.correlation, None, said)
-
-
-def _refocused(case: Case, options: Any, outcome: Outcome, show: Any) -> Outcome:
-    """The sharpest of all distances; a field is carried, not a transmission."""
-    from dataclasses import replace
-
-    from wavesim.imaging import transmission_of
-    from wavesim.refocusing import refocus_field
-
-    depth_mm = 1e-3 * case.patch.wavelength_um / case.lens.object.numerical_aperture**2
-    found = refocus_field(outcome.behind, options.refocus_mm, depth_mm, show)
-    # The light is taken where the object was thought to be: over a few depths of focus it hardly changes.
-    there = transmission_of(replace(found.field, grid=case.light.grid), case.light)
-    return outcome._replace(transmission=there, refocusing=found)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
@@ -375,6 +247,9 @@ def _print(summary: dict[str, Any], output: Path) -> None:
 
 def _figures(summary: dict[str, Any]) -> list[str]:
     lines = []
+    if summary["region_mm"] is not None:
+        x, y, width, height = summary["region_mm"]
+        lines.append(f"of the object {width:.4g} mm x {height:.4g} mm about {x:.4g}, {y:.4g} mm")
     if summary["refocus_um"] is not None:
         lines.append(f"sharpest {summary['refocus_um']:.2f} um behind the object plane")
     if summary["truth"]:
@@ -384,14 +259,17 @@ def _figures(summary: dict[str, Any]) -> list[str]:
             f"PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
         )
     if summary["usaf"]:
-        lines.append(_resolved(summary["usaf"]["smallest_resolved"]))
+        lines.append(_resolved(summary["usaf"]))
         for chart in summary["usaf"]["beside"]:
             x, y = chart["at_mm"]
-            lines.append(f"at {x:g}, {y:g} mm {_resolved(chart['smallest_resolved'])}")
+            lines.append(f"at {x:g}, {y:g} mm {_resolved(chart)}")
     return lines
 
 
-def _resolved(finest: dict[str, Any] | None) -> str:
+def _resolved(chart: dict[str, Any]) -> str:
+    if not chart["elements"]:
+        return "no element of the chart lies within the region"
+    finest = chart["smallest_resolved"]
     if finest is None:
         return "no element of the chart is resolved"
     return (

@@ -110,13 +110,13 @@ def _layers(
 
 
 def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
-    from wavesim.field_files import read_field
+    from wavesim.field_files import read_centre_um, read_field
     from wavesim.picture_layers import cut_out, field_layers
 
     values, pitch_um = read_field(path)
-    centre_um = (0.0, 0.0)
+    centre_um = read_centre_um(path)
     if region is not None:
-        values, centre_um = cut_out(values, pitch_um, region, f"{path}: --region-mm")
+        values, centre_um = cut_out(values, pitch_um, region, f"{path}: --region-mm", centre_um)
     return field_layers(values, pitch_um, centre_um, name)
 
 

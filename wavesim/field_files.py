@@ -140,6 +140,25 @@ def read_field(path: Path) -> tuple[Any, float]:
     return values, float(pitch.item())
 
 
+def read_centre_um(path: Path) -> tuple[float, float]:
+    """Middle (x, y) of a field that `read_field` reads; the axis, unless its file says otherwise.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or says no finite numbers.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            names = ("centre_x_mm", "centre_y_mm")
+            x, y = (float(content[name].item()) if name in content.files else 0.0 for name in names)
+    except Exception as error:  # as above
+        raise InputError(f"field {path}: where it lies cannot be read: {error}") from error
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be finite")
+    return 1e3 * x, 1e3 * y
+
+
 def write_tiff(path: Path, values: Array, pitch_um: float, quantity: str) -> None:
     """Write one quantity of a field as a grey TIFF of 32-bit floating point numbers, in tiles that zoom.
 

@@ -141,20 +141,26 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
 
 
 def cut_out(
-    values: Any, pitch_um: float, region_mm: Sequence[float], named: str = "region_mm"
+    values: Any,
+    pitch_um: float,
+    region_mm: Sequence[float],
+    named: str = "region_mm",
+    centre_um: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Any, tuple[float, float]]:
     """Samples within a region, and the middle of these.
 
     Parameters
     ----------
     values
-        Shape (ny, nx), about the origin, y increasing with the row.
+        Shape (ny, nx), y increasing with the row.
     pitch_um
         Of the samples.
     region_mm
         x and y of its centre, width and height.
     named
         What messages call the region.
+    centre_um
+        Middle of the values (x, y).
 
     Returns
     -------
@@ -170,21 +176,21 @@ def cut_out(
     x_mm, y_mm, width_mm, height_mm = region_mm
     if not (all(map(math.isfinite, region_mm)) and min(width_mm, height_mm) > 0.0):
         raise InputError(f"{said}: must be finite, and the sides greater than 0")
-    found, centre_um = [], []
-    for axis, count, middle, side in (
-        ("x", values.shape[1], x_mm, width_mm),
-        ("y", values.shape[0], y_mm, height_mm),
+    found, middles_um = [], []
+    for axis, count, middle_um, middle, side in (
+        ("x", values.shape[1], centre_um[0], x_mm, width_mm),
+        ("y", values.shape[0], centre_um[1], y_mm, height_mm),
     ):
-        half = 0.5e-3 * count * pitch_um
-        if abs(middle) + 0.5 * side > half + 1e-3 * pitch_um:
+        half, own = 0.5e-3 * count * pitch_um, 1e-3 * middle_um
+        if abs(middle - own) + 0.5 * side > half + 1e-3 * pitch_um:
             raise InputError(
-                f"{said}: along {axis} there are samples from {-half:.4g} to {half:.4g} mm alone"
+                f"{said}: along {axis} there are samples from {own - half:.4g} to {own + half:.4g} mm alone"
             )
-        first = max(math.floor((middle - 0.5 * side + half) * 1e3 / pitch_um + 1e-6), 0)
-        last = min(math.ceil((middle + 0.5 * side + half) * 1e3 / pitch_um - 1e-6), count)
+        first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + 1e-6), 0)
+        last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - 1e-6), count)
         found.append(slice(first, max(last, first + 1)))
-        centre_um.append((0.5 * (first + found[-1].stop) - 0.5 * count) * pitch_um)
-    return values[found[1], found[0]], (centre_um[0], centre_um[1])
+        middles_um.append(middle_um + (0.5 * (first + found[-1].stop) - 0.5 * count) * pitch_um)
+    return values[found[1], found[0]], (middles_um[0], middles_um[1])
 
 
 def _some(values: Any) -> Any:

@@ -10,16 +10,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from lensdesign.errors import atomic_path
 from wavesim.engine import Engine
 from wavesim.fields import Field
-from wavesim.reconstruction import Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction import Kind, Progressed, Reconstructed, reconstruct
 from wavesim.retrieval import LIT, Array, Recorded, Retrieved, Start, residual_and_map, retrieve
 from wavesim.retrieval_state import RetrievalState
+from wavesim.scratch import Scratch
 
 KEEP_SECONDS = 20.0
 """Between two iterations that are kept, at least."""
@@ -56,13 +57,29 @@ class Checkpoint:
         """What was kept; None if nothing was, or it is of another run or damaged."""
         try:
             with np.load(self.path, allow_pickle=False) as kept:
-                data = {name: kept[name] for name in kept.files}
+                if str(kept["key"]) != self.key:
+                    return None
+                return {name: kept[name] for name in kept.files}
         except Exception:  # of a damaged file, errors of many kinds
             return None
-        return data if str(data.get("key")) == self.key else None
+
+    @property
+    def kept(self) -> bool:
+        """Whether something of this run was kept; its arrays are not read."""
+        try:
+            with np.load(self.path, allow_pickle=False) as kept:
+                return str(kept["key"]) == self.key
+        except Exception:  # as above
+            return False
 
     def keep(self, **data: Any) -> None:
-        """Replace what was kept."""
+        """Replace what was kept.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, as where the disk is full; what was kept before stays.
+        """
         with atomic_path(self.path) as temporary:
             np.savez(temporary, key=np.asarray(self.key), **data)
 
@@ -86,30 +103,29 @@ def reconstruct_resumably(
     recorded: Sequence[Recorded],
     checkpoint: Checkpoint | None = None,
     *,
+    kind: Kind = "complex",
+    tv_weight: float | Literal["auto"] = 0.0,
+    iterations: int = 30,
     scale: float | None = None,
-    **settings: Any,
+    start: Field | Literal["amplitude"] | None = None,
+    active_width: float = 0.0,
+    progress: Progress | None = None,
+    scratch: Scratch | None = None,
 ) -> Reconstructed:
     """:func:`wavesim.reconstruct`; cut off, the next run goes on as if this one had not been.
 
     Parameters
     ----------
-    engine, illumination, recorded, scale, **settings
+    engine, illumination, recorded, kind, tv_weight, iterations, scale, start, active_width, progress, scratch
         As of :func:`wavesim.reconstruct`.
     checkpoint
         Where the last iteration is kept, no more often than every `KEEP_SECONDS`.
+
+    Raises
+    ------
+    InputError
+        As :func:`wavesim.reconstruct`, or if an iteration cannot be kept.
     """
-    kept = checkpoint.load() if checkpoint else None
-    resume = None
-    if kept is not None:
-        resume = Progressed(
-            kept["transmission"],
-            kept["ahead"],
-            float(kept["momentum"]),
-            tuple(kept["misfit"].tolist()),
-            float(kept["scale"]),
-            int(kept["stage"]),
-            int(kept["began"]),
-        )
     last = time.monotonic()
 
     def keep(state: Progressed) -> None:
@@ -118,7 +134,38 @@ def reconstruct_resumably(
             checkpoint.keep(**vars(state))
             last = time.monotonic()
 
-    return reconstruct(engine, illumination, recorded, scale=scale, resume=resume, keep=keep, **settings)
+    # What was kept is given away in the call: no name here may hold its arrays to the end.
+    return reconstruct(
+        engine,
+        illumination,
+        recorded,
+        kind=kind,
+        tv_weight=tv_weight,
+        iterations=iterations,
+        scale=scale,
+        start=start,
+        active_width=active_width,
+        progress=progress,
+        resume=_progressed(checkpoint, scratch or Scratch()),
+        keep=keep,
+        scratch=scratch,
+    )
+
+
+def _progressed(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed | None:
+    """Where an earlier run was cut off, if it was."""
+    kept = checkpoint.load() if checkpoint else None
+    if kept is None:
+        return None
+    return Progressed(
+        scratch.moved(kept.pop("transmission"), "what was kept"),
+        scratch.moved(kept.pop("ahead"), "what was kept"),
+        float(kept["momentum"]),
+        tuple(kept["misfit"].tolist()),
+        float(kept["scale"]),
+        int(kept["stage"]),
+        int(kept["began"]),
+    )
 
 
 def retrieve_resumably(
@@ -130,6 +177,7 @@ def retrieve_resumably(
     iterations: int = 500,
     start: str = "model",
     progress: Progress | None = None,
+    scratch: Scratch | None = None,
 ) -> tuple[Retrieved, tuple[Array, ...]]:
     """The paper's phase retrieval on the engine's exit grid; cut off, the next run goes on from there.
 
@@ -147,6 +195,8 @@ def retrieve_resumably(
         :func:`wavesim.retrieve`.
     progress
         Called after every iteration with its number and correlation.
+    scratch
+        Where the amplitudes lie as Appendix A takes them; in memory if left out.
 
     Returns
     -------
@@ -155,7 +205,7 @@ def retrieve_resumably(
     residual_maps : tuple of ndarray
         As of :func:`wavesim.reconstruct`.
     """
-    planes, factor = _prepared(recorded)
+    planes, factor = _prepared(recorded, scratch or Scratch())
     kept = checkpoint.load() if checkpoint else None
     # Fields are given away in the call, so that the retrieval can let go of them.
     found = retrieve(
@@ -205,22 +255,22 @@ def _keeper(checkpoint: Checkpoint) -> Callable[[RetrievalState], None]:
     return keep
 
 
-def _prepared(recorded: Sequence[Recorded]) -> tuple[list[Recorded], np.float32]:
-    """Amplitudes for Appendix A, none of them darker than noise, and what they were multiplied by."""
-    lifted = []
+def _prepared(recorded: Sequence[Recorded], scratch: Scratch) -> tuple[list[Recorded], np.float32]:
+    """Amplitudes for Appendix A, none of them darker than noise, and what they were multiplied by.
+
+    Of standard deviations it asks only whether they are finite: they stay as they are.
+    """
+    planes = []
     for plane in recorded:
-        least: Any = 0.0
-        if plane.sigma is not None:
-            least = DARKEST * np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
-        lifted.append(np.maximum(plane.amplitude, least))
-    lit = lifted[0] > LIT * lifted[0].max()
-    factor = np.float32(MEDIAN / float(np.median(lifted[0][lit])))
-    planes = [
-        Recorded(
-            plane.distance_mm,
-            (factor * amplitude).astype(plane.amplitude.dtype),
-            None if plane.sigma is None else factor * plane.sigma,
-        )
-        for plane, amplitude in zip(recorded, lifted, strict=True)
-    ]
+        lifted = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "the recorded amplitudes")
+        for row in range(len(lifted)):
+            least: Any = 0.0
+            if plane.sigma is not None:
+                least = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
+            lifted[row] = np.maximum(plane.amplitude[row], least)
+        planes.append(Recorded(plane.distance_mm, lifted, plane.sigma))
+    first = planes[0].amplitude
+    factor = np.float32(MEDIAN / float(np.median(first[first > LIT * first.max()])))
+    for plane in planes:
+        np.multiply(plane.amplitude, factor, out=plane.amplitude)
     return planes, factor
