@@ -304,8 +304,9 @@ def make_illumination(
             f"illumination = {name!r}: allowed: {', '.join(known)}, or the file of a measured field"
             f"{did_you_mean(name, known)}"
         )
-    stopped = light.values * field_stop(grid, "disc", patch.field_stop_mm)
-    return light.with_values(stopped.astype(np.complex64))
+    light = light.with_values(light.values.astype(np.complex64))
+    light.values[...] *= field_stop(grid, "disc", patch.field_stop_mm).astype(np.float32)
+    return light
 
 
 def transmission_of(behind_object: Field, illumination: Field) -> Field:

@@ -11,17 +11,19 @@ from wavesim.engine import Engine
 from wavesim.memory import BASE_BYTES, Need, estimate_line
 from wavesim.reconstruction import Kind
 from wavesim.reconstruction_memory import MemoryRange, reconstruction_bytes
+from wavesim.refocusing import MOST_JUDGED
 from wavesim.retrieval import retrieval_bytes
 from wavesim.scratch import Scratch
 
 ITEM = 8
 """Bytes of a complex sample."""
 
-LIGHT_BYTES, READ_BYTES = 57, 24
+LIGHT_BYTES, READ_BYTES = 49, 24
 """For each sample of the object, while the illumination is made and while a true object is read. Measured."""
 
-REFOCUSED_BYTES, JUDGED_BYTES, DRAWN_BYTES = 330, 30, 30
-"""For each sample that is carried along the axis, compared with the truth, and drawn. Measured."""
+REFOCUSED_BYTES, CARRIED_BYTES, JUDGED_BYTES, DRAWN_BYTES = 330, 85, 30, 30
+"""For each sample whose sharpness is asked for, that is carried along the axis with these, compared with the
+truth, and drawn. Measured."""
 
 PLANE_BYTES = 20
 """For each pixel, while residuals of a plane are drawn. Measured."""
@@ -86,7 +88,8 @@ def run_need(
     after += max(
         engine.cost().peak_bytes + ITEM * (2 * shown + behind),
         max(JUDGED_BYTES, DRAWN_BYTES) * shown,
-        REFOCUSED_BYTES * carried,
+        REFOCUSED_BYTES * min(carried, MOST_JUDGED**2),
+        CARRIED_BYTES * carried,
         PLANE_BYTES * behind,
     )
     reading = max(LIGHT_BYTES, ITEM + READ_BYTES if truth else 0) * source + frames_bytes

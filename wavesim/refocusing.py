@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -18,12 +18,18 @@ from scipy.optimize import minimize_scalar
 
 from lensdesign.errors import InputError
 from wavesim.fields import Field
-from wavesim.free_space import transfer_function
+from wavesim.free_space import propagate, transfer_function
 
 Array = NDArray[np.float64]
 
 PADDING = 2
 """Times the field's samples, so that what leaves one side stays off the other."""
+
+MOST_JUDGED = 1024
+"""Samples along a side whose sharpness is asked for: singular values of more would take minutes each."""
+
+SOFT = 0.05
+"""Of such a middle's side, over which it fades at its borders."""
 
 REFINED_MM = 1e-5
 """To which the peak is followed between the samples of the curve."""
@@ -83,6 +89,8 @@ def refocus_field(
 ) -> Refocusing:
     """Carry a reconstruction to the distance at which it is sharpest.
 
+    Of a field of more than `MOST_JUDGED` samples along a side, its middle tells how sharp it is.
+
     Parameters
     ----------
     field
@@ -107,7 +115,8 @@ def refocus_field(
         raise InputError(f"step_mm = {step_mm!r}: must be above 0 and below the interval's {high - low:g} mm")
     if field.grid.is_line:
         raise InputError("refocusing by SVFG: needs a field on a plane")
-    carried = _carrier(field)
+    judged = _middle(field)
+    carried = _carrier(judged)
     distances = np.linspace(low, high, math.ceil((high - low) / step_mm) + 1)
     curve = np.empty(len(distances))
     for i, distance in enumerate(distances):
@@ -120,8 +129,29 @@ def refocus_field(
         lambda d: -svfg(carried(float(d))), bounds=around, method="bounded", options={"xatol": REFINED_MM}
     )
     best = float(fine.x) if -float(fine.fun) >= curve[top] else float(distances[top])
-    found = Field(field.grid.at(field.grid.z_mm + best), carried(best), field.wavelength_um, field.index)
+    if judged is field:
+        found = Field(field.grid.at(field.grid.z_mm + best), carried(best), field.wavelength_um, field.index)
+    else:
+        found = propagate(field, best, check=False)
     return Refocusing(found, best, distances, curve)
+
+
+def _middle(field: Field) -> Field:
+    """The middle of a large field, softly cut out."""
+    rows, columns = (min(count, MOST_JUDGED) for count in field.grid.shape)
+    if (rows, columns) == field.grid.shape:
+        return field
+    part = tuple(
+        slice((whole - own) // 2, (whole - own) // 2 + own)
+        for whole, own in zip(field.grid.shape, (rows, columns), strict=True)
+    )
+    down, across = (
+        np.sin(np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / (SOFT * n), 0.0, 1.0) * 0.5 * np.pi)
+        ** 2
+        for n in (rows, columns)
+    )
+    values = (field.values[part] * down[:, None] * across).astype(field.values.dtype)
+    return Field(replace(field.grid, shape=(rows, columns)), values, field.wavelength_um, field.index)
 
 
 def _carrier(field: Field) -> Callable[[float], NDArray[np.complexfloating]]:
@@ -138,3 +168,9 @@ def _carrier(field: Field) -> Callable[[float], NDArray[np.complexfloating]]:
         return np.asarray(values[: shape[0], : shape[1]])
 
     return carried
+
+
+def _fading(count: int) -> Array:
+    """1, but for both ends, where it rises from 0."""
+    away = np.minimum(np.arange(count), np.arange(count)[::-1])
+    return np.asarray(np.sin(0.5 * np.pi * np.clip(away / (SOFT * count), 0.0, 1.0)) ** 2)

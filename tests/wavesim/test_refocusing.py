@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
-from wavesim.fields import Field, Grid
+from wavesim import refocusing
+from wavesim.fields import Field, Grid, relative_error
 from wavesim.free_space import propagate
 from wavesim.refocusing import refocus_field, svfg
 
@@ -35,6 +36,16 @@ def test_the_focus_is_found(off_mm: float) -> None:
     assert found.distance_mm == pytest.approx(-off_mm, abs=5e-4)
     assert svfg(found.field.values) >= found.svfg.max() * (1.0 - 1e-9)
     assert found.field.grid.z_mm == pytest.approx(GRID.z_mm, abs=5e-4)
+
+
+def test_the_middle_of_a_large_field_tells_its_focus(monkeypatch: pytest.MonkeyPatch) -> None:
+    blurred = propagate(bars(), 0.012, pad=(512, 512), check=False)
+    monkeypatch.setattr(refocusing, "MOST_JUDGED", 100)
+    found = refocus_field(blurred, (-0.03, 0.03))
+    assert found.distance_mm == pytest.approx(-0.012, abs=1e-3)
+    there = propagate(blurred, found.distance_mm, check=False)
+    assert relative_error(found.field.values, there.values) < 1e-9
+    assert found.field.grid == there.grid
 
 
 def test_svfg_is_the_nuclear_norm() -> None:
