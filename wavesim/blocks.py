@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 from wavesim.tile_operator import THREADS
 
 Part = TypeVar("Part")
+
+BLOCK = 1024
+"""Rows that are worked on at one time: all of a whole field's, in double precision, would fill a memory."""
+
+
+def row_blocks(count: int) -> Iterator[slice]:
+    """Parts of a range of rows or columns, `BLOCK` of them at most in each."""
+    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
 def for_blocks(work: Callable[[int, int], Part], count: int, block: int) -> list[Part]:

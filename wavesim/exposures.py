@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +18,7 @@ from pydantic import Field as Setting
 
 from lensdesign.errors import InputError
 from lensdesign.system import Positive, Section
+from wavesim.blocks import row_blocks
 from wavesim.frames import Array, Bits, Counts, Frame, NotNegative, Offset
 
 Seed = int | np.random.SeedSequence
@@ -25,9 +26,6 @@ Seed = int | np.random.SeedSequence
 CLEAR = 5.0
 """Standard deviations of read noise by which a pixel must stay below full well to count as not clipped. Of a
 bright spot in a long exposure, next to none of the clipped pixels may pass for a thousandth of its light."""
-
-BLOCK = 1024
-"""Rows that are worked on at one time: all of a large sensor's would fill a memory."""
 
 
 class SaturationWarning(UserWarning):
@@ -81,11 +79,6 @@ class Electronics(Section):
         """From which count on a pixel may have been clipped, at full well or at the top count."""
         clear = self.full_well_electrons - CLEAR * self.read_noise_electrons
         return int(min(max(math.floor(self.offset_counts + clear / self.gain), 1), 2**self.bits - 1))
-
-
-def row_blocks(count: int) -> Iterator[slice]:
-    """Parts of a range of rows or columns, `BLOCK` of them at most in each."""
-    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
 def exposure_for(intensity: Array, brightest_electrons: float) -> float:

@@ -17,13 +17,13 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.system import Lens
+from wavesim.blocks import row_blocks
 from wavesim.exposures import (
     SaturationWarning,
     clipped_in_all,
     electrons_of,
     fixed_variance,
     merged_intensity,
-    row_blocks,
 )
 from wavesim.frames import Frame, read_frame
 from wavesim.retrieval import Recorded, recorded_intensity

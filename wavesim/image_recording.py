@@ -43,6 +43,9 @@ BAND_ROWS = 1024
 PARTS = ".parts"
 """Folder within the results' in which finished parts of an unfinished run lie."""
 
+MADE_BYTES = 49
+"""For each sample of the object, while it and its light are made. Measured."""
+
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many parts of it are, and of how many."""
 
@@ -295,7 +298,7 @@ def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], reco
     pixels, object_samples = across * down, engine.scene.object_grid.size
     widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
     # Transmission, what lies behind the object, and a picture of it.
-    fixed = BASE_BYTES + 24 * object_samples + engine.cost().peak_bytes
+    fixed = max(24 * object_samples + engine.cost().peak_bytes, MADE_BYTES * object_samples) + BASE_BYTES
     counts = 2 * pixels * len(windows) * len(recording.exposures)
     if not isinstance(engine, TwoLevelTiles):
         # The first plane's field, another one's, and free space between them.

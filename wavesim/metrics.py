@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.bar_sets import SetContrast, set_contrast
+from wavesim.blocks import row_blocks
 from wavesim.coverage import refuse_finer, refuse_not_positive
 from wavesim.engine import Engine
 from wavesim.fields import Array, Field, Grid
-from wavesim.picture_similarity import Mask, Picture, row_blocks
+from wavesim.picture_similarity import Mask, Picture
 from wavesim.plane_waves import fft_frequencies
 from wavesim.targets import Ground, band_limit
 from wavesim.usaf import UsafElement

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.blocks import row_blocks
 from wavesim.coverage import refuse_not_positive
 from wavesim.fields import Array
 
 Picture = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-ROWS, SSIM_REACH = 512, 5
-"""Rows that are compared at one time, and how far a window of the structural similarity reaches beyond."""
+SSIM_REACH = 5
+"""Samples that a window of the structural similarity reaches to either side."""
 
 
 def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:
@@ -98,8 +98,3 @@ def _pair(
     if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
         raise InputError("pictures hold values that are not finite")
     return a, b, inside
-
-
-def row_blocks(count: int) -> Iterator[slice]:
-    """Parts of a range of rows, so that a whole field is not copied at one time."""
-    return (slice(start, min(start + ROWS, count)) for start in range(0, count, ROWS))

@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.system import Sensor
-from wavesim.exposures import row_blocks
+from wavesim.blocks import row_blocks
 from wavesim.frames import Array
 from wavesim.scratch import Scratch
 

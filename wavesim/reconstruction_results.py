@@ -12,6 +12,7 @@ from zipfile import is_zipfile
 import numpy as np
 
 from lensdesign.errors import InputError
+from wavesim.blocks import row_blocks
 from wavesim.engine import Engine
 from wavesim.field_files import new_results, read_centre_um, write_field, write_json, write_tiff
 from wavesim.fields import Field
@@ -20,7 +21,7 @@ from wavesim.imaging import Patch
 from wavesim.imaging_plots import curves_figure, object_figure, residual_figure, save
 from wavesim.metrics import as_passed, bar_contrast, object_correlation, smallest_resolved_element
 from wavesim.object_region import around, cut_field, holds, part_of
-from wavesim.picture_similarity import psnr_db, row_blocks, ssim
+from wavesim.picture_similarity import psnr_db, ssim
 from wavesim.reconstruction_need import held
 
 OBJECT_FILE = "object.npz"

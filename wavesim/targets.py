@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.input_files import check_input
 from wavesim.arrays import fftn, ifftn
+from wavesim.blocks import row_blocks
 from wavesim.coverage import (
     ROUNDING,
     Rectangle,
@@ -119,16 +120,21 @@ def siemens_star(
     refuse_finer(grid, 2e3 * inner_radius_mm * math.sin(0.5 * math.pi / spokes), "the spokes' inner ends")
     x = (grid.x_mm - grid.centre_mm[0])[None, :]
     y = (grid.y_mm - grid.centre_mm[1])[:, None]
-    # Of the edges, two to a spoke, the nearest is at half a step from a multiple of pi / spokes.
-    step = math.pi / spokes
-    angle = np.arctan2(y, x)
-    nearest = np.floor(angle / step)
+    star = disc_coverage(grid, radius_mm)
+    star -= disc_coverage(grid, inner_radius_mm)
+    for rows in row_blocks(len(y)):
+        star[rows] *= _spokes(x, y[rows], math.pi / spokes, grid.pitch_mm)
+    return on_ground(star, ground)
+
+
+def _spokes(x: Array, y: Array, step: float, pitch_mm: float) -> Array:
+    """Share of each cell that spokes cover, each `step` wide and as far apart."""
+    # Of the edges, two to a spoke, the nearest is at half a step from a multiple of the step.
+    nearest = np.floor(np.arctan2(y, x) / step)
     edge = (nearest + 0.5) * step
     distance = y * np.cos(edge) - x * np.sin(edge)
-    beyond = half_plane_coverage(distance / grid.pitch_mm, np.cos(edge), np.sin(edge))
-    spoke = np.where(nearest % 2 == 0, 1.0 - beyond, beyond)
-    ring = disc_coverage(grid, radius_mm) - disc_coverage(grid, inner_radius_mm)
-    return on_ground(spoke * ring, ground)
+    beyond = half_plane_coverage(distance / pitch_mm, np.cos(edge), np.sin(edge))
+    return np.where(nearest % 2 == 0, 1.0 - beyond, beyond)
 
 
 def phase_pads(

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
 from lensdesign.system import Sensor
+from wavesim.blocks import BLOCK
 from wavesim.exposures import (
-    BLOCK,
     Electronics,
     SaturationWarning,
     estimate_intensity,
