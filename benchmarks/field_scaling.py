@@ -179,7 +179,7 @@ def chart(sweeps: dict[str, list[dict[str, Any]]], path: Path) -> None:
             said = f"{figure_name}, exponent {exponent(x, y):.2f}"
             above.plot(x, y, "o-", color=COLOURS[figure_name], lw=1.8, ms=5, label=said)
         below.plot(x, [1e-9 * p["bytes"] for p in points], "s-", color=COLOURS["memory"], lw=1.8, ms=5)
-        below.set(xlabel=labels[name], xscale="log", yscale="log", xticks=x)
+        below.set(xlabel=labels[name], xscale="log", ylim=(0.0, None), xticks=x)
         below.set_xticks(x, [f"{value:g}" for value in x])
         below.minorticks_off()
         above.set(yscale="log")

@@ -145,7 +145,7 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.6 * len(curves), 4.0), layout="constrained")
-    figure.suptitle(visible(title), fontsize=11, parse_math=False)
+    figure.suptitle(_lines(title), fontsize=11, parse_math=False)
     for place, (label, (x, y, x_label)) in zip(
         figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True
     ):
@@ -159,6 +159,11 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
     return figure
 
 
+def _lines(title: str) -> str:
+    """A title whose lines stay lines."""
+    return "\n".join(visible(line) for line in title.split("\n"))
+
+
 def _row(count: int, title: str) -> tuple[Figure, Any]:
     figure, axes = _panels(1, count, title)
     return figure, axes[0]
@@ -169,7 +174,7 @@ def _panels(rows: int, columns: int, title: str) -> tuple[Figure, Any]:
 
     size = 6.4 * columns, 5.6 * rows + (0.4 if title else 0.0)
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(visible(title), fontsize=13, parse_math=False)
+    figure.suptitle(_lines(title), fontsize=13, parse_math=False)
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 

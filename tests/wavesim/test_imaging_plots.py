@@ -45,3 +45,9 @@ def test_exposures_stand_beside_each_other_and_planes_below() -> None:
     ]
     alone = [a.get_title() for a in frames_figure(frames[1:]).axes if a.get_title()]
     assert alone == ["2 mm behind the exit vertex", "22 mm behind the exit vertex"]
+
+
+def test_a_title_keeps_its_lines_and_shows_what_else_is_in_it() -> None:
+    grid = Grid((20, 20), 1e-3, -1.0)
+    figure = object_figure(Field(grid, np.ones(grid.shape), 0.532), np.ones(grid.shape, bool), "one\ntw\x1bo")
+    assert figure.get_suptitle() == "one\ntw\\x1bo"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
-from wavesim import reconstruction_need
+from wavesim import blocks, reconstruction_need
 from wavesim.engine import Cost, Engine, Scene
 from wavesim.fields import Field, Grid
 from wavesim.imaging import Patch, make_illumination
@@ -97,8 +97,9 @@ def test_light_and_refocusing_take_what_is_told(engine: Nothing) -> None:
 
 
 def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_room(
-    engine: Nothing, tmp_path: Path
+    engine: Nothing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(blocks, "BLOCK", 256)  # a whole field has many blocks
     grid = engine.scene.object_grid
     fields = [
         Field(grid, (noise(seed) + 1j * noise(seed + 1)).astype(np.complex64), 0.532) for seed in (1, 3)
