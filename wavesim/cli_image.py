@@ -184,7 +184,7 @@ def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> M
     """Through the lens and onto the sensor, within the memory allowed."""
     from wavesim.image_recording import PARTS, image_patch, imaging_need
     from wavesim.imaging_planes import OVERSAMPLING, exit_scene, imaging_engine
-    from wavesim.memory import estimate_line, memory_limit, room_for_arrays
+    from wavesim.memory import Memory, memory_limit, room_for_arrays
     from wavesim.scratch import scratch_in
 
     output, recording, limit = options.output, made.recording, memory_limit(options.memory_gb)
@@ -198,10 +198,10 @@ def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> M
             return take(imaging_engine(scene, name, 1, error, memory_bytes=limit, **settings))
 
         engine = make(scene)
-        need = imaging_need(engine, made.sensor, windows, recording)
-        scratch = scratch_in(output, room_for_arrays(need, limit, "this picture"))
+        memory = Memory(imaging_need(engine, made.sensor, windows, recording), limit)
+        scratch = scratch_in(output, room_for_arrays(memory.need, limit, "this picture"))
         if not options.as_json:
-            print(estimate_line(need, limit, output), file=sys.stderr)
+            print(memory.line(output), file=sys.stderr)
         try:
             with progress_bar() as bar:
                 task = bar.add_task(f"engine {engine.name}", total=None)
@@ -224,8 +224,7 @@ def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> M
                 else "nothing is kept"
             )
             raise KeyboardInterrupt(f"interrupted; {where}") from None
-    memory = {"limit_bytes": limit, "predicted_bytes": min(need.most_bytes, limit)}
-    return made._replace(imaged=imaged, memory=memory)
+    return made._replace(imaged=imaged, memory=memory.as_dict())
 
 
 def _pixels(text: str | None, lens: Any) -> int | tuple[int, int] | None:

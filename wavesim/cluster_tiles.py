@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +42,7 @@ class ScenePacket:
     settings : dict
         Of the engine.
     key : str
-        The same for the same scene and settings.
+        Of the engine (:meth:`wavesim.engine.Engine.key`).
     """
 
     toolkit_version: str
@@ -67,20 +66,15 @@ class TileCluster:
         InputError
             If the engine has none.
         """
-        if not isinstance(engine, TwoLevelTiles):
-            raise InputError(
-                f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level"
-            )
-        scene, settings = engine.scene, engine.settings()
-        key = sha256(f"{scene.lens.model_dump_json()} {vars(scene)} {settings}".encode()).hexdigest()
-        packet = ScenePacket(toolkit_version(), scene, settings, key)
+        tiles = refuse_no_tiles(engine)
+        packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
         # A task's result, unlike scattered data, is made again when the workers that hold it die.
         sent = self._client.submit(deliver, packet, pure=False)
 
         def perform(way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
             return self._in_order(sent, way, tasks)
 
-        engine.perform = perform
+        tiles.perform = perform
 
     def _in_order(self, sent: Any, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
         """Results in the order of tasks, so that sums do not depend on who is quick."""
@@ -97,6 +91,19 @@ class TileCluster:
         finally:
             for _, future in pending:
                 future.cancel()
+
+
+def refuse_no_tiles(engine: Engine) -> TwoLevelTiles:
+    """The engine, if a cluster can do its work.
+
+    Raises
+    ------
+    InputError
+        If it has no super-tiles.
+    """
+    if not isinstance(engine, TwoLevelTiles):
+        raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level")
+    return engine
 
 
 @contextmanager

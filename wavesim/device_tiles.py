@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
@@ -26,7 +26,7 @@ from wavesim.device import Device
 from wavesim.ray_map import SmoothMap
 from wavesim.resampling import Weights, coarse_axis
 from wavesim.tile_operator import THREADS, Tile
-from wavesim.two_level_parts import TAPER, Carried, SuperTile, Ways, ways_between
+from wavesim.two_level_parts import TAPER, Carried, SuperTile, Ways, ways_between, window_between
 from wavesim.two_level_work import Way
 
 Array = NDArray[np.float64]
@@ -275,7 +275,8 @@ def tile_frame(group: SuperTile, tile: Tile) -> TileFrame:
     settings = group.settings
     centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), settings.half_width_mm
     carrier = settings.maps.carriers.at(centre)
-    window, fine = _window(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
+    window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
+    fine = group.axes[0][window[0]], group.axes[1][window[1]]
     steps = settings.tile_steps_mm
     y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
     expansion = settings.factors.at(centre)
@@ -293,15 +294,6 @@ def tile_frame(group: SuperTile, tile: Tile) -> TileFrame:
         per_mm * TAPER * float(np.max(group.steps_mm)),
         per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
     )
-
-
-def _window(axes: Sequence[Array], low: Array, high: Array) -> tuple[tuple[slice, slice], Axes]:
-    """Samples of two axes (y, x) between two points, and where they lie."""
-    rows, columns = (
-        slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
-        for a, b, h in zip(axes, low, high, strict=True)
-    )
-    return (rows, columns), (axes[0][rows], axes[1][columns])
 
 
 def _frames(group: SuperTile) -> Iterator[TileFrame]:

@@ -8,10 +8,12 @@ where the aperture takes in what the object sends out.
 from __future__ import annotations
 
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -164,6 +166,12 @@ class Engine(ABC):
     @abstractmethod
     def settings(self) -> dict[str, Any]:
         """The settings in use, as plain values."""
+
+    def key(self) -> str:
+        """A digest of engine, scene and settings: equal for equal operators, in other processes too."""
+        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # figures in full, to the last digit
+            told = f"{self.name} {self.scene!r} {self.settings()!r}"
+        return sha256(told.encode()).hexdigest()
 
     def predicted_error(self) -> float:
         """Upper bound of the exit field's relative L2 error; infinite where it is not known.

@@ -8,10 +8,10 @@ free space from there.
 
 from __future__ import annotations
 
+import math
 import shutil
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, MutableMapping, Sequence
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -167,12 +167,19 @@ def image_patch(
         here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
         assert make is not None
         own = engine if here.exit_grid == scene.exit_grid else make(here)
-        light = _LightInBands(own, behind_object, sensor, scratch)
-        with _parts(folder, number, own, behind_object) as sums:
-            light.add_all(sums, recording.electronics, lambda *told, n=number: tell(f"plane {n + 1}", *told))
-        share = light.share_beyond if number == 0 else share
+        assert isinstance(own, TwoLevelTiles)
+        light = PixelLight(sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch)
+        intensity, beyond = _light_in_bands(
+            own,
+            behind_object,
+            sensor,
+            light,
+            _parts(folder, number, own, behind_object),
+            lambda *told, n=number: tell(f"plane {n + 1}", *told),
+        )
+        share = beyond if number == 0 else share
         frames += frames_of_light(
-            light.intensity,
+            intensity,
             sensor,
             recording.plane_distances_mm[number],
             behind_object.wavelength_um,
@@ -223,65 +230,54 @@ def _plane_grid(scene: Scene, number: int, windows: Sequence[Sensor], recording:
     return replace(grid, centre_mm=(1e-3 * x_um, 1e-3 * y_um))
 
 
-class _LightInBands:
-    """A whole field's light on the pixels of one plane."""
-
-    def __init__(self, engine: Engine, behind_object: Field, sensor: Sensor, scratch: Scratch | None) -> None:
-        assert isinstance(engine, TwoLevelTiles)
-        self._engine, self._field, self._sensor, self._scratch = engine, behind_object, sensor, scratch
-        self.intensity: Array = np.zeros(0)
-        self.share_beyond = 0.0
-
-    def add_all(
-        self, sums: MutableMapping[int, NDArray], electronics: Electronics, tell: Callable[[int, int], None]
-    ) -> None:
-        engine, grid = self._engine, self._engine.scene.exit_grid
-        own = replace(sensor_grid(self._sensor, grid.z_mm, OVERSAMPLING), centre_mm=grid.centre_mm)
-        part = own.samples_among(grid)
-        assert part is not None  # windows are as wide as the sensor at least
-        rows, columns = part
-        spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
-        light = PixelLight(self._sensor, np.complex64, OVERSAMPLING, electronics.active_width, self._scratch)
-        bands = -(-grid.shape[0] // BAND_ROWS)
-        engine.report = lambda done, count: tell(done, count + bands)
-        try:
-            for number, (band, values) in enumerate(
-                engine.forward_in_bands(self._field, BAND_ROWS, sums), start=1
-            ):
-                tell(len(engine.groups) + number, len(engine.groups) + bands)
-                total += float(np.vdot(values, values).real)
-                spectrum.add(values)
-                start, stop = max(band.start, rows.start), min(band.stop, rows.stop)
-                if start < stop:
-                    inside = values[start - band.start : stop - band.start, columns]
-                    light.add(slice(start - rows.start, stop - rows.start), inside)
-        finally:
-            engine.report = None
-        tell_footprint(light.caught, total, self._sensor)
-        self.intensity = light.means()
-        self.share_beyond = spectrum.share_beyond(500.0 / self._sensor.pixel_pitch_um)
+def _light_in_bands(
+    engine: TwoLevelTiles,
+    behind_object: Field,
+    sensor: Sensor,
+    light: PixelLight,
+    sums: MutableMapping[int, NDArray],
+    tell: Callable[[int, int], None],
+) -> tuple[Array, float]:
+    """A whole field's light on the pixels of one plane, and its share beyond what they resolve."""
+    grid = engine.scene.exit_grid
+    own = replace(sensor_grid(sensor, grid.z_mm, OVERSAMPLING), centre_mm=grid.centre_mm)
+    part = own.samples_among(grid)
+    assert part is not None  # windows are as wide as the sensor at least
+    rows, columns = part
+    spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
+    steps = len(engine.groups) + math.ceil(grid.shape[0] / BAND_ROWS)
+    engine.report = lambda done, _: tell(done, steps)
+    try:
+        bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
+        for step, (band, values) in enumerate(bands, start=len(engine.groups) + 1):
+            tell(step, steps)
+            total += float(np.vdot(values, values).real)
+            spectrum.add(values)
+            start, stop = max(band.start, rows.start), min(band.stop, rows.stop)
+            if start < stop:
+                inside = values[start - band.start : stop - band.start, columns]
+                light.add(slice(start - rows.start, stop - rows.start), inside)
+    finally:
+        engine.report = None
+    tell_footprint(light.caught, total, sensor)
+    return light.means(), spectrum.share_beyond(500.0 / sensor.pixel_pitch_um)
 
 
-@contextmanager
 def _parts(
-    folder: Path | None, number: int, engine: Engine, field: Field
-) -> Iterator[MutableMapping[int, NDArray[Any]]]:
+    folder: Path | None, number: int, engine: TwoLevelTiles, field: Field
+) -> MutableMapping[int, NDArray[Any]]:
     """Where super-tiles' fields of one plane are kept."""
     if folder is None:
-        yield {}
-        return
-    told = [str(getattr(engine.scene, one.name)) for one in fields(engine.scene)]
+        return {}
     lit = sha256(np.ascontiguousarray(field.values).data.cast("B")).hexdigest()
-    key = key_of(*told, str(engine.settings()), lit)
-    kept = KeptTiles(folder / PARTS / f"plane_{number + 1}", key)
-    assert isinstance(engine, TwoLevelTiles)
+    kept = KeptTiles(folder / PARTS / f"plane_{number + 1}", key_of(engine.key(), lit))
     try:
         kept.refuse_no_room(engine.sums_bytes)
     except InputError:
         if not kept:
             kept.drop()
         raise
-    yield kept
+    return kept
 
 
 def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording) -> Need:

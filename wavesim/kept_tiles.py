@@ -79,15 +79,6 @@ class KeptTiles(MutableMapping[int, NDArray]):
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
-    def __contains__(self, number: object) -> bool:
-        if not isinstance(number, int):
-            return False
-        try:
-            self[number]
-        except KeyError:
-            return False
-        return True
-
     def refuse_no_room(self, needed_bytes: int) -> None:
         """Refuse, before any work, a disk without room for all that is not kept yet.
 

@@ -114,3 +114,24 @@ def estimate_line(need: Need, limit_bytes: float, folder: Path) -> str:
     files = need.file_bytes + (need.most_bytes - limit_bytes if moved else 0.0)
     line = f"memory: about {1e-9 * taken:.2g} GB of {1e-9 * limit_bytes:.3g} GB allowed"
     return line + (f", {1e-9 * files:.2g} GB in files under {folder}" if files >= 1e7 else "")
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a run will take, and what it may."""
+
+    need: Need
+    limit_bytes: float
+
+    def line(self, folder: Path) -> str:
+        """Told before the run."""
+        return estimate_line(self.need, self.limit_bytes, folder)
+
+    def as_dict(self) -> dict[str, float]:
+        """Ready for JSON."""
+        beyond = max(self.need.most_bytes - self.limit_bytes, 0.0)
+        return {
+            "limit_bytes": self.limit_bytes,
+            "predicted_bytes": min(self.need.most_bytes, self.limit_bytes),
+            "file_bytes": self.need.file_bytes + beyond,
+        }

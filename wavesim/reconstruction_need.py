@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from wavesim.engine import Engine
-from wavesim.memory import BASE_BYTES, Need, estimate_line
+from wavesim.memory import BASE_BYTES, Need
 from wavesim.reconstruction import Kind
 from wavesim.reconstruction_memory import MemoryRange, reconstruction_bytes
 from wavesim.refocusing import MOST_JUDGED
@@ -27,27 +25,6 @@ truth, and drawn. Measured."""
 
 PLANE_BYTES = 20
 """For each pixel, while residuals of a plane are drawn. Measured."""
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What a run will take, and what it may."""
-
-    need: Need
-    limit_bytes: float
-
-    def line(self, folder: Path) -> str:
-        """Told before the run."""
-        return estimate_line(self.need, self.limit_bytes, folder)
-
-    def as_dict(self) -> dict[str, float]:
-        """Ready for JSON."""
-        beyond = max(self.need.most_bytes - self.limit_bytes, 0.0)
-        return {
-            "limit_bytes": self.limit_bytes,
-            "predicted_bytes": min(self.need.most_bytes, self.limit_bytes),
-            "file_bytes": self.need.file_bytes + beyond,
-        }
 
 
 def run_need(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from lensdesign.console import progress_bar
 from lensdesign.errors import InputError
 from wavesim.cli_imaging import engine_options, framed_patch, key_of_frames, pose_of, tiles_in
-from wavesim.cluster_tiles import ClusterError
+from wavesim.cluster_tiles import ClusterError, refuse_no_tiles
 from wavesim.engine import Engine, Scene
 from wavesim.fields import Field, Grid
 from wavesim.frame_sets import planes_of_frames, recorded_planes
@@ -20,6 +20,7 @@ from wavesim.imaging import Patch, transmission_of, usaf_charts_of
 from wavesim.imaging_planes import exit_scene, imaging_engine
 from wavesim.memory import (
     BASE_BYTES,
+    Memory,
     MemoryLimitError,
     Need,
     memory_limit,
@@ -27,7 +28,7 @@ from wavesim.memory import (
 )
 from wavesim.mounting import read_mounting
 from wavesim.object_region import cut_field, region_grid, soft_rim, widened
-from wavesim.reconstruction_need import Memory, held, run_need
+from wavesim.reconstruction_need import held, run_need
 from wavesim.reconstruction_results import read_truth, truth_figures
 from wavesim.refocusing import refocus_field
 from wavesim.resumable import Checkpoint, reconstruct_resumably, retrieve_resumably
@@ -115,7 +116,8 @@ def case_of(lens: Any, options: Any) -> Case:
         scene, light = mounting.scene(scene), mounting.illumination(light)
         recorded = mounting.recorded(recorded)
     engine = _engine(scene, options, 2 * options.iterations if options.method == "object" else 2, limit)
-    _refuse_no_tiles(engine, options)
+    if options.cluster is not None:
+        refuse_no_tiles(engine)
     shown = shown.at(light.grid.z_mm)
     memory = Memory(_need(engine, frames, recorded, shown, lens, options), limit)
     scratch = scratch_in(options.output, _room(memory, options))
@@ -172,12 +174,6 @@ def _engine(scene: Scene, options: Any, runs: int, limit: float) -> Engine:
         memory_bytes=limit - BASE_BYTES - fields,
         **engine_options(options),
     )
-
-
-def _refuse_no_tiles(engine: Engine, options: Any) -> None:
-    """Refuse a cluster, before it is asked, for an engine that is done here."""
-    if options.cluster is not None and not isinstance(engine, TwoLevelTiles):
-        raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level")
 
 
 def _need(engine: Engine, frames: Any, recorded: Any, shown: Grid, lens: Any, options: Any) -> Need:

@@ -316,9 +316,7 @@ class TwoLevelTiles(Engine):
         """Which samples of a part of the object lie within the field."""
         grid, region = self.scene.object_grid, self.region
         radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
-        return np.asarray(
-            radius2 <= region.half_mm[0] ** 2 if region.is_disc else np.ones(radius2.shape, bool)
-        )
+        return np.asarray(radius2 <= (region.half_mm[0] ** 2 if region.is_disc else math.inf))
 
     def _performed(self, way: Way, tasks: Iterable[Task], done: int = 0) -> Iterator[Task]:
         """Have tasks done, and tell how many are."""

@@ -231,7 +231,7 @@ class SuperTile:
         others = np.array([settings.maps.carriers.middle((float(y), float(x))) for y, x in centres])
         low = others.min(axis=0) - settings.half_width_mm
         high = others.max(axis=0) + settings.half_width_mm
-        self.window = _window(settings.axes, low, high)
+        self.window = window_between(settings.axes, low, high)
         self.empty = any(w.stop - w.start < 1 for w in self.window)
         if self.empty:
             return
@@ -278,7 +278,7 @@ def _around(parts: Sequence[tuple[slice, ...]]) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _window(axes: Sequence[Array], low: Array, high: Array) -> tuple[slice, slice]:
+def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slice, slice]:
     """Samples of two axes (y, x) between two points."""
     rows, columns = (
         slice(int(np.searchsorted(a, b)), int(np.searchsorted(a, h, side="right")))
@@ -310,7 +310,7 @@ class FieldTile:
         centre = (tile.centre_mm[1], tile.centre_mm[0])
         carrier = settings.maps.carriers.at(centre)
         low, high = carrier.middle - settings.half_width_mm, carrier.middle + settings.half_width_mm
-        window = _window(group.axes, low, high)
+        window = window_between(group.axes, low, high)
         fine = tuple(a[w] for a, w in zip(group.axes, window, strict=True))
         steps = settings.tile_steps_mm
         axes = tuple(coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from lensdesign import Lens, load_design, scaled
 from lensdesign.errors import InputError
+from lensdesign.figure import SurfaceFigure
+from lensdesign.poses import SurfacePerturbation
 from wavesim.engine import Scene
 from wavesim.engines import ENGINES, engine_class, make_engine
 from wavesim.fields import Field, Grid
@@ -59,3 +63,22 @@ def test_no_engine_takes_or_gives_what_is_not_finite(name: str, value: float) ->
         values.flat[3] = value
         with pytest.raises(InputError, match="not finite"):
             carry(Field(grid, values, 0.532))
+
+
+def test_engines_have_the_same_key_only_where_they_do_the_same(paper_lens: Lens) -> None:
+    ends = Grid((60, 60), 0.5e-3, -13.5), Grid((50, 50), 0.2, 12.7)
+    coefficients = np.random.default_rng(1).normal(size=(40, 40)) * 1e-5
+    other = coefficients.copy()
+    other[20, 20] += 1e-12  # where a shortened text of the array would not show it
+
+    def key(values: np.ndarray, **settings: Any) -> str:
+        figure = SurfaceFigure(8.5, 0.45, values)
+        scene = Scene(paper_lens, *ends, 0.532, surface_perturbations={1: SurfacePerturbation(figure=figure)})
+        engine = make_engine("slices", scene, **settings)
+        before = engine.key()
+        scene.system  # noqa: B018
+        assert engine.key() == before
+        return before
+
+    assert key(coefficients, slices=20) == key(coefficients.copy(), slices=20)
+    assert len({key(coefficients, slices=20), key(other, slices=20), key(coefficients, slices=21)}) == 3
