@@ -11,13 +11,13 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
-from wavesim.choosing import Prediction, choose, predictions
-from wavesim.comparison import lens_case
-from wavesim.engines import make_engine
-from wavesim.failure_maps import stopped_down
-from wavesim.fields import relative_error
-from wavesim.guards import SamplingWarning
-from wavesim.oracles import OracleCase
+from wavesim.engines.choosing import Prediction, choose, predictions
+from wavesim.engines.registry import make_engine
+from wavesim.evaluation.engines import lens_case
+from wavesim.evaluation.failures import stopped_down
+from wavesim.fields.field import relative_error
+from wavesim.fields.guards import SamplingWarning
+from wavesim.oracles.registry import OracleCase
 
 SCALES, APERTURES, FIELD_SHARES = (1 / 8, 1 / 16), (0.2, 0.35, 0.5), (0.0, 0.5, 0.9)
 PATCHES_MM, PLANES_MM = (0.01, 0.03, 0.06), (2.0, 22.0)

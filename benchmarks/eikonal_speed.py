@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design, scaled
 from wavesim import Field, Grid, Scene, make_engine
-from wavesim.scenes import OBJECT_FINENESS
+from wavesim.scene.patches import OBJECT_FINENESS
 
 RUNS = 7
 

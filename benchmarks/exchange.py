@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from benchmarks.others import HOW_TO_GET
 from lensdesign import Lens, Pose, load_design, trace
-from lensdesign.codev import write_seq
-from lensdesign.zemax import write_zmx
+from lensdesign.files.codev import write_seq
+from lensdesign.files.zemax import write_zmx
 
 Array = NDArray[np.float64]
 

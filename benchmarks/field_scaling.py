@@ -23,9 +23,9 @@ from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, make_engine
-from wavesim.fields import Grid
-from wavesim.two_level import TwoLevelTiles
-from wavesim.two_level_work import Task, Way, carry
+from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.on_cpu import Task, Way, carry
+from wavesim.fields.field import Grid
 
 FIELDS_MM = (0.25, 0.5, 1.0, 2.0, 3.0)
 APERTURES = (0.2, 0.3, 0.4, 0.5)

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from wavesim import Field, Grid, Scene, make_engine
-from wavesim.scenes import OBJECT_FINENESS
+from wavesim.scene.patches import OBJECT_FINENESS
 
 SECONDS, GIGABYTES, MISMATCH = 60.0, 4.0, 1e-6
 DIAMETERS_MM = (0.375, 0.75, 1.5, 3.0)

@@ -23,14 +23,14 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from wavesim import Field, Scene, make_engine
-from wavesim.curved_surface import Medium
-from wavesim.device import Device, device_named
-from wavesim.fields import Grid, relative_error
-from wavesim.interfaces import surface_map
-from wavesim.slice_planes import SlicedSurface, SurfacePoints, sliced
-from wavesim.slice_steps import through_surface
-from wavesim.two_level import TwoLevelTiles
-from wavesim.working_grid import WorkingGrid, working_grid
+from wavesim.engines.slices.planes import SlicedSurface, SurfacePoints, sliced
+from wavesim.engines.slices.steps import through_surface
+from wavesim.engines.surfaces.grids import WorkingGrid, working_grid
+from wavesim.engines.surfaces.waves import Medium
+from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.fields.field import Grid, relative_error
+from wavesim.rays.interfaces import surface_map
+from wavesim.runtime.device import Device, device_named
 
 FIELD_MM, SIDE, SAMPLES = 3.0, 7000, 31_000
 """Of the paper: field, pixels along the sensor, samples along the sliced method's grid."""

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
-from lensdesign.optimize import OptimizationResult, optimize
-from lensdesign.specification import Specification, load_specification
+from lensdesign.optimization.search import OptimizationResult, optimize
+from lensdesign.optimization.specification import Specification, load_specification
 
 ROUNDS = 7
 SEEDS = (0, 1, 2)

@@ -109,7 +109,7 @@ class PrysmTracer:
         self.history = self.raytrace(self.surfaces, *self.rays)
 
     def perturb(self, dx_mm: float, dy_mm: float, tilt_x_deg: float, tilt_y_deg: float) -> None:
-        from lensdesign.poses import rotation_matrix
+        from lensdesign.lens.poses import rotation_matrix
 
         surface = self.surfaces[-2]
         surface.P = np.array([dx_mm, dy_mm, surface.P[2]])

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from lensdesign import Pose, load_design
-from wavesim.patch_chain import PatchChain, chain_contrast
+from wavesim.pupil.patch_chain import PatchChain, chain_contrast
 
 LINE_WIDTH_UM = 0.775
 COUNTS = {True: 400, False: 60}

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
-from lensdesign.system import Sensor
+from lensdesign.lens.lens import Sensor
 from wavesim import (
     Electronics,
     Engine,
@@ -31,9 +31,14 @@ from wavesim import (
     usaf_chart,
     usaf_elements_within,
 )
-from wavesim.coverage import rectangle, rectangle_coverage
-from wavesim.metrics import as_passed, element_contrasts, object_correlation, smallest_resolved_element
-from wavesim.retrieval import Recorded, recorded_intensity
+from wavesim.evaluation.metrics import (
+    as_passed,
+    element_contrasts,
+    object_correlation,
+    smallest_resolved_element,
+)
+from wavesim.fields.coverage import rectangle, rectangle_coverage
+from wavesim.reconstruction.from_field import Recorded, recorded_intensity
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
 STOP_MM = 0.98 * SIDE_MM

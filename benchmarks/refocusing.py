@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, Grid, SamplingWarning, Scene, make_engine, refocus_field
-from wavesim.coverage import rectangle, rectangle_coverage
-from wavesim.scenes import exit_grid
+from wavesim.fields.coverage import rectangle, rectangle_coverage
+from wavesim.scene.patches import exit_grid
 
 WAVELENGTH_UM, PITCH_MM, WIDE_MM, BARS = 0.532, 0.42e-3, 0.28, 60
 OFF_MM = (-0.1, 0.1)

@@ -80,8 +80,8 @@ def start(folder: Path, store: Path, trials: int) -> subprocess.Popen[str]:
 
 
 def _run(study: Path, store: Path, trials: int) -> None:
-    from tolerancing.run import run_study
-    from tolerancing.study_files import load_study
+    from tolerancing.run.run import run_study
+    from tolerancing.study.files import load_study
 
     loaded = load_study(study)
     run_study(loaded, store, workers=2, trials=trials, report=lambda done, _: print(done, flush=True))

@@ -206,8 +206,8 @@ def run(folder: Path, study: str, trials: int, **options: Any) -> dict[str, floa
 
 def measured_run(study: str, store: str, trials: str, options: str) -> dict[str, float]:
     """What a run in this process takes."""
-    from tolerancing.run import run_study
-    from tolerancing.study_files import load_study
+    from tolerancing.run.run import run_study
+    from tolerancing.study.files import load_study
 
     told: list[tuple[float, int]] = []
     outcome = run_study(

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from benchmarks.others import largest_difference, other_tracers
 from benchmarks.timing import DESIGNS, Row, Timing, interleaved, print_table
 from lensdesign import Lens, load_design, trace
-from lensdesign.bundles import launch_pairs
-from lensdesign.compiled import compile_system
+from lensdesign.tracing.bundles import launch_pairs
+from lensdesign.tracing.compiled import compile_system
 
 Array = NDArray[np.float64]
 

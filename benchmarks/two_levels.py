@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from tolerancing import load_study, open_store, run_study
-from tolerancing.control_variates import (
+from tolerancing.analysis.control_variates import (
     Seconds,
     TwoLevelEstimate,
     best_narrowing,
@@ -24,8 +24,8 @@ from tolerancing.control_variates import (
     combined_mean,
     combined_yield,
 )
-from tolerancing.evaluate import context_of, score_trials
-from tolerancing.study_files import LoadedStudy
+from tolerancing.study.evaluate import context_of, score_trials
+from tolerancing.study.files import LoadedStudy
 
 Array = NDArray[np.float64]
 

@@ -1,26 +1,26 @@
-from .cad import export_step
-from .check import CheckReport, check_design
-from .codev import read_seq, write_seq
-from .drawing import DrawingOptions, lens_drawing, write_drawing
-from .drawing_tolerances import DrawingTolerances, SurfaceTolerances
-from .edges import Edge, Flange
+from .analysis.check import CheckReport, check_design
+from .analysis.form_error import form_errors, pv_rms_waves
+from .analysis.sag_tables import sag_table, write_sag_table
 from .errors import DesignError, InputError, MaterialError, TransferLensError
-from .exchange import Imported, LossyImportError, Supplement
-from .figure import SurfaceFigure, figure_from_grid, figure_from_zernike
-from .figure_files import read_figure_grid, write_figure_grid
-from .figure_source import FigureSource
-from .files import load_design, save_design
-from .form_error import form_errors, pv_rms_waves
-from .mesh import export_mesh, lens_mesh
-from .mesh_scene import export_scene
-from .mesh_verification import verify_mesh
-from .poses import Pose, SurfacePerturbation
-from .sag_tables import sag_table, write_sag_table
-from .scaling import scaled
-from .system import Lens, ObjectSpace, Sensor, Surface
-from .tracing import RayTrace, trace
-from .view import write_view
-from .zemax import read_zmx, write_zmx
+from .fabrication.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
+from .fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from .fabrication.mesh.mesh import export_mesh, lens_mesh
+from .fabrication.mesh.verification import verify_mesh
+from .fabrication.step.export import export_step
+from .files.codev import read_seq, write_seq
+from .files.design import load_design, save_design
+from .files.draft import Imported, LossyImportError, Supplement
+from .files.figures import read_figure_grid, write_figure_grid
+from .files.zemax import read_zmx, write_zmx
+from .lens.edges import Edge, Flange
+from .lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
+from .lens.figure_source import FigureSource
+from .lens.lens import Lens, ObjectSpace, Sensor, Surface
+from .lens.poses import Pose, SurfacePerturbation
+from .lens.scaling import scaled
+from .pictures.glb import export_scene
+from .pictures.page import write_view
+from .tracing.rays import RayTrace, trace
 
 __all__ = [
     "CheckReport",

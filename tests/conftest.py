@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from places import DESIGNS, GOLDEN
 
 from lensdesign import Lens, load_design
 
@@ -15,13 +16,11 @@ settings.register_profile(
 )
 settings.load_profile("transferlens")
 
-ROOT = Path(__file__).parent.parent
-
 
 @pytest.fixture(scope="session")
 def paper_design() -> Path:
     """The paper's lens, as a file."""
-    return ROOT / "designs" / "paper_singlet.toml"
+    return DESIGNS / "paper_singlet.toml"
 
 
 @pytest.fixture(scope="session")
@@ -33,4 +32,4 @@ def paper_lens(paper_design: Path) -> Lens:
 @pytest.fixture(scope="session")
 def golden() -> Path:
     """Folder of the golden data."""
-    return ROOT / "tests" / "golden"
+    return GOLDEN

@@ -9,13 +9,13 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-from lensdesign.drawing import DrawingOptions
-from lensdesign.files import validate
-from lensdesign.specification import Specification
-from tolerancing.study_files import study_from_tables
+from lensdesign.fabrication.drawing.sheets import DrawingOptions
+from lensdesign.files.design import validate
+from lensdesign.optimization.specification import Specification
+from tolerancing.study.files import study_from_tables
 
-ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

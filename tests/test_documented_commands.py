@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import pytest
 import tomli_w
+from places import DESIGNS, ROOT
 
 from lensdesign import load_design, save_design, scaled
 
-ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
 INLINE = re.compile(r"`((?:lensdesign|wavesim|tolerancing) [a-z]+ [^`]+)`")
@@ -164,7 +164,7 @@ def run(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder with the designs in it."""
-    shutil.copytree(ROOT / "designs", tmp_path / "designs")
+    shutil.copytree(DESIGNS, tmp_path / "designs")
     shorten_studies(tmp_path / "designs")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
+from places import DESIGNS, ROOT
 
 from lensdesign import Lens, load_design
-from lensdesign.check import CheckReport, check_design
-from lensdesign.drawing import lens_drawing
-from lensdesign.lens_solid import closed_elements
-from lensdesign.materials import refractive_index
-from lensdesign.mesh import lens_mesh
-from lensdesign.optimize import optimize
-from lensdesign.specification import load_specification
+from lensdesign.analysis.check import CheckReport, check_design
+from lensdesign.fabrication.drawing.sheets import lens_drawing
+from lensdesign.fabrication.mesh.mesh import lens_mesh
+from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.solid import closed_elements
+from lensdesign.optimization.search import optimize
+from lensdesign.optimization.specification import load_specification
 
-ROOT = Path(__file__).parent.parent
-DESIGNS = ROOT / "designs"
 PAGE = ROOT / "docs" / "gallery.md"
 OURS = ("feasible_singlet", "thinnest_singlet", "moulded_pair", "wide_field", "phone_lens", "stock_pair")
 LENSES = ("paper_singlet", *OURS)

@@ -9,8 +9,8 @@ from pathlib import Path
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from places import DESIGNS, ROOT
 
-ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 MOST_BYTES = 600_000
 
@@ -19,7 +19,7 @@ MOST_BYTES = 600_000
 def test_notebook_runs(path: Path, tmp_path: Path) -> None:
     folder = tmp_path / "notebooks"
     folder.mkdir()
-    shutil.copytree(ROOT / "designs", tmp_path / "designs")
+    shutil.copytree(DESIGNS, tmp_path / "designs")
     notebook = nbformat.read(path, as_version=4)
     settings = {"metadata": {"path": str(folder)}}
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources=settings).execute()

@@ -11,8 +11,8 @@ import zlib
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).parent.parent
 PACKAGES = ("lensdesign", "wavesim", "tolerancing")
 # What a browser loads by itself: not links that a reader may follow.
 LOADED = re.compile(

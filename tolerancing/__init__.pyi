@@ -1,11 +1,11 @@
-from .batch import PerturbationBatch, Realisation
-from .evaluate import realise
-from .report import write_report
-from .run import run_study
-from .store import Store, open_store
-from .study import Study
-from .study_files import LoadedStudy, load_study
-from .summary import summarize
+from .analysis.summary import summarize
+from .perturbations.batch import PerturbationBatch, Realisation
+from .report.report import write_report
+from .run.run import run_study
+from .store.store import Store, open_store
+from .study.evaluate import realise
+from .study.files import LoadedStudy, load_study
+from .study.study import Study
 
 __all__ = [
     "LoadedStudy",

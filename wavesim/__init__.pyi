@@ -1,59 +1,46 @@
-from .bootstrap import uncertainty
-from .calibration import (
+from .calibration.estimation import (
     Calibrated,
     calibrate,
 )
-from .chirp_z import propagate_to, propagate_to_adjoint
-from .choosing import Choice, Prediction, choose, chosen_engine, predict
-from .eikonal import EikonalTiles
-from .engine import Cost, Engine, Neglected, Scene
-from .engines import make_engine
-from .exposures import (
+from .calibration.mounting import (
+    Mounting,
+    read_mounting,
+)
+from .camera.exposures import (
     Electronics,
     SaturationWarning,
     estimate_intensity,
     merged_intensity,
     plane_seeds,
 )
-from .fields import Field, Grid, correlation, relative_error
-from .frame_sets import (
+from .camera.frame_sets import (
     read_frames,
     recorded_planes,
 )
-from .frames import Frame, FrameSettings, read_frame, write_frame
-from .free_space import propagate, propagate_adjoint
-from .guards import (
-    SamplingWarning,
-    check_propagation,
-    critical_distance_mm,
-    predicted_relative_error,
+from .camera.frames import Frame, FrameSettings, read_frame, write_frame
+from .camera.recording import Imaged, Recording, image_patch
+from .camera.sensor import (
+    FootprintWarning,
+    record,
+    record_exposures,
+    sensor_grid,
 )
-from .illumination import field_stop, gaussian_beam, measured_field, plane_wave
-from .image_recording import Imaged, Recording, image_patch
-from .imaging import (
-    Patch,
-    Target,
-    make_illumination,
-    make_target,
-    object_patch,
-    usaf_charts_of,
-    usaf_elements_of,
-)
-from .imaging_planes import (
+from .camera.windows import (
     DiversityWarning,
     diversity,
     exit_scene,
     imaging_engine,
     sensor_window,
 )
-from .line_pairs import (
-    line_pair_contrast,
-    line_pair_displacement_um,
-    line_pair_image,
-    line_pair_profile,
-    smallest_resolved_line_width_um,
-)
-from .metrics import (
+from .engines.choosing import Choice, Prediction, choose, chosen_engine, predict
+from .engines.no_lens import NoLens
+from .engines.registry import make_engine
+from .engines.slices.engine import AnnularSlices
+from .engines.surfaces.grids import TotalReflectionWarning
+from .engines.thin_lens import ThinLens
+from .engines.tiles.engine import EikonalTiles
+from .engines.wpm.engine import WavePropagation
+from .evaluation.metrics import (
     ElementContrast,
     SpectrumSupport,
     as_passed,
@@ -64,22 +51,49 @@ from .metrics import (
     smallest_resolved_element,
     spectrum_support,
 )
-from .mounting import (
-    Mounting,
-    read_mounting,
+from .evaluation.resolving import LineContrast, Resolved, bars_field, resolve
+from .evaluation.similarity import psnr_db, ssim
+from .fields.field import Field, Grid, correlation, relative_error
+from .fields.free_space import propagate, propagate_adjoint
+from .fields.guards import (
+    SamplingWarning,
+    check_propagation,
+    critical_distance_mm,
+    predicted_relative_error,
 )
-from .no_lens import NoLens
-from .oracles import OracleCase, OracleResult, oracle_case, run_oracle
-from .patch_chain import PatchChain, chain_contrast
-from .phantom import tissue_phantom
-from .picture_layers import PictureLayer, field_layers, frame_layer
-from .picture_similarity import psnr_db, ssim
-from .point_characteristic import (
-    FoldError,
-    PointCharacteristic,
-    PupilSampler,
+from .fields.tilted_planes import from_tilted_plane, to_tilted_plane
+from .fields.windowed import propagate_to, propagate_to_adjoint
+from .objects.illumination import field_stop, gaussian_beam, measured_field, plane_wave
+from .objects.patch import (
+    Patch,
+    Target,
+    make_illumination,
+    make_target,
+    object_patch,
+    usaf_charts_of,
+    usaf_elements_of,
 )
-from .pupil import (
+from .objects.phantom import tissue_phantom
+from .objects.targets import (
+    band_limit,
+    phase_target,
+    picture_target,
+    siemens_star,
+)
+from .objects.usaf import usaf_chart, usaf_elements, usaf_elements_within, usaf_line_width_um
+from .oracles.registry import OracleCase, OracleResult, oracle_case, run_oracle
+from .pictures.layers import PictureLayer, field_layers, frame_layer
+from .pictures.page import write_zoom_page
+from .pictures.pyramid import write_pyramid
+from .pupil.line_pairs import (
+    line_pair_contrast,
+    line_pair_displacement_um,
+    line_pair_image,
+    line_pair_profile,
+    smallest_resolved_line_width_um,
+)
+from .pupil.patch_chain import PatchChain, chain_contrast
+from .pupil.pupil import (
     PupilGrid,
     ReconstructionPupil,
     Refocused,
@@ -90,34 +104,27 @@ from .pupil import (
     rms_waves,
     strehl,
 )
-from .pyramid import write_pyramid
-from .ray_aiming import RayAimError
-from .reconstruction import Reconstructed, prox_tv, reconstruct
-from .reconstruction_memory import MemoryRange, reconstruction_bytes
-from .refocusing import Refocusing, refocus_field, svfg
-from .resolving import LineContrast, Resolved, bars_field, resolve
-from .retrieval import Recorded, Retrieved, agreement, recorded_intensity, retrieval_bytes, retrieve
-from .scenes import patch_scene
-from .scratch import Scratch
-from .sensor import (
-    FootprintWarning,
-    record,
-    record_exposures,
-    sensor_grid,
+from .rays.characteristic import (
+    FoldError,
+    PointCharacteristic,
+    PupilSampler,
 )
-from .slices import AnnularSlices
-from .targets import (
-    band_limit,
-    phase_target,
-    picture_target,
-    siemens_star,
+from .rays.ray_aiming import RayAimError
+from .reconstruction.bootstrap import uncertainty
+from .reconstruction.from_field import (
+    Recorded,
+    Retrieved,
+    agreement,
+    recorded_intensity,
+    retrieval_bytes,
+    retrieve,
 )
-from .thin_lens import ThinLens
-from .tilted_planes import from_tilted_plane, to_tilted_plane
-from .usaf import usaf_chart, usaf_elements, usaf_elements_within, usaf_line_width_um
-from .wave_propagation import WavePropagation
-from .working_grid import TotalReflectionWarning
-from .zoom_page import write_zoom_page
+from .reconstruction.from_object import Reconstructed, prox_tv, reconstruct
+from .reconstruction.memory import MemoryRange, reconstruction_bytes
+from .reconstruction.refocusing import Refocusing, refocus_field, svfg
+from .runtime.scratch import Scratch
+from .scene.engine import Cost, Engine, Neglected, Scene
+from .scene.patches import patch_scene
 
 __all__ = [
     "AnnularSlices",

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.drawing_shapes import SHEET_MM, Drawing, Stroke
+from lensdesign.fabrication.drawing.strokes import SHEET_MM, Drawing, Stroke
 
 
 def overlapping(one: Any, other: Any) -> Any:

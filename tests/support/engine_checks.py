@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wavesim.engine import Engine
-from wavesim.fields import Field
+from wavesim.fields.field import Field
+from wavesim.scene.engine import Engine
 
 
 def dot_product_mismatch(engine: Engine, seed: int = 5) -> float:

@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 from lensdesign import TransferLensError
-from lensdesign.console import fail
-from tolerancing.run import run_study
-from tolerancing.study_files import load_study
+from lensdesign.common.console import fail
+from tolerancing.run.run import run_study
+from tolerancing.study.files import load_study
 
 if __name__ == "__main__":
     study, store, workers, trials = sys.argv[1:]

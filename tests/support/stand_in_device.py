@@ -13,7 +13,7 @@ from typing import Any
 import finufft
 import numpy as np
 
-from wavesim.device import Device
+from wavesim.runtime.device import Device
 
 __ua_domain__ = "numpy.scipy.fft"
 

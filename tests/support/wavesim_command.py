@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from lensdesign import load_design, save_design, scaled
-from lensdesign.poses import Pose
-from wavesim.cli import main
-from wavesim.exposures import Electronics
-from wavesim.field_files import write_field
-from wavesim.frames import write_frame
-from wavesim.image_recording import Recording, image_patch
-from wavesim.imaging import make_illumination, make_target, object_patch
-from wavesim.imaging_planes import exit_scene, imaging_engine, sensor_window
+from lensdesign.lens.poses import Pose
+from wavesim.camera.exposures import Electronics
+from wavesim.camera.frames import write_frame
+from wavesim.camera.recording import Recording, image_patch
+from wavesim.camera.windows import exit_scene, imaging_engine, sensor_window
+from wavesim.cli.commands import main
+from wavesim.objects.patch import make_illumination, make_target, object_patch
+from wavesim.pictures.field_files import write_field
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 

@@ -1,0 +1,400 @@
+"""Does a lens meet Eqs. 1 and 2, its sensor, and what can be made? One report, with every miss in numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lensdesign.analysis.form_error import FormError, form_errors
+from lensdesign.analysis.matching import Matching, match, smallest_exit_beam_diameter_mm
+from lensdesign.analysis.paraxial import first_order
+from lensdesign.analysis.spread import (
+    Footprint,
+    Spread,
+    Throughput,
+    edge_thickness_mm,
+    footprint,
+    largest_spread,
+    observation_distance_mm,
+    rms_spot_diameter,
+    throughput,
+)
+from lensdesign.lens.lens import Lens
+from lensdesign.tracing.bundles import launch
+
+NA_TOLERANCE = 1e-3
+"""Share by which the stop may fall short of the file's NA: stops are given to a few digits."""
+ROUNDING = 1e-6
+"""Share by which a spread or footprint may pass its limit: an optimum lies on it, to rounding."""
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One demand on the lens.
+
+    Attributes
+    ----------
+    name, unit
+        What is limited, and the unit of both numbers (empty for pure numbers).
+    value, relation, limit
+        Such as 4.81, "<=", 4.77.
+    met, miss
+        Whether it holds; where it does not, a sentence with the numbers, else empty.
+    """
+
+    name: str
+    value: float
+    relation: str
+    limit: float
+    unit: str
+    met: bool
+    miss: str
+
+
+@dataclass(frozen=True)
+class WavelengthCheck:
+    """Figures of one wavelength; meanings as in :class:`CheckReport`."""
+
+    wavelength_um: float
+    sbp_object: float
+    spread_limit_deg: float
+    max_spread_deg: float
+    resolution_um: float
+    numerical_aperture: float
+    footprint_radius_mm: tuple[float, ...]
+    rms_spot_diameter_mm: tuple[float, ...]
+    throughput: float
+    efl_mm: float
+    bfl_mm: float
+    exit_beam_diameter_mm: float
+    smallest_exit_beam_diameter_mm: float
+    etendue_share: float
+
+
+@dataclass(frozen=True)
+class WorstRay:
+    """The ray that leaves closest to, or furthest beyond, its wavelength's spread-angle limit."""
+
+    field_mm: tuple[float, float]
+    pupil: tuple[float, float]
+    wavelength_um: float
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a lens does, against what it has to do.
+
+    Each figure is that of the wavelength at which it is worst; `wavelengths` has them all.
+
+    Attributes
+    ----------
+    title
+        Of the design.
+    feasible
+        Whether every constraint is met.
+    violations
+        A sentence for each constraint that is not: value, limit, and by how much.
+    constraints
+        All of them.
+    sbp_object, sbp_sensor
+        Space-bandwidth products (Eq. 1).
+    spread_limit_deg, max_spread_deg
+        Spread-angle limit, and largest angle over field, stop and wavelengths (Eq. 2); both at the
+        wavelength of `worst_ray`.
+    spread_heights_mm, spread_per_field_deg
+        Table of the largest angle over the field heights, same wavelength.
+    worst_ray
+        The ray that leaves at `max_spread_deg`.
+    highest_frequency_lp_per_mm
+        Of the pixels.
+    resolution_um
+        wavelength / (2 NA).
+    numerical_aperture
+        Sine of the angle of the ray from the axis through the rim of the stop.
+    plane_distances_mm, footprint_radius_mm
+        Sensor planes and the radius of all light there.
+    sensor_half_side_mm
+        Half of the sensor's shorter side.
+    spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm
+        RMS spot diameters, and how far behind the exit vertex.
+    throughput
+        Smallest share of a field point's evenly filled stop that passes.
+    edge_thickness_mm
+        Of the thinnest glass element at its ground edge; None without one.
+    efl_mm, bfl_mm
+        Effective and back focal length at the first wavelength; inf for an afocal lens.
+    exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
+        Beam in the plane of the exit vertex, and the narrowest that the etendue bound allows at the spread
+        limit.
+    etendue_share
+        FOV NA / (exit beam diameter x sine of the spread), the share of its beam's phase space that the lens
+        fills; the bound is 1. At the wavelength of `worst_ray`.
+    wavelengths, figures
+        A row for each wavelength; form error of each measured surface.
+    """
+
+    title: str
+    feasible: bool
+    violations: tuple[str, ...]
+    constraints: tuple[Constraint, ...]
+    sbp_object: float
+    sbp_sensor: float
+    spread_limit_deg: float
+    max_spread_deg: float
+    spread_heights_mm: tuple[float, ...]
+    spread_per_field_deg: tuple[float, ...]
+    worst_ray: WorstRay
+    highest_frequency_lp_per_mm: float
+    resolution_um: float
+    numerical_aperture: float
+    plane_distances_mm: tuple[float, ...]
+    footprint_radius_mm: tuple[float, ...]
+    sensor_half_side_mm: float
+    spot_heights_mm: tuple[float, ...]
+    rms_spot_diameter_mm: tuple[float, ...]
+    spot_plane_mm: float
+    throughput: float
+    edge_thickness_mm: float | None
+    efl_mm: float
+    bfl_mm: float
+    exit_beam_diameter_mm: float
+    smallest_exit_beam_diameter_mm: float
+    etendue_share: float
+    wavelengths: tuple[WavelengthCheck, ...]
+    figures: tuple[FormError, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; figures that are not finite become None."""
+        return _plain(asdict(self))
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """What one wavelength is found to do."""
+
+    matching: Matching
+    spread: Spread
+    footprints: tuple[Footprint, ...]
+    passes: Throughput
+    row: WavelengthCheck
+
+    @property
+    def load(self) -> float:
+        """Sine of the spread over the sine of its limit: Eq. 2 asks for 1 or less."""
+        return _sine(self.spread.spread_deg) / _sine(self.matching.spread_limit_deg)
+
+
+def check_design(lens: Lens) -> CheckReport:
+    """Check a lens at all its wavelengths against Eqs. 1 and 2, its sensor, its NA and its edges.
+
+    Raises
+    ------
+    DesignError
+        If at one of its wavelengths no ray passes at all.
+    MaterialError
+        If a glass is not known at one of its wavelengths.
+    """
+    traced = [_trace(lens, w) for w in lens.wavelengths_um]
+    rows = tuple(t.row for t in traced)
+    worst = max(traced, key=lambda t: t.load)
+    edge = edge_thickness_mm(lens)
+    constraints = (
+        _sensor_holds_object(traced),
+        _spread_within_limit(worst),
+        *_light_on_sensor(traced),
+        _nothing_clipped(traced),
+        _aperture_reached(lens, traced),
+        *_edge_of_glass(edge),
+    )
+    return CheckReport(
+        title=lens.title,
+        feasible=all(c.met for c in constraints),
+        violations=tuple(c.miss for c in constraints if not c.met),
+        constraints=constraints,
+        sbp_object=max(r.sbp_object for r in rows),
+        sbp_sensor=worst.matching.sbp_sensor,
+        spread_limit_deg=worst.matching.spread_limit_deg,
+        max_spread_deg=worst.spread.spread_deg,
+        spread_heights_mm=worst.spread.field_heights_mm,
+        spread_per_field_deg=worst.spread.per_field_deg,
+        worst_ray=WorstRay(worst.spread.field_mm, worst.spread.pupil, worst.matching.wavelength_um),
+        highest_frequency_lp_per_mm=worst.matching.highest_frequency_lp_per_mm,
+        resolution_um=max(r.resolution_um for r in rows),
+        numerical_aperture=min(r.numerical_aperture for r in rows),
+        plane_distances_mm=lens.sensor.plane_distances_mm,
+        footprint_radius_mm=tuple(np.max([r.footprint_radius_mm for r in rows], axis=0).tolist()),
+        sensor_half_side_mm=0.5 * min(lens.sensor.size_mm),
+        spot_heights_mm=_spot_heights(lens),
+        rms_spot_diameter_mm=tuple(np.max([r.rms_spot_diameter_mm for r in rows], axis=0).tolist()),
+        spot_plane_mm=observation_distance_mm(lens),
+        throughput=min(r.throughput for r in rows),
+        edge_thickness_mm=edge,
+        efl_mm=rows[0].efl_mm,
+        bfl_mm=rows[0].bfl_mm,
+        exit_beam_diameter_mm=max(r.exit_beam_diameter_mm for r in rows),
+        smallest_exit_beam_diameter_mm=max(r.smallest_exit_beam_diameter_mm for r in rows),
+        etendue_share=worst.row.etendue_share,
+        wavelengths=rows,
+        figures=form_errors(lens),
+    )
+
+
+def _trace(lens: Lens, wavelength_um: float) -> _Traced:
+    matching = match(lens, wavelength_um)
+    spread = largest_spread(lens, wavelength_um)
+    footprints = tuple(footprint(lens, wavelength_um, d) for d in lens.sensor.plane_distances_mm)
+    passes = throughput(lens, wavelength_um)
+    plane_mm = observation_distance_mm(lens)
+    spots = [rms_spot_diameter(lens, wavelength_um, h, plane_mm) for h in _spot_heights(lens)]
+    paraxial = first_order(lens, wavelength_um)
+    _, rim = launch(lens, [0.0, 0.0], [0.0, 1.0], wavelength_um)
+    beam = 2.0 * footprint(lens, wavelength_um, 0.0).radius_mm
+    narrowest = smallest_exit_beam_diameter_mm(
+        lens.object.field_diameter_mm, lens.object.numerical_aperture, _sine(spread.spread_deg)
+    )
+    row = WavelengthCheck(
+        wavelength_um=wavelength_um,
+        sbp_object=matching.sbp_object,
+        spread_limit_deg=matching.spread_limit_deg,
+        max_spread_deg=spread.spread_deg,
+        resolution_um=matching.resolution_um,
+        numerical_aperture=float(np.hypot(rim[0, 0], rim[0, 1])),
+        footprint_radius_mm=tuple(f.radius_mm for f in footprints),
+        rms_spot_diameter_mm=tuple(s.rms_diameter_mm for s in spots),
+        throughput=passes.throughput,
+        efl_mm=paraxial.efl_mm,
+        bfl_mm=paraxial.bfl_mm,
+        exit_beam_diameter_mm=beam,
+        smallest_exit_beam_diameter_mm=matching.smallest_exit_beam_diameter_mm,
+        etendue_share=narrowest / beam,
+    )
+    return _Traced(matching, spread, footprints, passes, row)
+
+
+def _constraint(
+    name: str, value: float, relation: str, limit: float, unit: str, met: bool, miss: str
+) -> Constraint:
+    return Constraint(name, value, relation, limit, unit, met, "" if met else miss)
+
+
+def _sensor_holds_object(traced: list[_Traced]) -> Constraint:
+    m = max((t.matching for t in traced), key=lambda m: m.sbp_object)
+    return _constraint(
+        "SBP of the sensor (Eq. 1)",
+        m.sbp_sensor,
+        ">=",
+        m.sbp_object,
+        "",
+        m.sbp_ratio >= 1.0,
+        f"Eq. 1: the sensor's space-bandwidth product of {m.sbp_sensor:.4g} is less than the object's "
+        f"{m.sbp_object:.4g} at {m.wavelength_um:g} um, by {_percent(1.0 - m.sbp_ratio)}",
+    )
+
+
+def _spread_within_limit(worst: _Traced) -> Constraint:
+    spread, limit = worst.spread, worst.matching.spread_limit_deg
+    height = math.hypot(*spread.field_mm)
+    return _constraint(
+        "largest spread angle (Eq. 2)",
+        spread.spread_deg,
+        "<=",
+        limit,
+        "deg",
+        worst.load <= 1.0 + ROUNDING and spread.spread_deg < 90.0,
+        f"Eq. 2: the largest spread angle of {spread.spread_deg:.4f} deg exceeds the limit of "
+        f"{limit:.4f} deg at {worst.matching.wavelength_um:g} um, by {_percent(worst.load - 1.0)} in its "
+        f"sine (field height {height:.4g} mm, stop point {spread.pupil[0]:.3f}, {spread.pupil[1]:.3f})",
+    )
+
+
+def _light_on_sensor(traced: list[_Traced]) -> list[Constraint]:
+    """One for each sensor plane."""
+    widest = [
+        max(parts, key=lambda f: f.radius_mm) for parts in zip(*(t.footprints for t in traced), strict=True)
+    ]
+    return [
+        _constraint(
+            f"footprint radius at {f.plane_distance_mm:g} mm",
+            f.radius_mm,
+            "<=",
+            f.sensor_half_side_mm,
+            "mm",
+            f.radius_mm <= f.sensor_half_side_mm * (1.0 + ROUNDING),
+            f"footprint: {f.plane_distance_mm:g} mm behind the exit vertex light reaches "
+            f"{f.radius_mm:.4f} mm from the axis, beyond the sensor's half side of "
+            f"{f.sensor_half_side_mm:.4f} mm by {-f.margin_mm:.4f} mm",
+        )
+        for f in widest
+    ]
+
+
+def _nothing_clipped(traced: list[_Traced]) -> Constraint:
+    darkest = min(traced, key=lambda t: t.passes.throughput)
+    share = darkest.passes.throughput
+    height = darkest.passes.field_heights_mm[darkest.passes.per_field.index(share)]
+    return _constraint(
+        "throughput",
+        share,
+        ">=",
+        1.0,
+        "",
+        share >= 1.0,
+        f"throughput: {100.0 * share:.4g} % of the stop passes from the field height {height:.4g} mm at "
+        f"{darkest.matching.wavelength_um:g} um; all of it must",
+    )
+
+
+def _aperture_reached(lens: Lens, traced: list[_Traced]) -> Constraint:
+    value, asked = min(t.row.numerical_aperture for t in traced), lens.object.numerical_aperture
+    return _constraint(
+        "numerical aperture (within 0.1 %)",
+        value,
+        ">=",
+        asked,
+        "",
+        value >= asked * (1.0 - NA_TOLERANCE),
+        f"numerical aperture: the stop takes in {value:.5f} from the axis, less than the design's "
+        f"{asked:g} by {_percent(1.0 - value / asked)}",
+    )
+
+
+def _edge_of_glass(edge: float | None) -> list[Constraint]:
+    """None for a lens without a glass element."""
+    if edge is None:
+        return []
+    return [
+        _constraint(
+            "edge thickness",
+            edge,
+            ">",
+            0.0,
+            "mm",
+            edge > 0.0,
+            f"edge thickness: {edge:.4f} mm is the length of the edge cylinder; must be greater than 0",
+        )
+    ]
+
+
+def _spot_heights(lens: Lens) -> tuple[float, ...]:
+    return 0.0, 0.5 * lens.half_field_mm, lens.half_field_mm
+
+
+def _sine(angle_deg: float) -> float:
+    """Sine, and 1 for a ray that has turned back: no smaller sine must make it look better."""
+    return math.sin(math.radians(min(angle_deg, 90.0)))
+
+
+def _percent(share: float) -> str:
+    """A small share in words: one decimal, or one digit where that would show nothing."""
+    return f"{100.0 * share:.1f} %" if share >= 1e-3 else f"{100.0 * share:.1g} %"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

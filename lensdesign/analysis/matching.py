@@ -1,0 +1,114 @@
+"""Matching a lens to a sensor: space-bandwidth products, spread-angle limit and etendue (Eqs. 1 and 2).
+
+Source: the paper's Eq. 1, pi (D/2)^2 pi (1/(2 pitch))^2 >= SBP of the object, and Eq. 2,
+sqrt(1 - cos^2 tx - cos^2 ty) / wavelength <= 1 / (2 pitch) with tx, ty the angles to the x and y axes, so
+that the numerator is the sine of the angle to the optical axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+
+
+@dataclass(frozen=True)
+class Matching:
+    """What the object asks and what the sensor can hold, at one wavelength, before any ray is traced.
+
+    Attributes
+    ----------
+    wavelength_um
+        Vacuum wavelength.
+    sbp_object, sbp_sensor
+        Space-bandwidth products of the object seen with the file's NA, and of the sensor.
+    sbp_ratio
+        `sbp_sensor` / `sbp_object`; Eq. 1 asks for 1 or more.
+    spread_limit_deg
+        Largest angle to the axis behind the lens that the pixels resolve (Eq. 2).
+    highest_frequency_lp_per_mm
+        The pixels' highest frequency, 1 / (2 pitch).
+    resolution_um
+        wavelength / (2 NA), half of the finest period that the NA passes.
+    smallest_exit_beam_diameter_mm
+        By conservation of etendue no beam narrower than this carries field x NA within the spread limit.
+    """
+
+    wavelength_um: float
+    sbp_object: float
+    sbp_sensor: float
+    sbp_ratio: float
+    spread_limit_deg: float
+    highest_frequency_lp_per_mm: float
+    resolution_um: float
+    smallest_exit_beam_diameter_mm: float
+
+
+def sbp_object(field_diameter_mm: float, numerical_aperture: float, wavelength_um: float) -> float:
+    """Space-bandwidth product of a circular field: its area times that of the spectrum within the NA."""
+    cutoff_per_mm = numerical_aperture / (wavelength_um * 1e-3)
+    return math.pi * (0.5 * field_diameter_mm) ** 2 * math.pi * cutoff_per_mm**2
+
+
+def sbp_sensor(shortest_side_mm: float, pixel_pitch_um: float) -> float:
+    """Space-bandwidth product of a sensor: its inscribed circle times the pixels' circular band (Eq. 1)."""
+    return (
+        math.pi * (0.5 * shortest_side_mm) ** 2 * math.pi * highest_frequency_lp_per_mm(pixel_pitch_um) ** 2
+    )
+
+
+def highest_frequency_lp_per_mm(pixel_pitch_um: float) -> float:
+    """Highest frequency that a pixel pitch resolves, 1 / (2 pitch)."""
+    return 1.0 / (2.0 * pixel_pitch_um * 1e-3)
+
+
+def spread_limit_sine(wavelength_um: float, pixel_pitch_um: float) -> float:
+    """Sine of the spread-angle limit, wavelength / (2 pitch); 1 where the pixels resolve every angle."""
+    return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))
+
+
+def smallest_exit_beam_diameter_mm(
+    field_diameter_mm: float, numerical_aperture: float, spread_sine: float
+) -> float:
+    """Diameter of the narrowest beam that holds the field within a spread (Lagrange bound).
+
+    In a meridional plane a beam of diameter D and spread t fills at most D x 2 sin t of phase space, and
+    field x 2 NA of it arrives; refraction conserves it.
+    """
+    return field_diameter_mm * numerical_aperture / spread_sine
+
+
+def match(lens: Lens, wavelength_um: float) -> Matching:
+    """Evaluate Eqs. 1 and 2 and the etendue bound for a lens's object and sensor at one wavelength.
+
+    Raises
+    ------
+    DesignError
+        If the object's or the sensor's numbers are too small to compute with.
+    """
+    target, sensor = lens.object, lens.sensor
+    try:
+        asked = sbp_object(target.field_diameter_mm, target.numerical_aperture, wavelength_um)
+        held = sbp_sensor(min(sensor.size_mm), sensor.pixel_pitch_um)
+        ratio = held / asked
+    except ArithmeticError:
+        raise DesignError(
+            f"field_diameter_mm = {target.field_diameter_mm:g}, numerical_aperture = "
+            f"{target.numerical_aperture:g}, pixel_pitch_um = {sensor.pixel_pitch_um:g} and a wavelength of "
+            f"{wavelength_um:g} um give no space-bandwidth product (Eq. 1): one of them is far too small"
+        ) from None
+    sine = spread_limit_sine(wavelength_um, sensor.pixel_pitch_um)
+    return Matching(
+        wavelength_um=wavelength_um,
+        sbp_object=asked,
+        sbp_sensor=held,
+        sbp_ratio=ratio,
+        spread_limit_deg=math.degrees(math.asin(sine)),
+        highest_frequency_lp_per_mm=highest_frequency_lp_per_mm(sensor.pixel_pitch_um),
+        resolution_um=wavelength_um / (2.0 * target.numerical_aperture),
+        smallest_exit_beam_diameter_mm=smallest_exit_beam_diameter_mm(
+            target.field_diameter_mm, target.numerical_aperture, sine
+        ),
+    )

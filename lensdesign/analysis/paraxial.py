@@ -1,0 +1,65 @@
+"""First-order (paraxial) data: focal lengths and cardinal points of the thick lens.
+
+From the ray-transfer matrices of Hecht, Optics, section 6.2: refraction bends (height, index x angle) by the
+power (n2 - n1) c, transfer shifts it by thickness / index. Conic constants and asphere terms from r^4 on do
+not count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lensdesign.lens.lens import Lens
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Cardinal points of a lens at one wavelength; lengths in mm, inf for an afocal lens.
+
+    Attributes
+    ----------
+    efl_mm
+        Effective focal length, 1 / power; positive for a converging lens.
+    bfl_mm
+        From the last vertex to the rear focal point.
+    ffl_mm
+        From the front vertex to the front focal point; negative where that lies before the lens.
+    front_principal_z_mm, rear_principal_z_mm
+        Principal planes, z from the front vertex.
+    """
+
+    efl_mm: float
+    bfl_mm: float
+    ffl_mm: float
+    front_principal_z_mm: float
+    rear_principal_z_mm: float
+
+
+def first_order(lens: Lens, wavelength_um: float | None = None) -> FirstOrder:
+    """Cardinal points of the whole lens; `wavelength_um` None takes the lens's first wavelength."""
+    wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    curvatures = [surface.curvature for surface in lens.surfaces]
+    return cardinal_points(curvatures, np.diff(lens.vertex_z_mm), lens.indices(wavelength_um))
+
+
+def cardinal_points(curvatures: ArrayLike, thicknesses_mm: ArrayLike, indices: ArrayLike) -> FirstOrder:
+    """The same from arrays: of n surfaces, of the n - 1 media between them, and of all n + 1 media."""
+    c, t, n = (np.asarray(values, float) for values in (curvatures, thicknesses_mm, indices))
+    matrix = np.array([[1.0, 0.0], [-(n[1] - n[0]) * c[0], 1.0]])
+    for i in range(1, len(c)):
+        matrix = np.array([[1.0, t[i - 1] / n[i]], [0.0, 1.0]]) @ matrix
+        matrix = np.array([[1.0, 0.0], [-(n[i + 1] - n[i]) * c[i], 1.0]]) @ matrix
+    (a, _), (minus_power, d) = matrix
+    if minus_power == 0.0:
+        return FirstOrder(math.inf, math.inf, math.inf, math.inf, math.inf)
+    return FirstOrder(
+        efl_mm=float(-1.0 / minus_power),
+        bfl_mm=float(-n[-1] * a / minus_power),
+        ffl_mm=float(n[0] * d / minus_power),
+        front_principal_z_mm=float(n[0] * (d - 1.0) / minus_power),
+        rear_principal_z_mm=float(np.sum(t) + n[-1] * (1.0 - a) / minus_power),
+    )

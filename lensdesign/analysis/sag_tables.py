@@ -1,0 +1,187 @@
+"""Sag of one surface over its radial height, with the sphere that fits it best: what a shop measures by."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.figures import surface_figure
+from lensdesign.lens import shapes
+from lensdesign.lens.lens import Lens, Surface
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 1_000_000
+ANGLES = 256
+"""Directions over which a measured figure is averaged."""
+
+BLOCK_ROWS = 128
+"""For which it is evaluated at one time."""
+
+COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radius_mm")
+
+
+@dataclass(frozen=True, eq=False)
+class SagTable:
+    """Sag of one surface from its vertex to its clear semi-diameter.
+
+    A measured figure counts with its rotationally symmetric part, the mean over all directions at each
+    radial height.
+
+    Attributes
+    ----------
+    surface
+        Index of the surface in its lens, from 0.
+    radial_height_mm, sag_mm, slope, departure_mm : ndarray, shape (n,)
+        Radial height, from 0 to the semi-diameter, both inside; sag, positive along +z; its derivative;
+        sag less that of the best-fit sphere. Where the tangent stands upright, the slope is a huge number.
+    best_fit_radius_mm
+        Radius of the best-fit sphere, signed as in a design; inf for a plane. It passes through the vertex,
+        and of all such spheres has the least mean square departure along z over the area of the clear
+        aperture.
+    asymmetric_rms_mm
+        Root mean square, over that area, of what of a measured figure is not rotationally symmetric and
+        therefore not in the table; 0 without a figure.
+    """
+
+    surface: int
+    radial_height_mm: Array
+    sag_mm: Array
+    slope: Array
+    departure_mm: Array
+    best_fit_radius_mm: float
+    asymmetric_rms_mm: float
+
+
+def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
+    """Tabulate a surface's sag.
+
+    Parameters
+    ----------
+    lens
+        The lens.
+    surface
+        Index from 0.
+    spacing_mm
+        Between radial heights; the last step, to the semi-diameter, is shorter where it does not go in whole.
+
+    Raises
+    ------
+    InputError
+        If there is no such surface, it has no semi_diameter_mm, its figure cannot be read, or the spacing is
+        not above 0 or asks for more than a million rows.
+    """
+    if not 0 <= surface < len(lens.surfaces):
+        raise InputError(f"surface {surface + 1}: the lens has surfaces 1 to {len(lens.surfaces)}")
+    own = lens.surfaces[surface]
+    semi = own.semi_diameter_mm
+    if semi is None:
+        raise InputError(f"surface {surface + 1} has no semi_diameter_mm; a sag table needs an end")
+    r = _radial_heights(semi, spacing_mm)
+    nodes, weights = np.polynomial.legendre.leggauss(256)
+    at = 0.5 * semi * (nodes + 1.0)
+    sag, slope, _ = _symmetric(own, r)
+    fitted, _, asymmetric = _symmetric(own, at)
+    curvature = _best_fit_curvature(at, fitted, weights * at, semi)
+    return SagTable(
+        surface=surface,
+        radial_height_mm=r,
+        sag_mm=sag,
+        slope=slope,
+        departure_mm=sag - _sphere(r, curvature),
+        best_fit_radius_mm=1.0 / curvature if curvature else math.inf,
+        asymmetric_rms_mm=math.sqrt(np.average(asymmetric, weights=weights * at)),
+    )
+
+
+def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
+    """Write a table as CSV, with the radius of the best-fit sphere in each row.
+
+    Numbers are written in full, so that they read back as they were.
+
+    Parameters
+    ----------
+    table
+        The table.
+    path
+        The file; written over.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; whatever stood there stays.
+    """
+    columns = [getattr(table, name) for name in COLUMNS[:-1]]
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for row in zip(*columns, strict=True):
+            writer.writerow([repr(float(value)) for value in (*row, table.best_fit_radius_mm)])
+
+
+def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
+    if not (math.isfinite(spacing_mm) and spacing_mm > 0.0):
+        raise InputError(f"spacing_mm = {spacing_mm!r}: must be finite and above 0")
+    if semi_mm / spacing_mm > MOST_ROWS:
+        raise InputError(
+            f"spacing_mm = {spacing_mm:g}: that makes more than {MOST_ROWS} rows up to the semi-diameter of "
+            f"{semi_mm:g} mm; must be at least {semi_mm / MOST_ROWS:.3g}"
+        )
+    # A last step shorter than rounding is none.
+    steps = math.ceil(semi_mm / spacing_mm * (1.0 - 1e-12))
+    return np.append(spacing_mm * np.arange(steps), semi_mm)
+
+
+def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
+    """Sag, slope, and mean square over all directions of what is not rotationally symmetric, in mm^2."""
+    # Rounding must not carry the rim of a whole hemisphere beyond its edge.
+    within = np.minimum(r, (1.0 - 1e-15) * shapes.edge_radius_mm(surface.curvature, surface.conic))
+    sag, slope = surface.sag_mm(within), surface.slope(within)
+    figure = surface_figure(surface)
+    if figure is None:
+        return sag, slope, np.zeros_like(r)
+    angle = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    x, y = np.cos(angle), np.sin(angle)
+    z, dr, square = (np.empty_like(r) for _ in range(3))
+    # A table may be longer than what its directions leave room for.
+    for start in range(0, len(r), BLOCK_ROWS):
+        block = slice(start, start + BLOCK_ROWS)
+        error, by_x, by_y = figure.sag_and_slopes(r[block, None] * x, r[block, None] * y)
+        z[block], square[block] = np.mean(error, axis=1), np.var(error, axis=1)
+        dr[block] = np.mean(by_x * x + by_y * y, axis=1)
+    return sag + z, slope + dr, square
+
+
+def _sphere(r: Array, curvature: float) -> Array:
+    root = np.sqrt(np.maximum(1.0 - (curvature * r) ** 2, 0.0))
+    return np.asarray(curvature * r * r / (1.0 + root))
+
+
+def _best_fit_curvature(r: Array, sag: Array, weights: Any, semi_mm: float) -> float:
+    """Curvature of the sphere through the vertex with the least weighted square departure.
+
+    The derivative of the sphere's sag with respect to its curvature is r^2 / (w (1 + w)), with
+    w = sqrt(1 - c^2 r^2). No sphere is smaller than the hemisphere over the aperture.
+    """
+    from scipy.optimize import brentq
+
+    def slope_of_squares(curvature: float) -> float:
+        root = np.sqrt(1.0 - (curvature * r) ** 2)
+        return float(np.sum(weights * (_sphere(r, curvature) - sag) * r * r / (root * (1.0 + root))))
+
+    steepest = 1.0 / semi_mm
+    if slope_of_squares(0.0) == 0.0:
+        return 0.0
+    if slope_of_squares(steepest) <= 0.0:
+        return steepest
+    if slope_of_squares(-steepest) >= 0.0:
+        return -steepest
+    relative = 4.0 * float(np.finfo(float).eps)
+    return float(brentq(slope_of_squares, -steepest, steepest, xtol=1e-16 * steepest, rtol=relative))

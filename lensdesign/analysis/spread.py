@@ -1,0 +1,343 @@
+"""What a lens does to its rays: spread behind the lens, footprint, spot, throughput, arrival angles.
+
+Failed rays are left out of every figure, and every figure states the throughput that it stands on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.analysis.arrival import ArrivalAngles, arrival_angles
+from lensdesign.errors import DesignError, InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.solid import glass_element
+from lensdesign.tracing.bundles import launch_pairs, pupil_rings
+from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.tracing.extremes import Extremes, extremes
+from lensdesign.tracing.rays import RayTrace, trace_compiled
+
+__all__ = [
+    "ArrivalAngles",
+    "Footprint",
+    "Spot",
+    "Spread",
+    "Throughput",
+    "arrival_angles",
+    "edge_thickness_mm",
+    "footprint",
+    "largest_spread",
+    "observation_distance_mm",
+    "rms_spot_diameter",
+    "throughput",
+]
+
+Array = NDArray[np.float64]
+
+PAPER_DISTANCE_MM = 3.0
+Perturbations = Mapping[int, SurfacePerturbation] | None
+
+TABLE_HEIGHTS = 13
+"""Field heights, evenly spaced from the axis to the edge of the field, of the tables over the field."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Largest angle to the axis behind the lens.
+
+    Attributes
+    ----------
+    spread_deg
+        Over the whole field and pupil.
+    field_mm, pupil
+        Object point, and point on the stop as shares of its semi-diameter, of the ray that has it.
+    field_heights_mm, per_field_deg
+        Table over the field: the largest angle over the pupil at each height; NaN where no ray passes.
+    throughput
+        Smallest throughput over the heights of the table.
+    """
+
+    spread_deg: float
+    field_mm: tuple[float, float]
+    pupil: tuple[float, float]
+    field_heights_mm: tuple[float, ...]
+    per_field_deg: tuple[float, ...]
+    throughput: float
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Where the light of the whole field lands on a plane behind the lens.
+
+    Attributes
+    ----------
+    plane_distance_mm
+        From the exit vertex.
+    radius_mm
+        Largest distance of a ray from the axis.
+    field_mm, pupil
+        Object point and stop point of that ray.
+    sensor_half_side_mm
+        Half of the sensor's shorter side; the field is round, so this is what the radius has to fit.
+    inside
+        Whether all light lands on the sensor.
+    margin_mm
+        `sensor_half_side_mm` - `radius_mm`.
+    throughput
+        Smallest throughput over the field.
+    """
+
+    plane_distance_mm: float
+    radius_mm: float
+    field_mm: tuple[float, float]
+    pupil: tuple[float, float]
+    sensor_half_side_mm: float
+    inside: bool
+    margin_mm: float
+    throughput: float
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Spot of one object point: twice the RMS distance of its rays from their centroid."""
+
+    rms_diameter_mm: float
+    centroid_mm: tuple[float, float]
+    throughput: float
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """Share of an evenly filled stop that passes the lens: smallest over the field, and per field height."""
+
+    throughput: float
+    field_heights_mm: tuple[float, ...]
+    per_field: tuple[float, ...]
+
+
+def largest_spread(
+    lens: Lens,
+    wavelength_um: float | None = None,
+    field_heights_mm: Sequence[float] | None = None,
+    pose: Pose = Pose(),
+    surface_perturbations: Perturbations = None,
+) -> Spread:
+    """Largest angle to the axis behind the lens over field and pupil (the left side of Eq. 2).
+
+    Sampled densely, then refined in field height, azimuth and pupil until it stands to 1e-6 deg.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    wavelength_um
+        Vacuum wavelength; None takes the lens's first.
+    field_heights_mm
+        Only these object heights; None takes the whole field.
+    pose, surface_perturbations
+        As in :func:`lensdesign.tracing.rays.trace`, single values. Fields then cover every azimuth.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes the lens.
+    InputError
+        If a field height lies outside the field, or a perturbation holds arrays of trials.
+    """
+    wavelength_um = _wavelength(lens, wavelength_um)
+    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
+    heights = _heights(lens, field_heights_mm)
+    found = extremes(
+        lens, system, _angle, heights, symmetric=symmetric, between_heights=field_heights_mm is None
+    )
+    _refuse_dark(found, lens, wavelength_um)
+    return Spread(
+        spread_deg=math.degrees(found.value),
+        field_mm=found.field_mm,
+        pupil=found.pupil,
+        field_heights_mm=tuple(heights.tolist()),
+        per_field_deg=tuple(np.rad2deg(found.values).tolist()),
+        throughput=throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations).throughput,
+    )
+
+
+def footprint(
+    lens: Lens,
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 3.0,
+    pose: Pose = Pose(),
+    surface_perturbations: Perturbations = None,
+) -> Footprint:
+    """Radius of all light on a plane behind the lens, and whether it fits on the sensor.
+
+    Parameters are those of :func:`largest_spread`; `plane_distance_mm` is from the nominal exit vertex.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes the lens.
+    """
+    wavelength_um = _wavelength(lens, wavelength_um)
+    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
+    plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
+    found = extremes(lens, system, _radius, _heights(lens, None), plane_z_mm, symmetric=symmetric)
+    _refuse_dark(found, lens, wavelength_um)
+    half_side = 0.5 * min(lens.sensor.size_mm)
+    return Footprint(
+        plane_distance_mm=plane_distance_mm,
+        radius_mm=found.value,
+        field_mm=found.field_mm,
+        pupil=found.pupil,
+        sensor_half_side_mm=half_side,
+        inside=found.value <= half_side,
+        margin_mm=half_side - found.value,
+        throughput=throughput(lens, wavelength_um, None, pose, surface_perturbations).throughput,
+    )
+
+
+def rms_spot_diameter(
+    lens: Lens,
+    wavelength_um: float | None = None,
+    field_mm: float = 0.0,
+    plane_distance_mm: float = 3.0,
+) -> Spot:
+    """Twice the RMS distance of the rays of one object point from their centroid, stop filled evenly.
+
+    Parameters
+    ----------
+    lens, wavelength_um
+        Lens; vacuum wavelength, None takes the lens's first.
+    field_mm
+        Height of the object point, along y.
+    plane_distance_mm
+        Plane of the spot, from the exit vertex.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes the lens.
+    """
+    wavelength_um = _wavelength(lens, wavelength_um)
+    samples = pupil_rings(rings=16, arms=48)
+    field = np.tile([0.0, field_mm], (len(samples.points), 1))
+    system = compile_system(lens, wavelength_um)
+    rays = _trace(lens, system, field, samples.points, lens.exit_vertex_z_mm + plane_distance_mm)
+    weights = samples.weights * rays.ok
+    passed = float(weights.sum())
+    if passed == 0.0:
+        raise DesignError(_dark(f"from the field height {field_mm:g} mm", wavelength_um))
+    points = rays.position[:, :2]
+    centroid = weights @ points / passed
+    square = weights @ np.sum((points - centroid) ** 2, axis=-1) / passed
+    return Spot(2.0 * math.sqrt(square), (float(centroid[0]), float(centroid[1])), passed)
+
+
+def throughput(
+    lens: Lens,
+    wavelength_um: float | None = None,
+    field_heights_mm: Sequence[float] | None = None,
+    pose: Pose = Pose(),
+    surface_perturbations: Perturbations = None,
+) -> Throughput:
+    """Share of an evenly filled stop that passes the lens, per field height and the smallest.
+
+    Rings up to the very rim are weighted by the trapezoidal rule in r^2, so that a rim that is only just
+    clipped shows. Parameters are those of :func:`largest_spread`.
+    """
+    wavelength_um = _wavelength(lens, wavelength_um)
+    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
+    heights = _heights(lens, field_heights_mm)
+    azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(8) / 8
+    across = np.stack([np.sin(azimuths), np.cos(azimuths)], axis=-1)
+    fields = (heights[:, None, None] * across).reshape(-1, 2)
+    rings, arms = 32, 96
+    angle = 2.0 * np.pi * np.arange(arms) / arms
+    radius = np.sqrt(np.linspace(0.0, 1.0, rings + 1))
+    weights = np.full(rings + 1, 1.0 / rings)
+    weights[[0, -1]] *= 0.5
+    pupil = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1)
+    pupil = pupil.reshape(-1, 2)
+    rays = _trace(lens, system, np.repeat(fields, len(pupil), axis=0), np.tile(pupil, (len(fields), 1)))
+    ok = rays.ok.reshape(len(heights), len(azimuths), rings + 1, arms)
+    shares = np.where(ok.all(axis=(2, 3)), 1.0, ok.mean(axis=3) @ weights)
+    per_field = shares.min(axis=1)
+    return Throughput(float(per_field.min()), tuple(heights.tolist()), tuple(per_field.tolist()))
+
+
+def observation_distance_mm(lens: Lens) -> float:
+    """Distance from the exit vertex at which spots and arrival angles are looked at.
+
+    The paper's 3 mm (Figs. 2c and 2d), where that lies between the sensor planes; else the first of these.
+    """
+    first, *_, last = (*lens.sensor.plane_distances_mm, lens.sensor.plane_distances_mm[-1])
+    return PAPER_DISTANCE_MM if first <= PAPER_DISTANCE_MM <= last else first
+
+
+def edge_thickness_mm(lens: Lens) -> float | None:
+    """Smallest length of the edge cylinder of any glass element; None without one.
+
+    As :class:`lensdesign.lens.solid.Element` has it: bevels are taken off.
+    """
+    elements = (glass_element(lens, number) for number in range(len(lens.glass_fronts)))
+    return min((e.edge_thickness_mm for e in elements), default=None)
+
+
+def _angle(rays: RayTrace) -> Array:
+    return np.arctan2(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), rays.direction[..., 2])
+
+
+def _radius(rays: RayTrace) -> Array:
+    return np.hypot(rays.position[..., 0], rays.position[..., 1])
+
+
+def _wavelength(lens: Lens, wavelength_um: float | None) -> float:
+    return lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+
+
+def _heights(lens: Lens, field_heights_mm: Sequence[float] | None) -> Array:
+    if field_heights_mm is None:
+        return np.linspace(0.0, lens.half_field_mm, TABLE_HEIGHTS)
+    heights = np.atleast_1d(np.asarray(field_heights_mm, float))
+    limit = lens.half_field_mm * (1.0 + 1e-12)
+    if heights.ndim != 1 or not len(heights) or not np.all((heights >= 0.0) & (heights <= limit)):
+        raise InputError(
+            f"field_heights_mm = {field_heights_mm!r}: must be from 0 to {lens.half_field_mm:g} mm"
+        )
+    return heights
+
+
+def _one_system(
+    lens: Lens, wavelength_um: float, pose: Pose, surface_perturbations: Perturbations
+) -> tuple[CompiledSystem, bool]:
+    """The compiled lens, and whether it is still rotationally symmetric."""
+    system = compile_system(lens, wavelength_um, pose, surface_perturbations)
+    if system.trials is not None:
+        raise InputError("poses and perturbations must be single values here, not arrays of trials")
+    symmetric = not (np.any(system.tilted) or np.any(system.vertex[..., :2]) or any(system.figures))
+    return system, symmetric
+
+
+def _trace(
+    lens: Lens, system: CompiledSystem, fields: Array, pupil: Array, plane_z_mm: float | None = None
+) -> RayTrace:
+    origins, directions = launch_pairs(
+        system, fields, pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
+    )
+    return trace_compiled(system, origins, directions, plane_z_mm)
+
+
+def _refuse_dark(found: Extremes, lens: Lens, wavelength_um: float) -> None:
+    if math.isnan(found.value):
+        raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
+
+
+def _dark(which: str, wavelength_um: float) -> str:
+    return (
+        f"no ray {which} passes at {wavelength_um:g} um; look for a semi_diameter_mm that is too small, and "
+        "for total reflection (material, radius_mm)"
+    )

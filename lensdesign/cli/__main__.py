@@ -1,0 +1,5 @@
+"""`python -m lensdesign.cli`."""
+
+from lensdesign.cli.commands import main
+
+main()

@@ -1,0 +1,318 @@
+"""The `lensdesign` command."""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensdesign.cli import exchange as cli_exchange
+from lensdesign.cli import making as cli_making
+from lensdesign.cli import verify as cli_verify
+from lensdesign.cli import view as cli_view
+from lensdesign.common.console import make_app, message_console, print_json, run_app
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError, atomic_path
+
+if TYPE_CHECKING:
+    from lensdesign.analysis.check import CheckReport
+    from lensdesign.optimization.search import OptimizationResult
+    from lensdesign.optimization.specification import Specification
+
+app = make_app("Design non-imaging spatial information transfer lenses.")
+
+
+WIDEST_TITLE = 100
+"""Up to which a table is made as wide as its title."""
+
+
+class PictureFormat(StrEnum):
+    """Formats that pictures can have."""
+
+    PNG = "png"
+    SVG = "svg"
+
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run_app(app)
+
+
+@app.command()
+def check(design: Design, as_json: Json = False) -> None:
+    """Check matching, spread, footprint and edges.
+
+    Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge thickness.
+
+    Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
+    """
+    from lensdesign.analysis.check import check_design
+    from lensdesign.files.design import load_design
+
+    report = check_design(load_design(design))
+    if as_json:
+        print_json(report.as_dict())
+    else:
+        _print_check(report)
+    raise typer.Exit(0 if report.feasible else 1)
+
+
+@app.command()
+def optimize(
+    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
+    as_json: Json = False,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
+    algorithm: Annotated[
+        str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
+    ] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Time limit, in place of the specification's.", show_default=False)
+    ] = None,
+) -> None:
+    """Search for the lens that a specification asks for.
+
+    Exit status: 0 if the lens meets every constraint, 1 if not (it is written all the same), 2 for bad input.
+    """
+    from lensdesign.files.design import design_text
+    from lensdesign.optimization.search import optimize as search
+    from lensdesign.optimization.specification import load_specification
+
+    asked = _with_settings(load_specification(specification), algorithm, max_seconds)
+    if os.path.exists(output) and output.samefile(specification):
+        raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
+    # Opened before the search: a place that cannot be written shows at once, not after it.
+    with atomic_path(output) as temporary:
+        with message_console().status("searching") as status:
+            result = search(asked, report=status.update, seed=seed)
+        temporary.write_text(design_text(result.lens, output.parent), encoding="utf-8")
+    if as_json:
+        print_json(result.as_dict() | {"design": str(output)})
+    else:
+        _print_optimization(result)
+        typer.echo(f"wrote {output}")
+    raise typer.Exit(0 if result.feasible else 1)
+
+
+@app.command()
+def draw(
+    design: Design,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the pictures.")],
+    formats: Annotated[
+        list[PictureFormat], typer.Option("--format", help="Picture format; may be given twice.")
+    ] = [PictureFormat.PNG],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Draw the layout, spots, arrival angles, spread, measured figures and the lens in 3D.
+
+    The 3D view is left out, with a note, where nothing can be rendered off-screen.
+    """
+    from lensdesign.files.design import load_design
+    from lensdesign.pictures.plots import draw_all
+
+    lens, chosen = load_design(design), tuple(f.value for f in formats)
+    _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
+
+
+app.command("import")(cli_exchange.import_file)
+app.command()(cli_making.export)
+app.command()(cli_making.scene)
+app.command()(cli_making.drawing)
+app.command()(cli_making.sag)
+app.command()(cli_view.view)
+app.command()(cli_verify.verify)
+
+
+@app.command()
+def scale(
+    design: Design,
+    factor: Annotated[float, typer.Argument(metavar="FACTOR", help="What lengths are multiplied by.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="TWIN", help="Design file to write.")],
+    as_json: Json = False,
+) -> None:
+    """Write the same lens at another size.
+
+    Numerical aperture, spread angle, glass and pixel pitch stay. On a small twin wave optics of the whole
+    field takes seconds.
+    """
+    from lensdesign.files.design import load_design, save_design
+    from lensdesign.lens.scaling import scaled
+
+    if os.path.exists(output) and output.samefile(design):
+        raise InputError(f"cannot write {output}: it is the design itself; give another file name")
+    twin = scaled(load_design(design), factor)
+    twin = twin.replaced(title=f"{twin.title}, scaled by {factor:g}".lstrip(", "))
+    save_design(twin, output)
+    if as_json:
+        print_json({"design": str(output), "factor": factor, "title": twin.title})
+    else:
+        across, down = twin.sensor.pixels
+        typer.echo(
+            f"wrote {output}: field {twin.object.field_diameter_mm:g} mm, stop "
+            f"{2.0 * twin.stop_semi_diameter_mm:g} mm, sensor {across} x {down} pixels"
+        )
+
+
+@app.command()
+def glass(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Glass, plastic or crystal; or an index.")],
+    wavelength_um: Annotated[float, typer.Option(help="Wavelength of the index.")] = 0.532,
+    catalog: Annotated[
+        list[Path], typer.Option(help="Glass catalogue (AGF) to look in first; may be repeated.")
+    ] = [],  # noqa: B006
+    search: Annotated[bool, typer.Option("--search", help="List the names that contain NAME.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show a glass (index, Abbe number, range), or search."""
+    if search:
+        _print_matches(name, catalog, as_json)
+        return
+    from lensdesign.lens.glass import get_material, glass_summary
+
+    material = _name_or_index(name)
+    index = get_material(material, catalog).index(wavelength_um)
+    figures = glass_summary(material, catalog) | {"wavelength_um": wavelength_um, "index": index}
+    if as_json:
+        print_json(figures)
+        return
+    span = figures["wavelength_range_um"]
+    typer.echo(visible(f"{figures['name']} ({figures['catalog']})"))
+    typer.echo(f"  index at {wavelength_um:g} um   {index:.7f}")
+    typer.echo(f"  nd                   {_or_unknown(figures['nd'], '.7f')}")
+    typer.echo(f"  Vd                   {_or_unknown(figures['vd'], '.3f')}")
+    typer.echo(f"  wavelengths          {f'{span[0]:g} to {span[1]:g} um' if span else 'any'}")
+    if figures["source"]:
+        typer.echo(visible(f"  source               {figures['source']}"))
+
+
+def _name_or_index(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _or_unknown(value: float | None, form: str) -> str:
+    return "not known" if value is None else format(value, form)
+
+
+def _print_matches(name: str, catalogs: list[Path], as_json: bool) -> None:
+    from lensdesign.lens.glass import list_glasses
+
+    found = [(n, c) for n, c in list_glasses(catalogs) if name.casefold() in n.casefold()]
+    if as_json:
+        print_json({"matches": [{"name": n, "catalog": c} for n, c in found]})
+        return
+    for n, c in found:
+        typer.echo(visible(f"{n} ({c})"))
+    typer.echo(f"{len(found)} names contain {name!r}")
+
+
+def _with_settings(
+    specification: Specification, algorithm: str | None, max_seconds: float | None
+) -> Specification:
+    """The specification with what the command line changes."""
+    from lensdesign.files.design import validate
+    from lensdesign.optimization.specification import Settings
+
+    changes = {"algorithm": algorithm, "max_seconds": max_seconds}
+    given = {key: value for key, value in changes.items() if value is not None}
+    settings = validate(Settings, specification.optimize.model_dump() | given, "command line")
+    return specification.model_copy(update={"optimize": settings})
+
+
+def _report_files(files: list[Path], as_json: bool) -> None:
+    if as_json:
+        print_json({"files": [str(f) for f in files]})
+        return
+    for file in files:
+        typer.echo(f"wrote {file}")
+
+
+def _print_check(report: CheckReport) -> None:
+    table = _table(report.title, "constraint", "value", "limit", "")
+    for c in report.constraints:
+        table.add_row(
+            c.name, _number(c.value, c.unit), f"{c.relation} {_number(c.limit, c.unit)}", _met(c.met)
+        )
+    figures = _table("", "figure", "value")
+    heights = ", ".join(f"{h:g}" for h in report.spot_heights_mm)
+    spots = ", ".join(f"{d:.2f}" for d in report.rms_spot_diameter_mm)
+    rows = [
+        ("resolution", f"{report.resolution_um:.4g} um"),
+        ("highest frequency of the sensor", f"{report.highest_frequency_lp_per_mm:.5g} lp/mm"),
+        ("effective, back focal length", f"{report.efl_mm:.4f}, {report.bfl_mm:.4f} mm"),
+        (f"RMS spots {report.spot_plane_mm:g} mm behind, heights {heights} mm", f"{spots} mm"),
+        ("exit beam diameter", f"{report.exit_beam_diameter_mm:.3f} mm"),
+        ("narrowest beam that the etendue bound allows", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
+        ("share of its beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),
+    ]
+    for row in rows:
+        figures.add_row(*row)
+    _print_tables(table, figures)
+    for f in report.figures:
+        typer.echo(
+            f"surface {f.surface} as measured: PV {f.pv_waves:.3f}, RMS {f.rms_waves:.3f} waves at "
+            f"{1e3 * f.wavelength_um:.1f} nm without tilt; PV {f.pv_without_power_waves:.3f}, "
+            f"RMS {f.rms_without_power_waves:.3f} without power"
+        )
+    if report.feasible:
+        typer.echo("every constraint is met")
+    for sentence in report.violations:
+        typer.echo(f"not met: {sentence}")
+
+
+def _print_optimization(result: OptimizationResult) -> None:
+    from rich.markup import escape
+
+    variables = _table(result.lens.title, "variable", "value")
+    for name, value in result.variables.items():
+        shown = "plane" if value is None else f"{value:.8g}" if isinstance(value, float) else str(value)
+        variables.add_row(name, escape(visible(shown)))
+    variables.add_section()
+    variables.add_row(result.goal, f"{result.goal_value:.6g} {'deg' if 'spread' in result.goal else 'mm'}")
+    _print_tables(variables)
+    for name in result.binding:
+        typer.echo(f"binding: {name}")
+    for sentence in result.violations:
+        typer.echo(f"not met: {sentence}")
+    typer.echo(
+        f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because "
+        f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
+    )
+
+
+def _number(value: float, unit: str) -> str:
+    text = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.4f}"
+    return f"{text} {unit}".rstrip()
+
+
+def _met(met: bool) -> str:
+    return "[green]met[/green]" if met else "[red]not met[/red]"
+
+
+def _table(title: str, *columns: str) -> Any:
+    from rich.markup import escape
+    from rich.table import Table
+
+    shown = visible(title)
+    width = min(len(shown), WIDEST_TITLE)
+    table = Table(title=escape(shown) or None, title_justify="left", title_style="bold", min_width=width)
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("value", "limit") else "left")
+    return table
+
+
+def _print_tables(*tables: Any) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    for table in tables:
+        console.print(table)

@@ -1,0 +1,65 @@
+"""The command that holds a mesh file against a design."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lensdesign.cli.making import Design, Json
+from lensdesign.common.console import print_json
+
+if TYPE_CHECKING:
+    from lensdesign.fabrication.mesh.verification import MeshReport
+
+
+def verify(
+    design: Design,
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh in mm: .stl, .ply, .obj or .3mf.")],
+    chord_error_um: Annotated[
+        float, typer.Option(help="Greatest distance allowed of the mesh from the optical surfaces.")
+    ] = 0.1,
+    as_json: Json = False,
+) -> None:
+    """Hold a mesh, whoever made it, against the nominal shape of a lens.
+
+    Says whether it is closed, and how far its vertices, edge midpoints and facet centres lie from each
+    optical surface. It must lie as the lens does: front vertex at z = 0, axis along z.
+
+    Exit status: 0 if it agrees, 1 if it is open, inside out, too far off or not of as many bodies as the
+    design, 2 for bad input.
+    """
+    from lensdesign.fabrication.mesh.reading import read_mesh
+    from lensdesign.fabrication.mesh.verification import verify_mesh
+    from lensdesign.files.design import load_design
+
+    report = verify_mesh(load_design(design), read_mesh(mesh), chord_error_um)
+    if as_json:
+        print_json({"file": str(mesh)} | report.as_dict())
+    else:
+        _print_report(report)
+    raise typer.Exit(1 if report.faults else 0)
+
+
+def _print_report(report: MeshReport) -> None:
+    closed = "closed" if report.closed else f"open at {report.open_edges} edges"
+    bodies = f"{report.bodies} {'body' if report.bodies == 1 else 'bodies'}"
+    typer.echo(f"{report.triangles} triangles, {closed}, {bodies} (design: {report.elements})")
+    share = report.volume_mm3 / report.exact_volume_mm3 - 1.0
+    typer.echo(
+        f"volume {report.volume_mm3:.8g} mm^3; of the design {report.exact_volume_mm3:.8g} mm^3; {share:+.2g}"
+    )
+    for side in report.distances:
+        name = f"surface {side.surface} of element {side.element}"
+        if side.greatest_um is not None:
+            typer.echo(
+                f"{name}: at most {side.greatest_um:.4g} um off, RMS {side.rms_um:.4g} um, "
+                f"{side.points} points"
+            )
+    if report.edge_greatest_um is not None:
+        typer.echo(f"edge: at most {report.edge_greatest_um:.4g} um off, which is not judged")
+    for fault in report.faults:
+        typer.echo(f"not met: {fault}")
+    if not report.faults:
+        typer.echo(f"the mesh agrees with the design within {report.chord_error_um:g} um")

@@ -1,0 +1,48 @@
+"""The command that shows a lens in 3D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lensdesign.cli.making import Design, Json
+from lensdesign.common.console import print_json
+
+
+def view(
+    design: Design,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Page for a browser to write, .html; else a window opens."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Turn the lens in 3D: in a window, or in a browser by one page that loads nothing."""
+    from lensdesign.errors import InputError
+    from lensdesign.files.design import load_design
+    from lensdesign.lens.solid import closed_elements
+    from lensdesign.pictures.page import write_view
+    from lensdesign.pictures.window import open_window
+    from lensdesign.tracing.paths import sized_lens
+
+    lens = load_design(design)
+    if output is None:
+        closed_elements(sized_lens(lens))
+        open_window(design)
+        if as_json:
+            print_json({"file": None})
+        return
+    if output.exists() and output.samefile(design):
+        raise InputError(f"cannot write {output}: it is the design itself; give another file name")
+    made = write_view(lens, output)
+    if as_json:
+        print_json({"file": str(output)} | made.as_dict())
+    else:
+        typer.echo(
+            f"wrote {output}: {made.bodies} {'body' if made.bodies == 1 else 'bodies'}, {made.rays} rays, "
+            f"{1e-6 * made.bytes:.2g} MB"
+        )

@@ -1,0 +1,139 @@
+"""What the three commands share: one way to fail, to print JSON, and to show progress."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from lensdesign.common.text import visible
+from lensdesign.errors import TransferLensError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+
+class _Group(TyperGroup):
+    """Commands that say so when they are interrupted, and exit with status 130, as shells expect."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
+            raise typer.Exit(130) from None
+
+
+def make_app(purpose: str) -> typer.Typer:
+    """A Typer application with the looks and the options that all commands have."""
+    app = typer.Typer(
+        cls=_Group,
+        help=purpose,
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+    @app.callback()
+    def common(
+        version: Annotated[
+            bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        ] = False,
+    ) -> None:
+        """Options of every command."""
+
+    return app
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"transferlens {version('transferlens')}")
+        raise typer.Exit
+
+
+def run_app(app: typer.Typer) -> None:
+    """Run a Typer application; our own errors become one clear message and exit status 2.
+
+    Being terminated unwinds as an interrupt does, so that no temporary file stays behind.
+    """
+    before = signal.signal(signal.SIGTERM, _terminated)
+    try:
+        try:
+            app()
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except TransferLensError as error:
+        fail(str(error))
+    except OSError as error:  # full disks behind named files are told where they are written
+        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        _drop_output()
+        if error.errno == errno.EPIPE:
+            raise SystemExit(1) from None
+        fail(f"cannot write to standard output: {error.strerror}")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminated(number: int, _frame: Any) -> None:
+    raise SystemExit(128 + number)
+
+
+def _drop_output() -> None:
+    """Keep the interpreter from trying once more, at its end, to write what could not be written."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+def fail(message: str) -> None:
+    """Print an error message, plainly, and exit with status 2."""
+    lines = [visible(line) for line in message.split("\n")]
+    print("error: " + "\n".join(lines), file=sys.stderr)
+    raise SystemExit(2)
+
+
+def print_json(data: dict[str, Any]) -> None:
+    """Print one JSON object, and nothing else, on standard output."""
+    print(json.dumps(data, indent=2, allow_nan=False))
+
+
+def message_console() -> Console:
+    """Console for messages and progress, on standard error, so that standard output stays clean."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def progress_bar(*extra_columns: Any) -> Progress:
+    """A progress bar on standard error with elapsed and remaining time; silent where there is no terminal.
+
+    It goes away in the end, so that a message of what went wrong stands alone.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = message_console()
+    # Older releases of rich end even a disabled bar with an empty line.
+    console.quiet = not console.is_terminal
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        *extra_columns,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )

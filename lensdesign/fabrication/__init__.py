@@ -1,0 +1,1 @@
+"""What a shop takes: meshes, STEP files, drawings."""

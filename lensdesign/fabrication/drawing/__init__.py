@@ -1,0 +1,1 @@
+"""ISO 10110 drawings of the elements."""

@@ -1,0 +1,162 @@
+"""The table of ISO 10110-10: left surface, material, right surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lensdesign.fabrication.drawing.strokes import THICK_MM, Area, Item, Text, cell, circle, frame, line
+from lensdesign.fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.solid import Element
+
+OPEN = "–"
+"""An indication that states nothing."""
+
+COATING_ROW = 3
+WAVELENGTHS = 2
+"""Of a lens, for which the table gives the index."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the drawing says of the glass."""
+
+    name: str
+    rows: tuple[str, ...]
+
+
+def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> Material:
+    """Name and catalogue of an element's glass, its indices and the codes 0/, 1/ and 2/."""
+    from lensdesign.lens.glass import glass_summary, refractive_index
+
+    glass = element.front.surface.material
+    assert glass is not None  # it would be no element
+    summary = glass_summary(glass, lens.glass_catalogs)
+    constant = summary["catalog"] == "constant"
+    name = f"n = {summary['name']}" if constant else f"{summary['name']} ({summary['catalog']})"
+    fraunhofer = [] if summary["nd"] is None or constant else [f"n(587.56 nm) = {summary['nd']:.5f}"]
+    if summary["vd"] is not None:
+        fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}")
+    indices = [
+        f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
+        for wavelength in lens.wavelengths_um[:WAVELENGTHS]
+    ]
+    more = len(lens.wavelengths_um) - WAVELENGTHS
+    return Material(
+        name,
+        (
+            name,
+            "   ".join(fraunhofer) or OPEN,
+            "   ".join(indices) + (f"   and {more} more" if more > 0 else ""),
+            "",
+            f"0/ {tolerances.stress_birefringence or OPEN}",
+            f"1/ {tolerances.bubbles.replace('x', ' × ') or OPEN}",
+            f"2/ {tolerances.inhomogeneity or OPEN}",
+            f"density {tolerances.density_g_per_cm3:g} g/cm³" if tolerances.density_g_per_cm3 else "",
+        ),
+    )
+
+
+def data_table(
+    element: Element,
+    cemented: tuple[bool, bool],
+    material: Material,
+    tolerances: DrawingTolerances,
+    area: Area,
+) -> list[Item]:
+    """The table's three columns.
+
+    Parameters
+    ----------
+    element
+        Its surfaces, left and right, and their bevels.
+    cemented
+        Whether glass touches them from outside.
+    material
+        What stands in the middle column.
+    tolerances
+        Of the element.
+    area
+        Where the table stands.
+    """
+    (_, front_bevel), (_, back_bevel) = element.edge.sides()
+    left = _surface_rows(element.front.surface, tolerances.left, 1.0, cemented[0], front_bevel)
+    right = _surface_rows(element.back.surface, tolerances.right, -1.0, cemented[1], back_bevel)
+    columns = (("Left surface (L)", left), ("Material", material.rows), ("Right surface (R)", right))
+    step = area.height / (len(left) + 1)
+    width = area.width / len(columns)
+    items: list[Item] = [frame(area, THICK_MM)]
+    for number, (head, rows) in enumerate(columns):
+        x = area.left + number * width
+        items.append(cell(Area(x, area.top - step, x + width, area.top), head, 3.2, "middle"))
+        items += _column(rows, Area(x, area.bottom, x + width, area.top - step), is_surface=number != 1)
+        if number:
+            items.append(line(x, area.bottom, x, area.top, THICK_MM))
+    items.append(line(area.left, area.top - step, area.right, area.top - step, THICK_MM))
+    return items
+
+
+def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
+    items: list[Item] = []
+    step = area.height / len(rows)
+    for row, text in enumerate(rows):
+        top = area.top - row * step
+        place = Area(area.left, top - step, area.right, top)
+        if is_surface and row == COATING_ROW:
+            x, y = area.left + 3.7, top - 0.5 * step
+            items += [circle(x, y, 0.42 * step), Text(x, y - 0.9, "λ", 2.6, "middle")]
+            place = Area(area.left + 6.0, *place[1:])
+        if text:
+            items.append(cell(place, text))
+    return items
+
+
+def _surface_rows(
+    surface: Surface, tolerances: SurfaceTolerances, outward: float, cemented: bool, bevel_mm: float
+) -> tuple[str, ...]:
+    semi, centring = surface.semi_diameter_mm, tolerances.centring_arcmin
+    return (
+        _radius(surface, tolerances, outward),
+        f"Øₑ {2.0 * semi:.6g}" if semi is not None else f"Øₑ {OPEN}",
+        f"Prot. chamfer {_chamfer(bevel_mm, tolerances.chamfer_mm)}",
+        tolerances.coating or ("cemented" if cemented else OPEN),
+        _form(tolerances),
+        f"4/ {f'{centring:g}′' if centring is not None else OPEN}",
+        f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}",
+        f"6/ {tolerances.laser_damage or OPEN}",
+    )
+
+
+def _chamfer(bevel_mm: float, allowed_mm: tuple[float, float] | None) -> str:
+    """The design's bevel, else what the tolerances allow."""
+    if bevel_mm:
+        return f"{bevel_mm:g} × 45°"
+    return f"{allowed_mm[0]:g} - {allowed_mm[1]:g}" if allowed_mm else OPEN
+
+
+def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float) -> str:
+    """With CX or CC; of an asphere, at the vertex."""
+    kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
+    if surface.radius_mm is None:
+        return f"R ∞{kind}"
+    tolerance = f" ±{tolerances.radius_mm:g}" if tolerances.radius_mm is not None else ""
+    side = "CX" if outward * surface.radius_mm > 0.0 else "CC"
+    return f"R {abs(surface.radius_mm):.8g}{tolerance} {side}{kind}"
+
+
+def _form(tolerances: SurfaceTolerances) -> str:
+    """3/A(B/C), over a test diameter if one is given."""
+    a, b, c = (
+        OPEN if value is None else f"{value:g}"
+        for value in (
+            tolerances.radius_fringes,
+            tolerances.irregularity_fringes,
+            tolerances.symmetric_fringes,
+        )
+    )
+    if a == b == OPEN:
+        return f"3/ {OPEN}"
+    inner = b if c == OPEN else f"{b}/{c}"
+    over = tolerances.test_diameter_mm
+    return f"3/ {a}({inner})" + (f" (all Ø {over:g})" if over is not None else "")

@@ -1,0 +1,161 @@
+"""Tolerances that a drawing states, and those of ISO 10110-11 where nothing else is given."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.errors import InputError
+
+MERCURY_LINE_UM = 0.54607
+"""Green line, in which ISO 10110-5 counts fringe spacings unless told otherwise."""
+
+NotNegative = Annotated[Finite, Field(ge=0.0, le=1e9)]
+ShortText = Annotated[str, Field(max_length=200)]
+
+
+class SurfaceTolerances(Section):
+    """What a drawing asks of one surface; None or an empty text leaves an indication open.
+
+    Attributes
+    ----------
+    radius_mm
+        Of the radius of curvature, to both sides. Goes in the place of `radius_fringes`.
+    radius_fringes
+        A of 3/A(B/C): sagitta error, in fringe spacings.
+    irregularity_fringes, symmetric_fringes
+        B and C: irregularity, and the rotationally symmetric part of it.
+    test_diameter_mm
+        Over which these hold, anywhere on the surface; None is all of the clear aperture.
+    centring_arcmin
+        4/: tilt of the surface against the datum axis.
+    imperfections
+        5/: number and grade, such as ``5x0.25``.
+    laser_damage
+        6/: as ISO 10110-17 writes it.
+    chamfer_mm
+        Least and greatest width of the protective chamfer.
+    coating
+        What stands beside the coating's symbol.
+    """
+
+    radius_mm: Positive | None = None
+    radius_fringes: NotNegative | None = None
+    irregularity_fringes: NotNegative | None = None
+    symmetric_fringes: NotNegative | None = None
+    test_diameter_mm: Positive | None = None
+    centring_arcmin: NotNegative | None = None
+    imperfections: ShortText = ""
+    laser_damage: ShortText = ""
+    chamfer_mm: tuple[NotNegative, NotNegative] | None = None
+    coating: ShortText = ""
+
+    _lists = field_validator("chamfer_mm", mode="before")(tuples)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.radius_mm is not None and self.radius_fringes is not None:
+            raise ValueError("radius_mm and radius_fringes given: must be one of them")
+        if self.symmetric_fringes is not None and self.irregularity_fringes is None:
+            raise ValueError("symmetric_fringes is a part of irregularity_fringes, which is missing")
+        if self.chamfer_mm is not None and self.chamfer_mm[0] > self.chamfer_mm[1]:
+            raise ValueError("chamfer_mm must be the least width, then the greatest")
+        return self
+
+
+class DrawingTolerances(Section):
+    """What a drawing asks of one glass element.
+
+    Attributes
+    ----------
+    left, right
+        Of the surface that light meets first, and of the other one.
+    thickness_mm, diameter_mm
+        Of the centre thickness and of the ground edge, to both sides.
+    stress_birefringence, bubbles, inhomogeneity
+        0/ in nm/cm, 1/ and 2/, as ISO 10110-2 to 10110-4 write them.
+    fringe_wavelength_um
+        Wavelength of which a fringe spacing is half.
+    density_g_per_cm3
+        Of the glass, from its data sheet; without it the drawing states no mass.
+    source
+        Where the values come from; stands on the drawing.
+    """
+
+    left: SurfaceTolerances = SurfaceTolerances()
+    right: SurfaceTolerances = SurfaceTolerances()
+    thickness_mm: Positive | None = None
+    diameter_mm: Positive | None = None
+    stress_birefringence: ShortText = ""
+    bubbles: ShortText = ""
+    inhomogeneity: ShortText = ""
+    fringe_wavelength_um: Positive = MERCURY_LINE_UM
+    density_g_per_cm3: Positive | None = None
+    source: ShortText = ""
+
+
+def _general(
+    diameter_mm: float,
+    thickness_mm: float,
+    chamfer_mm: tuple[float, float],
+    material: tuple[str, str, str],
+    form_fringes: tuple[float, float],
+    test_diameter_mm: float | None,
+    centring_arcmin: float,
+    imperfections: str,
+) -> DrawingTolerances:
+    surface = SurfaceTolerances(
+        radius_fringes=form_fringes[0],
+        irregularity_fringes=form_fringes[1],
+        test_diameter_mm=test_diameter_mm,
+        centring_arcmin=centring_arcmin,
+        imperfections=imperfections,
+        chamfer_mm=chamfer_mm,
+    )
+    stress, bubbles, inhomogeneity = material
+    return DrawingTolerances(
+        left=surface,
+        right=surface,
+        thickness_mm=thickness_mm,
+        diameter_mm=diameter_mm,
+        stress_birefringence=stress,
+        bubbles=bubbles,
+        inhomogeneity=inhomogeneity,
+        source="general tolerances of ISO 10110-11:1996, table 1",
+    )
+
+
+GENERAL = {
+    10.0: _general(0.2, 0.1, (0.1, 0.3), ("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
+    30.0: _general(0.5, 0.2, (0.2, 0.5), ("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
+    100.0: _general(1.0, 0.4, (0.3, 0.8), ("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
+    300.0: _general(1.5, 0.8, (0.5, 1.6), ("", "5x0.63", ""), (10.0, 2.0), 60.0, 10.0, "5x0.63"),
+}
+"""Table 1 of ISO 10110-11:1996 by the largest dimension in mm up to which a row holds.
+
+Later editions differ.
+"""
+
+
+def general_tolerances(largest_dimension_mm: float) -> DrawingTolerances:
+    """Tolerances of a part for which nothing is stated (ISO 10110-11:1996, table 1).
+
+    Parameters
+    ----------
+    largest_dimension_mm
+        Diameter or thickness of the part, whichever is larger.
+
+    Raises
+    ------
+    InputError
+        If the part is larger than what the table covers.
+    """
+    for up_to, tolerances in GENERAL.items():
+        if largest_dimension_mm <= up_to:
+            return tolerances
+    raise InputError(
+        f"the part measures {largest_dimension_mm:.4g} mm; the general tolerances of ISO 10110-11 end at "
+        f"{max(GENERAL):g} mm; state the tolerances of the drawing"
+    )

@@ -1,0 +1,1 @@
+"""Closed triangle meshes of the glass, written, read back and verified."""

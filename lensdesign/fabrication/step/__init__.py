@@ -1,0 +1,1 @@
+"""STEP files of the glass, with exact conics."""

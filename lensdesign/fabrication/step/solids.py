@@ -1,0 +1,252 @@
+"""Glass bodies as boundary representations: a meridian turned about the axis, by OCP.
+
+Planes and spheres are what they are called; other conics have a rational quadratic Bezier meridian, which is
+exact (Farin, Curves and Surfaces for CAGD, 5th ed., chapter 12); even aspheres have a spline meridian of
+degree 5, knots enough to come as near as asked. OCP is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens import shapes
+from lensdesign.lens.meridian import SurfaceMeridian
+from lensdesign.lens.solid import Element
+
+Array = NDArray[np.float64]
+
+ASPHERE_ERROR_MM = 1e-7
+"""Largest distance of an even asphere's spline from its meridian."""
+
+SPLINE_DEGREE = 5
+MOST_INTERVALS = 2000
+
+LARGEST_SPHERE_MM = 1e3
+"""Radius beyond which a sphere is written by its meridian: of 13 digits, the centre would cost too many."""
+
+SHORTEST_EDGE_MM = 1e-6
+"""Ten times the length that the kernel takes for nothing."""
+
+
+def element_solid(element: Element) -> Any:
+    """One body of glass as a closed solid (a TopoDS_Shape).
+
+    Its faces are, in this order, the front surface, one for each segment of the rim, the back surface.
+
+    Raises
+    ------
+    InputError
+        If an even asphere cannot be followed, or the rim is too short for a solid.
+    """
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeWire
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeRevol
+    from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt
+
+    axis = gp_Ax1(gp_Pnt(0.0, 0.0, 0.0), gp_Dir(0.0, 0.0, 1.0))
+    wire = BRepBuilderAPI_MakeWire()
+    front, back = (0.0, element.front.vertex_z_mm), (0.0, element.back.vertex_z_mm)
+    wire.Add(_optical_edge(element.front, element.surfaces[0]))
+    for start, end in pairwise(rim_corners(element)):
+        wire.Add(_straight_edge(start, end))
+    wire.Add(_optical_edge(element.back, element.surfaces[1]))
+    wire.Add(_straight_edge(back, front))
+    face = BRepBuilderAPI_MakeFace(wire.Wire(), True).Face()
+    return BRepPrimAPI_MakeRevol(face, axis).Shape()
+
+
+def rim_corners(element: Element) -> Array:
+    """Radial height and z of the rim's corners, without those that no kernel can tell apart.
+
+    Raises
+    ------
+    InputError
+        If nothing of the rim is left.
+    """
+    first, *between, last = np.asarray(element.rim, float)
+    kept = [first]
+    for corner in between:
+        if min(math.dist(corner, kept[-1]), math.dist(corner, last)) > SHORTEST_EDGE_MM:
+            kept.append(corner)
+    if len(kept) == 1 and math.dist(first, last) <= SHORTEST_EDGE_MM:
+        raise InputError(
+            f"its edge is {math.dist(first, last):.3g} mm long; a solid needs more than {SHORTEST_EDGE_MM:g} "
+            "mm, so raise thickness_mm or lower semi_diameter_mm"
+        )
+    return np.array([*kept, last])
+
+
+def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
+    """Control points and weights of a conic's meridian, from the vertex to its end.
+
+    With q = sqrt(1 - (1 + k) c^2 r^2) at the end, the end's tangent meets the vertex's at the height
+    r / (1 + q), and the weight of that point is sqrt((1 + q) / 2): the cosine of half the eccentric angle on
+    an ellipse, 1 on a parabola, a hyperbolic cosine on a hyperbola. It is never below sqrt(1/2), which is at
+    the equator, so one piece will do for every conic.
+
+    Returns
+    -------
+    points : ndarray, shape (3, 2)
+        Radial height and z in mm.
+    weights : ndarray, shape (3,)
+    """
+    c, conic, r = meridian.surface.curvature, meridian.surface.conic, meridian.end_mm
+    equator = shapes.edge_radius_mm(c, conic)
+    # By the angle, as the meridian has it: near the equator rounding would part the ends otherwise.
+    q = (
+        math.cos(math.asin(min(1.0, r / equator)))
+        if math.isfinite(equator)
+        else math.sqrt(1.0 - (1.0 + conic) * c * c * r * r)
+    )
+    vertex, end = meridian.points([0.0, 1.0])
+    points = np.array([vertex, [r / (1.0 + q), vertex[1]], end])
+    return points, np.array([1.0, math.sqrt(0.5 * (1.0 + q)), 1.0])
+
+
+def asphere_spline(meridian: SurfaceMeridian, error_mm: float = ASPHERE_ERROR_MM) -> tuple[Array, Array]:
+    """Knots and control points of a spline of degree 5 that follows an even asphere's meridian.
+
+    It interpolates the meridian and its mirror image, so that the surface is as smooth at the vertex as
+    elsewhere (four continuous derivatives), and has as many equal intervals as its measured error asks for.
+
+    Parameters
+    ----------
+    meridian
+        From the vertex to its end.
+    error_mm
+        Largest distance allowed between spline and meridian.
+
+    Returns
+    -------
+    knots : ndarray
+        From 0 to 1, those at the ends repeated six times.
+    points : ndarray, shape (len(knots) - 6, 2)
+        Radial height and z in mm.
+
+    Raises
+    ------
+    InputError
+        If 2000 intervals will not do.
+    """
+    intervals, error = 8, math.inf
+    while intervals <= MOST_INTERVALS:
+        knots, points = _half_spline(meridian, intervals)
+        error = _spline_error(meridian, knots, points)
+        if error <= error_mm:
+            return knots, points
+        intervals += intervals // 2
+    raise InputError(
+        f"the even asphere cannot be followed within {error_mm:g} mm by {MOST_INTERVALS} spline intervals: "
+        f"{error:.3g} mm reached"
+    )
+
+
+def _half_spline(meridian: SurfaceMeridian, intervals: int) -> tuple[Array, Array]:
+    from scipy.interpolate import make_interp_spline
+
+    degree = SPLINE_DEGREE
+    half = meridian.points(np.linspace(0.0, 1.0, intervals + 1))
+    # From the vertex, so that the sag keeps its digits however far off the vertex is.
+    half[:, 1] -= meridian.vertex_z_mm
+    half[0], half[-1, 0] = 0.0, meridian.end_mm
+    whole = np.concatenate([half[:0:-1] * [-1.0, 1.0], half])
+    spline = make_interp_spline(np.linspace(-1.0, 1.0, len(whole)), whole, k=degree)
+    middle = int(np.argmin(np.abs(spline.t)))
+    spline = spline.insert_knot(spline.t[middle], degree - 1)
+    points = np.array(spline.c[middle - 1 :])
+    knots = np.concatenate([np.zeros(degree + 1), spline.t[middle + degree :]])
+    points[0], points[1, 1], points[-1] = 0.0, 0.0, half[-1]
+    points[:, 1] += meridian.vertex_z_mm
+    return knots, points
+
+
+def _spline_error(meridian: SurfaceMeridian, knots: Array, points: Array) -> float:
+    from scipy.interpolate import BSpline
+
+    inner = np.unique(knots)
+    t = (inner[:-1, None] + np.diff(inner)[:, None] * (np.arange(32) + 0.5) / 32.0).ravel()
+    found = BSpline(knots, points, SPLINE_DEGREE)(t)
+    return float(np.max(meridian.distances(found)))
+
+
+def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
+    """Meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+
+    surface = meridian.surface
+    if surface.kind == "plane":
+        return _straight_edge((0.0, meridian.vertex_z_mm), meridian.points(1.0))
+    if surface.kind == "sphere" and abs(surface.curvature) >= 1.0 / LARGEST_SPHERE_MM:
+        return _arc(meridian)
+    if surface.kind != "even asphere":
+        return BRepBuilderAPI_MakeEdge(_bezier_curve(*conic_bezier(meridian))).Edge()
+    try:
+        knots, points = asphere_spline(meridian)
+    except InputError as error:
+        raise InputError(f"surface {index + 1}: {error}") from error
+    return BRepBuilderAPI_MakeEdge(_spline_curve(knots, points)).Edge()
+
+
+def _arc(meridian: SurfaceMeridian) -> Any:
+    """Arc of a sphere's meridian, from the vertex."""
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+    from OCP.gp import gp_Ax2, gp_Circ, gp_Dir
+
+    radius = 1.0 / meridian.surface.curvature
+    side = math.copysign(1.0, radius)
+    to_vertex, normal = gp_Dir(0.0, 0.0, -side), gp_Dir(0.0, -side, 0.0)
+    frame = gp_Ax2(_point((0.0, meridian.vertex_z_mm + radius)), normal, to_vertex)
+    angle = math.asin(min(1.0, meridian.end_mm / abs(radius)))
+    return BRepBuilderAPI_MakeEdge(gp_Circ(frame, abs(radius)), 0.0, angle).Edge()
+
+
+def _straight_edge(start: Any, end: Any) -> Any:
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+
+    return BRepBuilderAPI_MakeEdge(_point(start), _point(end)).Edge()
+
+
+def _point(rz_mm: Any) -> Any:
+    from OCP.gp import gp_Pnt
+
+    return gp_Pnt(float(rz_mm[0]), 0.0, float(rz_mm[1]))
+
+
+def _points(points: Array) -> Any:
+    from OCP.collections import Array1_gp_Pnt
+
+    result = Array1_gp_Pnt(1, len(points))
+    for number, point in enumerate(points, start=1):
+        result.SetValue(number, _point(point))
+    return result
+
+
+def _numbers(values: Array) -> Any:
+    from OCP.collections import Array1_double
+
+    result = Array1_double(1, len(values))
+    for number, value in enumerate(values, start=1):
+        result.SetValue(number, float(value))
+    return result
+
+
+def _bezier_curve(points: Array, weights: Array) -> Any:
+    from OCP.Geom import Geom_BezierCurve
+
+    return Geom_BezierCurve(_points(points), _numbers(weights))
+
+
+def _spline_curve(knots: Array, points: Array) -> Any:
+    from OCP.collections import Array1_int
+    from OCP.Geom import Geom_BSplineCurve
+
+    values, counts = np.unique(knots, return_counts=True)
+    multiplicities = Array1_int(1, len(counts))
+    for number, count in enumerate(counts, start=1):
+        multiplicities.SetValue(number, int(count))
+    return Geom_BSplineCurve(_points(points), _numbers(values), multiplicities, SPLINE_DEGREE)

@@ -1,0 +1,170 @@
+"""Measured sag-error maps: the grid file, and what a design file says of a surface's figure.
+
+A grid file is CSV text: two lines ``# spacing_mm = 0.1`` and ``# unit = um``, other lines that start with #
+as comments, then a line for each row of the grid, y rising from line to line and x along each line. The
+middle of the grid is the vertex. ``nan`` or nothing between commas is a point that was not measured.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import read_text, unknown_key
+from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
+from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
+from lensdesign.lens.lens import Lens, Surface
+
+Array = NDArray[np.float64]
+
+UNITS_MM = {"mm": 1.0, "um": 1e-3, "nm": 1e-6, "waves_633nm": 1e-3 * TEST_WAVELENGTH_UM}
+"""Units of the values in a grid file, in mm."""
+
+KEYS = ("spacing_mm", "unit")
+
+
+def surface_figure(surface: Surface) -> SurfaceFigure | None:
+    """The figure of a surface, read from where its table says; None where it has none.
+
+    Raises
+    ------
+    InputError
+        If the grid file cannot be read, or does not cover the surface's clear aperture.
+    """
+    source = surface.figure
+    if source is None:
+        return None
+    assert surface.semi_diameter_mm is not None  # the validator saw to it
+    if source.file is None:
+        return _zernike_figure(source)
+    try:
+        status = source.file.stat()
+    except OSError as error:
+        raise InputError(f"cannot read {source.file}: {error.strerror or error}") from error
+    return _grid_figure(source.file, surface.semi_diameter_mm, status.st_mtime_ns, status.st_size)
+
+
+def check_figures(lens: Lens) -> None:
+    """Read every figure of a lens.
+
+    Raises
+    ------
+    InputError
+        As :func:`surface_figure`, with the surface's number.
+    """
+    for number, surface in enumerate(lens.surfaces, start=1):
+        try:
+            surface_figure(surface)
+        except InputError as error:
+            raise type(error)(f"surface {number}: {error}") from error
+
+
+@lru_cache(maxsize=32)
+def _zernike_figure(source: FigureSource) -> SurfaceFigure:
+    assert source.semi_diameter_mm is not None  # the validator saw to it
+    return figure_from_zernike(source.coefficients_um, source.semi_diameter_mm)
+
+
+@lru_cache(maxsize=32)
+def _grid_figure(path: Path, semi_diameter_mm: float, _mtime_ns: int, _size: int) -> SurfaceFigure:
+    values, spacing_mm = read_figure_grid(path)
+    try:
+        return figure_from_grid(values, spacing_mm, semi_diameter_mm)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
+    """Read a grid file.
+
+    Returns
+    -------
+    sag_error_mm : ndarray, shape (rows, columns)
+        Positive along +z; NaN where not measured. Row: y, column: x, both rising.
+    spacing_mm : float
+        Between neighbouring points.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no grid; the message names file and line.
+    """
+    path = Path(path)
+    header: dict[str, str] = {}
+    rows: list[list[float]] = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where, text = f"{path}, line {number}", line.strip()
+        if text.startswith("#"):
+            _read_header(text[1:], header, where)
+        elif text:
+            rows.append(_row(text, where))
+            if len(rows[-1]) != len(rows[0]):
+                raise InputError(
+                    f"{where}: {len(rows[-1])} values, but the first row holds {len(rows[0])}: must be equal"
+                )
+    missing = [key for key in KEYS if key not in header]
+    if missing:
+        raise InputError(f"{path}: no line '# {missing[0]} = ...' before the grid")
+    if not rows:
+        raise InputError(f"{path}: holds no values")
+    return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
+
+
+def write_figure_grid(path: str | os.PathLike[str], sag_error_mm: ArrayLike, spacing_mm: float) -> None:
+    """Write a grid file, in um; reading it back gives the same map to rounding.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    sag_error_mm, spacing_mm
+        As :func:`read_figure_grid` returns them.
+
+    Raises
+    ------
+    InputError
+        If the values are no grid, or the file cannot be written.
+    """
+    values = np.asarray(sag_error_mm, float)
+    if values.ndim != 2 or not values.size:
+        raise InputError(f"sag_error_mm has shape {values.shape}: must be (rows, columns)")
+    lines = [f"# spacing_mm = {float(spacing_mm)!r}", "# unit = um"]
+    lines += [",".join(repr(float(v)) for v in row) for row in 1e3 * values]
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _read_header(text: str, header: dict[str, str], where: str) -> None:
+    """Keep a `key = value`; other text is a comment."""
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not equals:
+        return
+    if key not in KEYS:
+        raise InputError(f"{where}: {key}: {unknown_key(key, KEYS)}")
+    if key in header:
+        raise InputError(f"{where}: {key} is given twice")
+    if key == "unit" and value not in UNITS_MM:
+        raise InputError(f"{where}: unit = {value}: allowed: {', '.join(UNITS_MM)}")
+    if key == "spacing_mm" and not 0.0 < _number(value, where) < math.inf:
+        raise InputError(f"{where}: spacing_mm = {value}: must be finite and above 0")
+    header[key] = value
+
+
+def _row(text: str, where: str) -> list[float]:
+    values = [_number(field.strip() or "nan", where) for field in text.split(",")]
+    if any(math.isinf(value) for value in values):
+        raise InputError(f"{where}: inf is no sag error; write nan where nothing was measured")
+    return values
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{where}: {text[:40]!r} is not a number") from None

@@ -1,0 +1,266 @@
+"""Zemax OpticStudio's sequential lens files (.zmx), read and written.
+
+Read are surfaces of type STANDARD and EVENASPH with their curvature, conic, thickness, glass, semi-diameter,
+circular aperture and stop; the apertures ENPD, FNUM, OBNA and FLOA; object heights; wavelengths, the primary
+one first; and a pair of coordinate breaks as the pose of the whole lens. Weights, the merit function and what
+only governs analyses or drawings says nothing of the lens and is passed over; so are fields at which there is
+nothing but the axis. The format has no public specification: what the records mean is taken from the
+OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from lensdesign.errors import atomic_path
+from lensdesign.files.assembly import assemble
+from lensdesign.files.draft import (
+    Break,
+    Draft,
+    Imported,
+    Row,
+    Supplement,
+    find_glass,
+    note_lines,
+    pose_break,
+    pose_distances,
+    read_lines,
+    read_note,
+    without_zeros,
+    writable,
+)
+from lensdesign.files.zemax_records import EXACT, FileReader, FileSurface, integer_at, take_record, value_at
+from lensdesign.lens.glass import get_material, glass_summary
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
+
+MOST_TERMS = 7
+"""Asphere coefficients of an EVENASPH surface from r^4 on."""
+
+
+def read_zmx(
+    path: str | os.PathLike[str], supplement: Supplement | None = None, lossy: bool = False
+) -> Imported:
+    """Read a lens from a .zmx file.
+
+    Parameters
+    ----------
+    path
+        A sequential OpticStudio file: text in UTF-16, UTF-8 or Latin-1, lengths in mm.
+    supplement
+        What the file does not tell; files of :func:`write_zmx` tell all in their notes.
+    lossy
+        Whether to go on where a design cannot hold all of the file.
+
+    Raises
+    ------
+    LossyImportError
+        If it cannot, and `lossy` is not set; the message lists what would be lost.
+    InputError
+        If the file cannot be read or is no lens; the message names file and line or surface.
+    MaterialError
+        If a glass is unknown.
+    """
+    supplement = supplement or Supplement()
+    reader = FileReader(Draft(source=str(path)))
+    for count, line in enumerate(read_lines(path), start=1):
+        where = f"{path}, line {count}"
+        word, *values = line.split() or [""]
+        if word == "NOTE" and len(values) > 1:
+            read_note(line.split(maxsplit=2)[2], reader.draft, where)
+        elif word == "NAME":
+            reader.name = line.strip()[4:].strip()
+        elif word:
+            take_record(reader, word, values, where, line[:1].isspace())
+    return assemble(_finished(reader, supplement), supplement, lossy)
+
+
+def _finished(reader: FileReader, supplement: Supplement) -> Draft:
+    """The draft with what only the whole file tells."""
+    draft = reader.draft
+    noted = draft.notes.get("title")
+    draft.title = noted if isinstance(noted, str) and _plain(noted) == reader.name else reader.name
+    numbers = sorted(reader.waves)[: reader.wave_count]
+    if reader.primary in numbers:
+        numbers.sort(key=lambda n: n != reader.primary)
+    draft.wavelengths_um = [reader.waves[n] for n in numbers]
+    if reader.field_kind == 1:
+        draft.take_heights(*(reader.heights.get(axis, [])[: reader.field_count] for axis in "xy"))
+    materials = draft.notes.get("materials")
+    named = iter(materials if isinstance(materials, list) else [])
+    for i, surface in enumerate(reader.surfaces):
+        inner = 0 < i < len(reader.surfaces) - 1 and surface.kind != "COORDBRK"
+        draft.rows.append(_row(reader, surface, next(named, None) if inner else None, supplement))
+    if reader.surfaces:
+        draft.lose_ends()
+    return draft
+
+
+def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement) -> Row:
+    if surface.kind == "COORDBRK":
+        x, y, a, b, c, order = (surface.terms.get(i, 0.0) for i in range(1, 7))
+        axes = Break((x, y), (a, b, c), order != 0.0)
+        return Row(surface.name, surface.where, thickness_mm=surface.thickness_mm, axes=axes)
+    terms = surface.terms if surface.kind == "EVENASPH" else {}
+    if terms.get(1):
+        reader.draft.lose(f"{surface.name}: asphere term in r^2 of {terms[1]:g}")
+    for i in sorted(surface.terms):
+        if surface.terms[i] and (surface.kind != "EVENASPH" or not 1 <= i <= MOST_TERMS + 1):
+            reader.draft.lose(f"{surface.name}: PARM {i} of {surface.terms[i]:g}")
+    return Row(
+        surface.name,
+        surface.where,
+        surface.radius_mm,
+        surface.conic,
+        without_zeros([terms.get(i, 0.0) for i in range(2, MOST_TERMS + 2)]),
+        surface.thickness_mm,
+        _material(reader, surface, noted, supplement),
+        surface.aperture_mm or surface.semi_diameter_mm,
+        surface.stop,
+    )
+
+
+def _material(
+    reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement
+) -> str | float | None:
+    """The medium behind a surface: air, a glass by name, or a model glass without dispersion."""
+    if not surface.glass or surface.glass[0].upper() == "AIR":
+        return None
+    name, *values = surface.glass
+    if name.upper() == "MIRROR":
+        reader.draft.lose(f"{surface.name}: mirror, read as a surface in air")
+        return None
+    kind = integer_at(values, 0, surface.glass_where) if values else 0
+    if kind == 1 or name.upper() in ("___BLANK", "MODEL"):
+        index = value_at(values, 2, surface.glass_where)
+        abbe = value_at(values, 3, surface.glass_where) if len(values) > 3 else 0.0
+        if abbe:
+            reader.draft.lose(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
+        return index
+    if kind > 1:
+        reader.draft.remarks.append(
+            f"{surface.name}: solve or pickup of the glass replaced by its present value"
+        )
+    if isinstance(noted, str) and _token(noted) == name:
+        return noted
+    return find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_where)
+
+
+def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:
+    """Write a lens to a .zmx file, from which :func:`read_zmx` has the same lens and pose again.
+
+    Numbers have all their digits. The pose becomes a pair of coordinate breaks about its pivot; a constant
+    index becomes a model glass without dispersion; sensor, title and exact glass names stand in notes.
+    Asphere coefficients of zero behind the last other one are left out.
+
+    Raises
+    ------
+    InputError
+        If the format cannot hold the lens (a measured figure, more than `MOST_TERMS` asphere terms), or the
+        file cannot be written; whatever stood there stays.
+    MaterialError
+        If a glass is unknown.
+    """
+    target = Path(path)
+    writable(lens, pose, MOST_TERMS, "a .zmx file")
+    lines = _header(lens) + [f"NOTE 0 {line}" for line in note_lines(lens, pose, target.parent)]
+    blocks = _blocks(lens, pose)
+    for i, block in enumerate(blocks):
+        lines += [f"SURF {i}", *(f"  {line}" for line in block)]
+    text = "\r\n".join([*lines, ""])
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(codecs.BOM_UTF16_LE + text.encode("utf-16-le", errors="replace"))
+
+
+def _header(lens: Lens) -> list[str]:
+    catalogs = [
+        get_material(s.material, lens.glass_catalogs).catalog
+        for s in lens.surfaces
+        if isinstance(s.material, str)
+    ]
+    names = dict.fromkeys(c.removesuffix(".agf").removesuffix(".AGF").upper() for c in catalogs)
+    makers = [name for name in names if name.isalnum()]
+    half, count = 0.5 * lens.object.field_diameter_mm, len(lens.wavelengths_um)
+    return [
+        "VERS 171115 0 0",
+        "MODE SEQ",
+        f"NAME {_plain(lens.title)}",
+        "PFIL 0 0 0",
+        "LANG 0",
+        "UNIT MM X W X CM MR CPMM",
+        f"OBNA {lens.object.numerical_aperture!r} 0",
+        "ENVD 20 1 0",
+        "GFAC 0 0",
+        f"GCAT {' '.join(makers or ['SCHOTT'])}",
+        "RAIM 0 0 1 1 0 0 0 0 0",
+        f"FTYP 1 0 2 {count} 0 0 0",
+        "XFLN 0 0",
+        f"YFLN 0 {half!r}",
+        "FWGN 1 1",
+        *(f"WAVM {i} {w!r} 1" for i, w in enumerate(lens.wavelengths_um, start=1)),
+        "PWAV 1",
+    ]
+
+
+def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
+    """Records of every surface from the object to the image."""
+    inner = [
+        [
+            "TYPE EVENASPH" if any(s.asphere) else "TYPE STANDARD",
+            f"CURV {EXACT.divide(Decimal(1), Decimal(s.radius_mm))}"
+            if s.radius_mm is not None
+            else "CURV 0.0",
+            *(["STOP"] if i == lens.stop_index and s.stop else []),
+            *(
+                f"PARM {n} {a!r}"
+                for n, a in enumerate((0.0, *without_zeros(s.asphere)), start=1)
+                if any(s.asphere)
+            ),
+            *([f"CONI {s.conic!r}"] if s.conic else []),
+            *([f"GLAS {_glass_values(s.material, lens)}"] if s.material is not None else []),
+            *(
+                [f'DIAM {s.semi_diameter_mm!r} 1 0 0 1 ""', f"FLAP 0 {s.semi_diameter_mm!r} 0"]
+                if s.semi_diameter_mm is not None
+                else []
+            ),
+        ]
+        for i, s in enumerate(lens.surfaces)
+    ]
+    distances = [s.thickness_mm for s in lens.surfaces[:-1]]
+    front, back = ["TYPE STANDARD", "CURV 0.0"], ["TYPE STANDARD", "CURV 0.0", "DISZ 0.0"]
+    if pose == Pose():
+        blocks = [front, *inner]
+        distances = [lens.object.working_distance_mm, *distances, lens.sensor.plane_distances_mm[0]]
+    else:
+        to_pivot, to_front, to_back, to_sensor = pose_distances(lens, pose)
+        axes = pose_break(pose)
+        blocks = [front, _break_records(axes), *inner, _break_records(axes.inverse())]
+        distances = [to_pivot, to_front, *distances, to_back, to_sensor]
+    placed = [[*block, f"DISZ {d!r}"] for block, d in zip(blocks, distances, strict=True)]
+    return [*placed, back]
+
+
+def _break_records(axes: Break) -> list[str]:
+    values = (*axes.decenter_mm, *axes.tilt_deg, float(axes.reverse))
+    return ["TYPE COORDBRK", "CURV 0.0", *(f"PARM {i} {v!r}" for i, v in enumerate(values, start=1))]
+
+
+def _glass_values(material: str | float, lens: Lens) -> str:
+    if not isinstance(material, str):
+        return f"___BLANK 1 0 {material!r} 0.0 0 0 0 0 0 0"
+    summary = glass_summary(material, lens.glass_catalogs)
+    return f"{_token(material)} 0 0 {summary['nd'] or 1.5!r} {summary['vd'] or 0.0!r} 0 0 0 0 0 0"
+
+
+def _token(material: str) -> str:
+    """A glass name as one word, without its catalogue."""
+    return "_".join(material.rpartition(":")[2].split())
+
+
+def _plain(title: str) -> str:
+    """A title as it fits on one line."""
+    return " ".join("".join(c if c.isprintable() else " " for c in title).split())

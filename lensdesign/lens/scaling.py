@@ -1,0 +1,80 @@
+"""The same lens at another size: a small twin, on which wave optics is cheap."""
+
+from __future__ import annotations
+
+import math
+
+from lensdesign.common.section import Section
+from lensdesign.errors import DesignError
+from lensdesign.lens.edges import Edge
+from lensdesign.lens.lens import Lens, Surface
+
+
+def scaled(lens: Lens, factor: float) -> Lens:
+    """A lens with all lengths scaled, those of object space and sensor planes with it.
+
+    Numerical aperture, angles, glasses, wavelengths and the pixel pitch stay, and with them the largest
+    spread angle and the resolution; the number of pixels and the space-bandwidth product shrink with the
+    areas. A figure given by Zernike coefficients scales in size and in sag error; one in a grid file cannot.
+
+    Parameters
+    ----------
+    lens
+        Any lens.
+    factor
+        What lengths are multiplied by.
+
+    Raises
+    ------
+    DesignError
+        If the factor is not finite and above 0, a surface's figure stands in a grid file, or what comes out
+        is no lens.
+    """
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise DesignError(f"scale factor = {factor!r}: must be finite and greater than 0")
+    return lens.replaced(
+        surfaces=tuple(_surface(surface, factor) for surface in lens.surfaces),
+        object=lens.object.replaced(
+            field_diameter_mm=factor * lens.object.field_diameter_mm,
+            working_distance_mm=factor * lens.object.working_distance_mm,
+        ),
+        sensor=lens.sensor.replaced(
+            plane_distances_mm=tuple(factor * distance for distance in lens.sensor.plane_distances_mm),
+            pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
+        ),
+        edges=tuple(_edge(edge, factor) for edge in lens.edges),
+    )
+
+
+def _edge(edge: Edge, factor: float) -> Edge:
+    def times(part: Section) -> dict[str, float]:
+        lengths = part.model_dump(exclude_none=True, exclude={"flange"})
+        return {name: factor * value for name, value in lengths.items()}
+
+    flange = None if edge.flange is None else edge.flange.replaced(**times(edge.flange))
+    return edge.replaced(**times(edge), flange=flange)
+
+
+def _surface(surface: Surface, factor: float) -> Surface:
+    def times(value: float | None) -> float | None:
+        return None if value is None else factor * value
+
+    figure = surface.figure
+    if figure is not None:
+        if figure.file is not None:
+            raise DesignError(
+                f"the measured figure in {figure.file} cannot be scaled: give it as Zernike coefficients, or "
+                "leave it out"
+            )
+        figure = figure.replaced(
+            semi_diameter_mm=times(figure.semi_diameter_mm),
+            zernike_um=tuple((j, factor * a) for j, a in figure.zernike_um),
+            zernike_waves_633nm=tuple((j, factor * a) for j, a in figure.zernike_waves_633nm),
+        )
+    return surface.replaced(
+        radius_mm=times(surface.radius_mm),
+        asphere=tuple(a / factor ** (2 * i + 3) for i, a in enumerate(surface.asphere)),
+        thickness_mm=times(surface.thickness_mm),
+        semi_diameter_mm=times(surface.semi_diameter_mm),
+        figure=figure,
+    )

@@ -1,0 +1,320 @@
+"""The glass bodies of a lens as exact solids of revolution: meridian, edge, closure, volume.
+
+An element is bounded by two optical surfaces, each prolonged with its own sag, and by its edge: a cylinder,
+with flat rings, bevels at 45 degrees and a flange where the design has them. A surface whose conic ends
+before that edge goes on as a flat ring from its clear semi-diameter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens import shapes
+from lensdesign.lens.edges import Edge
+from lensdesign.lens.lens import Lens, mechanical_semi_diameter_mm
+from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
+
+Array = NDArray[np.float64]
+
+SHARP = Edge()
+"""Neither flats, bevels nor flange."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """One body of glass.
+
+    Attributes
+    ----------
+    number
+        Position among the elements of the lens, from 0.
+    surfaces
+        Indices of its front and back surface in the lens, from 0.
+    front, back
+        Meridians of the two surfaces; z from the front vertex of the lens.
+    edge_mm
+        Radius of the edge cylinder.
+    edge
+        Flats, bevels and flange.
+    """
+
+    number: int
+    surfaces: tuple[int, int]
+    front: SurfaceMeridian
+    back: SurfaceMeridian
+    edge_mm: float
+    edge: Edge = SHARP
+
+    @property
+    def name(self) -> str:
+        """`element 1 (surfaces 1 and 2)`: people count from one."""
+        return f"element {self.number + 1} (surfaces {self.surfaces[0] + 1} and {self.surfaces[1] + 1})"
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """From the rim of each surface to the edge cylinder: radial height, and z from that rim's.
+
+        Flat ring and bevel of front and back, shape (n, 2) with n of 0 to 2; the rim itself is left out.
+        """
+        front, back = (
+            self._end(m, bevel)
+            for m, (_, bevel) in zip((self.front, self.back), self.edge.sides(), strict=True)
+        )
+        return front, back * [1.0, -1.0]
+
+    def _end(self, meridian: SurfaceMeridian, bevel_mm: float) -> Array:
+        inner = self.edge_mm - bevel_mm
+        corners = [(inner, 0.0)] if meridian.end_mm < inner else []
+        return np.array(corners + ([(self.edge_mm, bevel_mm)] if bevel_mm else [])).reshape(-1, 2)
+
+    @property
+    def cylinder_z_mm(self) -> tuple[float, float]:
+        """z at which the edge cylinder begins and ends."""
+        front, back = (
+            float(m.points(1.0)[1] + (end[-1, 1] if len(end) else 0.0))
+            for m, end in zip((self.front, self.back), self.ends, strict=True)
+        )
+        return front, back
+
+    @property
+    def edge_thickness_mm(self) -> float:
+        """Length of the edge cylinder."""
+        front, back = self.cylinder_z_mm
+        return back - front
+
+    @property
+    def outer_mm(self) -> float:
+        """Largest radius of the body: that of the flange, or of the edge cylinder."""
+        return self.edge_mm if self.edge.flange is None else self.edge.flange.semi_diameter_mm
+
+    @property
+    def rim(self) -> Array:
+        """Corners from the rim of the front surface round the edge to that of the back surface.
+
+        Radial height and z in mm, shape (n, 2): flat rings, bevels, edge cylinder and flange.
+        """
+        profiles = (
+            np.concatenate([m.points(1.0)[None], m.points(1.0) * [0.0, 1.0] + end])
+            for m, end in zip((self.front, self.back), self.ends, strict=True)
+        )
+        front, back = profiles
+        return np.concatenate([front, self.flange_corners, back[::-1]])
+
+    @property
+    def flange_corners(self) -> Array:
+        """Radial height and z of the flange's four corners, front to back; empty without one."""
+        ring = self.edge.flange
+        if ring is None:
+            return np.empty((0, 2))
+        front = self.front.vertex_z_mm + ring.distance_mm
+        back = front + ring.thickness_mm
+        radii = (self.edge_mm, ring.semi_diameter_mm)
+        return np.array([(radii[0], front), (radii[1], front), (radii[1], back), (radii[0], back)])
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume by Gauss-Legendre quadrature over the two meridians, and exactly round the edge."""
+        return self.back.integral_mm3() - self.front.integral_mm3() + ring_volume_mm3(self.rim)
+
+    def profiles(self, front_t: Array, back_t: Array) -> tuple[Array, Array]:
+        """Both sides from the axis to the edge cylinder, flat ring and bevel included.
+
+        Parameters
+        ----------
+        front_t, back_t
+            Parameters of the two meridians, each from 0 to 1.
+
+        Returns
+        -------
+        front, back : ndarray, shape (n, 2)
+            Radial height (rising, from 0 to `edge_mm`) and z in mm.
+        """
+        front, back = (
+            _profile(m, t, end)
+            for m, t, end in zip((self.front, self.back), (front_t, back_t), self.ends, strict=True)
+        )
+        return front, back
+
+    def outline(self, points: int = 129) -> Array:
+        """Meridian of the body, from the front vertex round the edge to the back vertex.
+
+        Parameters
+        ----------
+        points
+            Number of points on each optical surface.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Radial height and z in mm.
+        """
+        t = np.linspace(0.0, 1.0, points)
+        front, back = self.profiles(t, t)
+        return np.concatenate([front, self.flange_corners, back[::-1]])
+
+
+def _profile(meridian: SurfaceMeridian, t: Array, end: Array) -> Array:
+    points = meridian.points(t)
+    points[0, 0], points[-1, 0] = 0.0, meridian.end_mm
+    return np.concatenate([points, points[-1] * [0.0, 1.0] + end])
+
+
+def glass_elements(lens: Lens) -> list[Element]:
+    """The bodies of glass in a lens, front to back.
+
+    Parameters
+    ----------
+    lens
+        Any lens; a cemented doublet has two elements, which share a surface.
+
+    Returns
+    -------
+    list of Element
+
+    Raises
+    ------
+    InputError
+        If the lens holds no glass, or an element has no size (neither of its surfaces has a
+        semi_diameter_mm).
+    """
+    if not lens.glass_fronts:
+        raise InputError("the lens holds no glass: no surface but the last is followed by a material")
+    elements = [glass_element(lens, number) for number in range(len(lens.glass_fronts))]
+    for element in elements:
+        _refuse_endless(element)
+    return elements
+
+
+def glass_element(lens: Lens, number: int) -> Element:
+    """One body of glass, counted from 0, whether or not its size is well defined.
+
+    A surface whose conic ends before the edge goes on as a flat ring from its clear semi-diameter, or from
+    where it ends if it has none.
+    """
+    i = lens.glass_fronts[number]
+    radius = mechanical_semi_diameter_mm(lens, number)
+    edge = lens.edges[number] if lens.edges else SHARP
+    front, back = (
+        _meridian(lens, j, radius - bevel if flat is None else flat)
+        for j, (flat, bevel) in zip((i, i + 1), edge.sides(), strict=True)
+    )
+    return Element(number, (i, i + 1), front, back, radius, edge)
+
+
+def _meridian(lens: Lens, i: int, asked_mm: float) -> SurfaceMeridian:
+    surface = lens.surfaces[i]
+    ends = shapes.edge_radius_mm(surface.curvature, surface.conic)
+    end = asked_mm if ends >= asked_mm else surface.semi_diameter_mm or ends
+    return SurfaceMeridian(surface, float(lens.vertex_z_mm[i]), end)
+
+
+def _refuse_endless(element: Element) -> None:
+    front, back = element.surfaces
+    pair = (element.front, element.back)
+    if all(m.surface.semi_diameter_mm is None for m in pair) and element.edge.semi_diameter_mm is None:
+        raise InputError(
+            f"element {element.number + 1} has no size: give surface {front + 1} or {back + 1} a "
+            "semi_diameter_mm"
+        )
+    for i, meridian in zip(element.surfaces, pair, strict=True):
+        ends = shapes.edge_radius_mm(meridian.surface.curvature, meridian.surface.conic)
+        if meridian.surface.semi_diameter_mm is None and meridian.end_mm == ends < element.edge_mm:
+            raise InputError(
+                f"surface {i + 1} ends at a radial height of {ends:.6g} mm, inside the edge at "
+                f"{element.edge_mm:g} mm; give it a semi_diameter_mm of at most {ends:.6g}"
+            )
+
+
+def closed_elements(lens: Lens) -> list[Element]:
+    """As :func:`glass_elements`, for those who need solids.
+
+    Raises
+    ------
+    InputError
+        Also if an element does not close: edge thickness of 0 or less, or surfaces that cross.
+    """
+    elements = glass_elements(lens)
+    for element in elements:
+        refuse_open(element)
+    return elements
+
+
+def smallest_gap(front: Array, back: Array) -> tuple[float, float]:
+    """Where two polygonal profiles come nearest to each other along z, and how near.
+
+    Parameters
+    ----------
+    front, back
+        Radial height (rising) and z in mm, shape (n, 2).
+
+    Returns
+    -------
+    r_mm, gap_mm : float
+        The gap is negative where they have crossed.
+    """
+    r = np.union1d(front[:, 0], back[:, 0])
+    gap = np.interp(r, *back.T) - np.interp(r, *front.T)
+    where = int(np.argmin(gap))
+    return float(r[where]), float(gap[where])
+
+
+def refuse_open(element: Element) -> None:
+    """Refuse a body with an edge thickness of 0 or less, or with surfaces that cross.
+
+    Raises
+    ------
+    InputError
+        Saying where.
+    """
+    t = np.linspace(0.0, 1.0, 1025)
+    r, gap = smallest_gap(*element.profiles(t, t))
+    thickness = element.edge_thickness_mm
+    if not (thickness > 0.0 and gap > 0.0):
+        where = (
+            f"its edge thickness is {thickness:.6g} mm"
+            if not thickness > 0.0
+            else f"its surfaces cross at a radial height of {r:.6g} mm (gap {gap:.6g} mm)"
+        )
+        raise InputError(
+            f"{element.name} does not close: {where}, with the edge cylinder at a radial height of "
+            f"{element.edge_mm:g} mm; raise thickness_mm or lower semi_diameter_mm"
+        )
+
+
+def refuse_impossible_edge(element: Element) -> None:
+    """Refuse bevels that cut nothing off, and a flange that stands off the edge cylinder.
+
+    Raises
+    ------
+    InputError
+        Saying what is allowed.
+    """
+    _refuse_bevels(element)
+    front, back = element.cylinder_z_mm
+    corners = element.flange_corners[:, 1]
+    if len(corners) and not (front <= corners[0] and corners[-1] <= back):
+        lead = front - element.front.vertex_z_mm
+        raise InputError(
+            f"{element.name}: its flange stands off the edge cylinder, which runs from {lead:.6g} to "
+            f"{lead + back - front:.6g} mm behind the front vertex; allowed: distance_mm of at least "
+            f"{lead:.6g}, and distance_mm + thickness_mm of at most {lead + back - front:.6g}"
+        )
+
+
+def _refuse_bevels(element: Element) -> None:
+    """A bevel cuts nothing off a surface that falls away by 45 degrees or more."""
+    sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
+    for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
+        end = meridian.end_mm
+        slope = inward * float(meridian.surface.slope(end))
+        if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
+            raise InputError(
+                f"{element.name}: a bevel at 45 degrees cuts nothing off surface {i + 1}, which "
+                f"falls away by {math.degrees(math.atan(slope)):.4g} degrees there; leave the bevel out, or "
+                "end the surface in a flat ring"
+            )

@@ -1,0 +1,1 @@
+"""Lenses found from a specification, by nlopt."""

@@ -1,0 +1,219 @@
+"""A specification as goals and constraints on a unit box, with exact gradients."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens, ObjectSpace
+from lensdesign.optimization.nlopt_driver import Evaluation
+from lensdesign.optimization.requirements import Row, State, constraint_rows, goal_rows
+from lensdesign.optimization.specification import Specification, VariableRange
+from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from lensdesign.tracing.gradients import Variable, gradient_trace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays by which a lens is judged: object point, and stop point as a share of its semi-diameter."""
+
+    fields_mm: Array
+    pupil: Array
+
+    def with_rays(self, other: Rays) -> Rays:
+        """Both sets, each ray once."""
+        both = np.concatenate(
+            [np.hstack([self.fields_mm, self.pupil]), np.hstack([other.fields_mm, other.pupil])]
+        )
+        _, first = np.unique(np.round(both, 9), axis=0, return_index=True)
+        kept = both[np.sort(first)]
+        return Rays(kept[:, :2], kept[:, 2:])
+
+    def take(self, which: NDArray[np.int64]) -> Rays:
+        """Some of the rays."""
+        return Rays(self.fields_mm[which], self.pupil[which])
+
+
+def sample_rays(
+    half_field_mm: float, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()
+) -> Rays:
+    """Field heights along y, each with a meridional fan and rays over half of the stop beside it.
+
+    The other half, and fields along other azimuths, are the same by symmetry.
+
+    Parameters
+    ----------
+    half_field_mm
+        Largest field height.
+    fields, fan
+        Number of field heights, and of rays in each fan.
+    skew
+        Number of azimuths, and of rings, of the skew rays.
+    heights
+        More field heights.
+    """
+    y = np.union1d(np.linspace(0.0, half_field_mm, fields), heights)
+    azimuth = np.pi * np.arange(1, skew + 1) / (skew + 1) - 0.5 * np.pi
+    radius = np.arange(1, skew + 1) / skew
+    fan_points = np.stack([np.zeros(fan), np.linspace(-1.0, 1.0, fan)], axis=-1)
+    skew_points = np.stack(
+        [np.outer(radius, np.cos(azimuth)).ravel(), np.outer(radius, np.sin(azimuth)).ravel()], axis=-1
+    )
+    pupil = np.concatenate([fan_points, skew_points])
+    fields_mm = np.column_stack([np.zeros(len(y)), y])
+    return Rays(np.repeat(fields_mm, len(pupil), axis=0), np.tile(pupil, (len(y), 1)))
+
+
+class DesignProblem:
+    """Goals and constraints of a specification, evaluated on chosen rays.
+
+    Parameters
+    ----------
+    specification
+        What is asked.
+    base
+        The lens whose fixed values count (the specification's own, perhaps with another glass).
+    """
+
+    def __init__(self, specification: Specification, base: Lens) -> None:
+        self.specification, self.base = specification, base
+        self.ranges: tuple[VariableRange, ...] = tuple(
+            v for v in specification.variables if v.parameter != "material"
+        )
+        self.variables: tuple[Variable, ...] = tuple(v.variable() for v in self.ranges)
+        limits = np.array([v.limits() for v in self.ranges]).reshape(-1, 2)
+        self.lower, self.width = limits[:, 0], limits[:, 1] - limits[:, 0]
+        self.planes = np.array(base.sensor.plane_distances_mm)
+
+    @cached_property
+    def compiled(self) -> tuple[CompiledSystem, ...]:
+        """The fixed values, at each wavelength."""
+        return tuple(compile_system(self.base, w) for w in self.base.wavelengths_um)
+
+    def to_unit(self, lens: Lens) -> Array:
+        """Point of the unit box nearest to a lens."""
+        values = np.array([_value(lens, v) for v in self.variables])
+        return np.clip((values - self.lower) / self.width, 0.0, 1.0)
+
+    def lens_at(self, point: Array) -> Lens:
+        """The lens at a point of the unit box, with semi-diameters as given; not validated."""
+        changes: dict[int, dict[str, object]] = {}
+        scene = self.base.object
+        for variable, value in zip(self.variables, self.lower + self.width * point, strict=True):
+            surface = self.base.surfaces[variable.surface]
+            mine = changes.setdefault(variable.surface, {})
+            if variable.kind == "working_distance":
+                scene = ObjectSpace(**(scene.model_dump() | {"working_distance_mm": float(value)}))
+            elif variable.kind == "curvature":
+                mine["radius_mm"] = None if value == 0.0 else float(1.0 / value)
+            elif variable.kind == "asphere":
+                terms = list(mine.get("asphere", surface.asphere))  # type: ignore[call-overload]
+                terms += [0.0] * (variable.term + 1 - len(terms))
+                terms[variable.term] = float(value)
+                mine["asphere"] = tuple(terms)
+            else:
+                mine["conic" if variable.kind == "conic" else "thickness_mm"] = float(value)
+        surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
+        return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
+
+    def state(self, point: Array, rays: Rays) -> State:
+        """Trace rays through the lens at a point of the unit box."""
+        lens = self.lens_at(point)
+        fixed = self.specification.optimize.stop == "fixed"
+        traces = tuple(
+            gradient_trace(
+                _shaped(base, lens),
+                lens.object_z_mm,
+                self.planes,
+                lens.stop_index,
+                self.base.stop_semi_diameter_mm if fixed else None,
+                lens.object.numerical_aperture,
+                rays.fields_mm,
+                rays.pupil,
+                self.variables,
+            )
+            for base in self.compiled
+        )
+        return State(lens, self.variables, rays.fields_mm, traces)
+
+    def rows(self, point: Array, rays: Rays, final: bool = False) -> tuple[list[Row], list[Row]]:
+        """Goals and constraints by name, with derivatives by the variables' own values."""
+        state = self.state(point, rays)
+        return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
+
+    def evaluate(self, point: Array, rays: Rays) -> Evaluation:
+        """Goals and constraints for nlopt, with derivatives by the unit variables."""
+        goals, constraints = self.rows(point, rays)
+        return Evaluation(
+            np.concatenate([r.values for r in goals]),
+            np.concatenate([r.by for r in goals]) * self.width,
+            np.concatenate([np.empty(0), *(r.values for r in constraints)]),
+            np.concatenate([np.empty((0, len(point))), *(r.by for r in constraints)]) * self.width,
+        )
+
+
+def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
+    """The lens at a point with every semi-diameter filled in, validated.
+
+    A surface without one gets what its rays need, rounded up to 0.01 mm; the stop, where it follows the
+    numerical aperture, gets the size that this takes.
+
+    Raises
+    ------
+    DesignError
+        If that is no lens: surfaces cross, say, or no ray passes.
+    """
+    state = problem.state(point, rays)
+    lens = state.lens
+    surfaces = []
+    try:
+        for i, surface in enumerate(lens.surfaces):
+            if i == lens.stop_index:
+                semi = state.traces[0].stop_semi_diameter_mm
+            elif surface.semi_diameter_mm is not None:
+                semi = surface.semi_diameter_mm
+            else:
+                heights = np.concatenate([np.linalg.norm(t.heights[t.ok, i], axis=-1) for t in state.traces])
+                if not len(heights):
+                    raise DesignError("no ray passes it")
+                semi = math.ceil(float(np.max(heights)) * 100.0) / 100.0
+            surfaces.append(surface.replaced(semi_diameter_mm=semi))
+        return lens.replaced(surfaces=tuple(surfaces))
+    except DesignError as error:
+        raise DesignError(
+            f"no lens was found: the one that violates the constraints least cannot be made ({error}); widen "
+            "the bounds, or start elsewhere"
+        ) from None
+
+
+def _value(lens: Lens, variable: Variable) -> float:
+    surface = lens.surfaces[variable.surface]
+    if variable.kind == "working_distance":
+        return lens.object.working_distance_mm
+    if variable.kind == "asphere":
+        return surface.asphere[variable.term] if variable.term < len(surface.asphere) else 0.0
+    if variable.kind == "thickness":
+        return surface.thickness_mm or 0.0
+    return surface.curvature if variable.kind == "curvature" else surface.conic
+
+
+def _shaped(base: CompiledSystem, lens: Lens) -> CompiledSystem:
+    """The base system with the shape of a lens; indices and apertures stay."""
+    terms = max(len(s.asphere) for s in lens.surfaces)
+    asphere = np.array([[*s.asphere, *[0.0] * (terms - len(s.asphere))] for s in lens.surfaces])
+    vertex = np.zeros_like(base.vertex)
+    vertex[0, :, 2] = np.cumsum([0.0] + [s.thickness_mm or 0.0 for s in lens.surfaces[:-1]])
+    return replace(
+        base,
+        vertex=vertex,
+        curvature=np.array([[s.curvature for s in lens.surfaces]]),
+        conic=np.array([[s.conic for s in lens.surfaces]]),
+        asphere=asphere.reshape(len(lens.surfaces), terms),
+    )

@@ -1,0 +1,298 @@
+"""The goals and constraints of a specification, as rows of scaled values with derivatives.
+
+Each value is scaled to about 1. A constraint is kept where its value is not above zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.lens import shapes
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.nlopt_driver import UNTRACEABLE
+from lensdesign.optimization.specification import Specification
+from lensdesign.tracing.gradients import GradientTrace, Variable
+
+Array = NDArray[np.float64]
+
+LIMIT_MARGIN = 3e-5
+"""Limits are kept by this relative margin, so that a denser check of the result finds them kept too."""
+
+KEPT = 2.0 * LIMIT_MARGIN
+"""A scaled square that exceeds its narrowed limit by no more than this keeps the limit as given."""
+
+CONIC_EDGE_SHARE = 0.95
+"""Surfaces stay within this share of the radial height at which their conic ends."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A lens of the search with its rays; n rays, v variables.
+
+    Attributes
+    ----------
+    lens
+        The lens, not validated.
+    variables
+        What the derivatives are by.
+    fields_mm : ndarray, shape (n, 2)
+        Object point of each ray.
+    traces
+        One for each wavelength of the lens.
+    """
+
+    lens: Lens
+    variables: tuple[Variable, ...]
+    fields_mm: Array
+    traces: tuple[GradientTrace, ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Goals or constraints of one kind.
+
+    Attributes
+    ----------
+    name
+        As reports call it.
+    values, by : ndarray, shapes (k,) and (k, v)
+        Scaled values and their derivatives.
+    rays : ndarray of int or None
+        Which ray each value belongs to.
+    """
+
+    name: str
+    values: Array
+    by: Array
+    rays: NDArray[np.int64] | None = None
+
+    @property
+    def miss(self) -> str:
+        """By how much a constraint is missed, in words. Rows of rays hold squares of what is limited."""
+        worst = float(np.max(self.values))
+        if worst > 0.5 * UNTRACEABLE:
+            return f"{self.name}: not every ray gets through"
+        if self.rays is None:
+            return f"{self.name}: misses its limit by {worst:.3g} (scaled)"
+        return f"{self.name}: exceeds its limit by {100.0 * (math.sqrt(1.0 + worst) - 1.0):.3g} %"
+
+
+def goal_rows(specification: Specification, state: State) -> list[Row]:
+    """What the largest value of is to be made small."""
+    goal = specification.optimize.goal
+    lens: Lens = specification  # as it was at the start
+    if goal == "smallest spread":
+        return [
+            _per_ray(_named("spread", w, lens), _squares(t.cosines, t.cosines_by), _sine(lens, w) ** 2, t)
+            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+        ]
+    if goal == "smallest aperture":
+        reference = lens.stop_semi_diameter_mm**2
+        return [
+            _per_ray(_named(f"height on surface {i + 1}", w, lens), _heights(t, i), reference, t)
+            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+            for i in range(len(lens.surfaces))
+        ]
+    length = state.lens.exit_vertex_z_mm
+    by = np.array([float(v.kind == "thickness") for v in state.variables])
+    if goal == "shortest track":
+        length += state.lens.object.working_distance_mm + lens.sensor.plane_distances_mm[-1]
+        by += np.array([float(v.kind == "working_distance") for v in state.variables])
+    reference = lens.exit_vertex_z_mm
+    return [Row(goal, np.array([length / reference]), by[None] / reference)]
+
+
+def constraint_rows(specification: Specification, state: State, final: bool = False) -> list[Row]:
+    """What must not be above zero.
+
+    A search for the smallest spread makes it small whatever its limit is; only the `final` lens is held
+    against that.
+    """
+    rows: list[Row] = []
+    lens: Lens = specification
+    for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
+        limited = final or specification.optimize.goal != "smallest spread"
+        rows += _spread_rows(specification, state, wavelength, trace, limited)
+        for i, limit in enumerate(specification.footprint_limits()):
+            if math.isfinite(limit):
+                name = _named(f"footprint on sensor plane {i + 1}", wavelength, lens)
+                squares = _squares(trace.plane_points[:, i], trace.plane_points_by[:, i])
+                rows.append(_limited(name, squares, limit**2, trace))
+        rows += _throughput_rows(specification, state, wavelength, trace)
+    return rows + _glass_rows(specification, state)
+
+
+def _spread_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
+) -> list[Row]:
+    squares = _squares(trace.cosines, trace.cosines_by)
+    limit = specification.spread_limit(wavelength)
+    rows = []
+    if limited and math.isfinite(limit):
+        rows.append(_limited(_named("spread", wavelength, specification), squares, limit**2, trace))
+    for own in specification.constraints.field_spread:
+        at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
+        name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, specification)
+        row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
+        rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+    return rows
+
+
+def _throughput_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Row]:
+    """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
+    lens, share = specification, specification.constraints.min_throughput
+    limits = [
+        (i, s.semi_diameter_mm)
+        for i, s in enumerate(lens.surfaces)
+        if s.semi_diameter_mm is not None and i != lens.stop_index
+    ]
+    if not limits:
+        return []
+    each = [_limited("", _heights(trace, i), d**2, trace) for i, d in limits]
+    worst = np.argmax([r.values for r in each], axis=0)
+    rays = np.arange(len(worst))
+    values = np.array([r.values for r in each])[worst, rays]
+    by = np.array([r.by for r in each])[worst, rays]
+    name = _named("throughput", wavelength, lens)
+    if share == 1.0:
+        return [Row(name, values, by, rays)]
+    picked = []
+    for field in np.unique(state.fields_mm, axis=0):
+        mine = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
+        order = mine[np.argsort(values[mine])]
+        picked.append(order[math.ceil(share * len(order)) - 1])
+    return [Row(name, values[picked], by[picked], np.array(picked))]
+
+
+def _glass_rows(specification: Specification, state: State) -> list[Row]:
+    """Thicknesses, slopes and the edges of conics."""
+    lens, limits = state.lens, specification.constraints
+    heights = [_clear_height(state, i) for i in range(len(lens.surfaces))]
+    edge = max(heights, key=lambda h: h[0])
+    rows = []
+    for i, surface in enumerate(lens.surfaces):
+        shape = (1.0 + surface.conic) * surface.curvature**2
+        by = _by(state, i, lambda c, k, a: (1.0 + k) * c**2) * edge[0] ** 2 + 2.0 * shape * edge[0] * edge[1]
+        value = shape * edge[0] ** 2 - CONIC_EDGE_SHARE**2
+        rows.append(_single(f"edge of the conic of surface {i + 1}", value, by))
+        rows.append(_slope_row(state, i, heights[i], limits.max_edge_slope_deg))
+        if i + 1 == len(lens.surfaces):
+            continue
+        glass = surface.material is not None
+        least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
+        scale = specification.surfaces[i].thickness_mm or 1.0
+        at = _ground_height(lens, i, edge)
+        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
+        least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
+        axis = (0.0, np.zeros(len(state.variables)))
+        rows.append(_gap_row(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale))
+    return rows
+
+
+def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[float, Array]:
+    """Radius of the edge cylinder behind a surface: the design file's, or else the largest clear height."""
+    if not lens.edges or i not in lens.glass_fronts:
+        return clear
+    given = lens.edges[lens.glass_fronts.index(i)].semi_diameter_mm
+    return clear if given is None else (given, np.zeros_like(clear[1]))
+
+
+def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
+    surface = state.lens.surfaces[i]
+    limit = math.tan(math.radians(limit_deg))
+    slope = float(surface.slope(height[0]))
+    bend = float(surface.slope(height[0] + 1e-20j).imag / 1e-20)
+    by = _by(state, i, lambda c, k, a: shapes.sag_slope(height[0], c, k, a)) + bend * height[1]
+    return _single(
+        f"slope at the edge of surface {i + 1}", (slope / limit) ** 2 - 1.0, 2.0 * slope / limit**2 * by
+    )
+
+
+def _gap_row(name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float) -> Row:
+    front, back = state.lens.surfaces[i : i + 2]
+    r = height[0]
+    gap = (front.thickness_mm or 0.0) + float(back.sag_mm(r)) - float(front.sag_mm(r))
+    by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
+    by += _by(state, i + 1, lambda c, k, a: shapes.sag(r * r, c, k, a))
+    by -= _by(state, i, lambda c, k, a: shapes.sag(r * r, c, k, a))
+    by += float(back.slope(r) - front.slope(r)) * height[1]
+    return _single(name, (least - gap) / scale, -by / scale)
+
+
+def _clear_height(state: State, i: int) -> tuple[float, Array]:
+    """Clear semi-diameter of a surface: as given, as the stop's, or as its rays need."""
+    stop = state.traces[0]
+    if i == state.lens.stop_index:
+        return stop.stop_semi_diameter_mm, stop.stop_semi_diameter_by
+    given = state.lens.surfaces[i].semi_diameter_mm
+    if given is not None:
+        return given, np.zeros(len(state.variables))
+    best = (0.0, np.zeros(len(state.variables)))
+    for trace in state.traces:
+        squares, by = _heights(trace, i)
+        squares = np.where(trace.ok, squares, 0.0)
+        worst = int(np.argmax(squares))
+        height = math.sqrt(squares[worst])
+        if height > best[0]:
+            best = (height, by[worst] / (2.0 * height))
+    return best
+
+
+def _by(state: State, i: int, function: Callable[[Any, Any, tuple[Any, ...]], Any]) -> Array:
+    """Derivatives of a function of one surface's shape, by complex step (exact to rounding)."""
+    surface = state.lens.surfaces[i]
+    result = np.zeros(len(state.variables))
+    step = 1e-30j
+    for j, variable in enumerate(state.variables):
+        shape: list[Any] = [surface.curvature, surface.conic, list(surface.asphere)]
+        if variable.surface != i or variable.kind not in ("curvature", "conic", "asphere"):
+            continue
+        if variable.kind == "asphere":
+            shape[2][variable.term] += step
+        else:
+            shape[["curvature", "conic"].index(variable.kind)] += step
+        result[j] = np.imag(function(shape[0], shape[1], tuple(shape[2]))) / abs(step)
+    return result
+
+
+def _squares(points: Array, by: Array) -> tuple[Array, Array]:
+    """x^2 + y^2 and its derivatives."""
+    return np.sum(points**2, axis=-1), 2.0 * np.einsum("na,nav->nv", points, by)
+
+
+def _heights(trace: GradientTrace, i: int) -> tuple[Array, Array]:
+    return _squares(trace.heights[:, i], trace.heights_by[:, i])
+
+
+def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Row:
+    values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
+    by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
+    return Row(name, values, by, np.arange(len(values)))
+
+
+def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Row:
+    row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
+    return Row(name, row.values - 1.0, row.by, row.rays)
+
+
+def _single(name: str, value: float, by: Array) -> Row:
+    if not (math.isfinite(value) and np.all(np.isfinite(by))):
+        value, by = UNTRACEABLE, np.zeros_like(by)
+    return Row(name, np.array([value]), by[None])
+
+
+def _sine(lens: Lens, wavelength: float) -> float:
+    """Sine of the sensor's spread limit: what spreads are scaled by."""
+    return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
+
+
+def _named(name: str, wavelength: float, lens: Lens) -> str:
+    return name if len(lens.wavelengths_um) == 1 else f"{name} ({wavelength:g} um)"

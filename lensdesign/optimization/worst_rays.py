@@ -1,0 +1,101 @@
+"""The rays by which a lens of the search is worse than its working set of rays shows (exchange method)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.optimization.problem import DesignProblem, Rays
+from lensdesign.optimization.requirements import Row
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 3e-5
+"""Rays that exceed the working set by less than this (scaled) are not worth another round."""
+
+SECTOR_DEG = 30.0
+"""Of the stop, in each of which the worst ray is refined."""
+
+
+def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) -> Rays | None:
+    """Rays that exceed every ray of the working set: the worst of each kind and sector of the stop.
+
+    Maxima compete (a skew ray on the rim, a meridional one inside), so each sector is searched, its rim
+    apart from its inside: else the grid's error on a sharp maximum hides it behind a flat one.
+
+    Parameters
+    ----------
+    problem, point
+        The specification, and the lens at a point of its unit box.
+    rays, dense
+        The working set, and the dense set in which worse rays are sought.
+
+    Returns
+    -------
+    Rays or None
+        None where no ray is worse.
+    """
+    sector = np.minimum(np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0])) // SECTOR_DEG, 2)
+    sector += 100.0 * (np.linalg.norm(dense.pupil, axis=-1) > 1.0 - 1e-9)
+    own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
+    found: list[tuple[int, int, float]] = []
+    for number, wide in enumerate(all_):
+        if wide.rays is None or not len(wide.values):
+            continue
+        top = np.max(wide.values)
+        if top <= -0.02 and not wide.name.startswith("spread"):
+            continue
+        for which in np.unique(sector):
+            mine = np.flatnonzero(sector[wide.rays] == which)
+            if len(mine) and np.max(wide.values[mine]) >= top - 0.02:
+                worst = mine[np.argmax(wide.values[mine])]
+                found.append((number, int(wide.rays[worst]), float(wide.values[worst])))
+    if not found:
+        return None
+    numbers, indices, values = (np.array(column) for column in zip(*found, strict=True))
+    refined, values = _refined(problem, point, numbers, dense.take(indices), values)
+    needed = np.array([np.max(own[number].values) for number in numbers]) + TOLERANCE
+    worse = refined.take(np.flatnonzero(values > needed))
+    return worse.with_rays(worse) if len(worse.pupil) else None
+
+
+def _refined(
+    problem: DesignProblem, point: Array, numbers: NDArray[np.int64], rays: Rays, values: Array
+) -> tuple[Rays, Array]:
+    """The worst ray of a row in the neighbourhood of a ray, by shrinking grids over field and stop.
+
+    Parameters
+    ----------
+    numbers, rays, values
+        Row, ray and value there of each search, shape (n,).
+
+    Returns
+    -------
+    rays, values
+        The worst ray that each search found, and its value.
+    """
+    half, values = problem.base.half_field_mm, values.copy()
+    steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))))
+    fixed_fields = bool(problem.specification.constraints.field_spread)
+    for step in 0.125 / 2.5 ** np.arange(7):  # first half of the widest gap of the dense rays, along the rim
+        field = rays.fields_mm[:, 1:] + (0.0 if fixed_fields else step * half) * steps[:, 0]
+        pupil = (rays.pupil[:, None] + step * steps[:, 1:]).reshape(-1, 2)
+        pupil /= np.maximum(1.0, np.linalg.norm(pupil, axis=-1, keepdims=True))
+        field = np.clip(field, 0.0, half).ravel()
+        near = Rays(np.column_stack([np.zeros(len(field)), field]), pupil)
+        rows, best = _flat(problem.rows(point, near)), np.arange(len(numbers)) * len(steps) + len(steps) // 2
+        for search, number in enumerate(numbers):
+            row = rows[number]
+            assert row.rays is not None  # only rows of rays are searched
+            mine = np.flatnonzero(row.rays // len(steps) == search)
+            if len(mine) and np.max(row.values[mine]) >= values[search]:
+                worst = mine[np.argmax(row.values[mine])]
+                best[search], values[search] = row.rays[worst], row.values[worst]
+        rays = near.take(best)
+    return rays, values
+
+
+def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:
+    return [*rows[0], *rows[1]]

@@ -1,0 +1,1 @@
+"""What people look at: layout, spots, charts, the lens in 3D."""

@@ -1,0 +1,173 @@
+"""The worst ray of a lens: the largest value of a ray metric over field and pupil, refined until it stands.
+
+A dense sampling finds where the largest values lie; a direct search then follows each of them. It polls
+random directions (every direction comes up in the end, as in mesh-adaptive direct search: Audet and Dennis,
+SIAM J. Optim. 17, 188, 2006), so that it also creeps along the edge of a vignetted pupil, and shortens its
+step whenever no direction is better. Maxima inside the pupil or the field are found as well as on the rim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.lens.lens import Lens
+from lensdesign.tracing.bundles import launch_pairs
+from lensdesign.tracing.compiled import CompiledSystem
+from lensdesign.tracing.rays import RayTrace, trace_compiled
+
+Array = NDArray[np.float64]
+Metric = Callable[[RayTrace], Array]
+Evaluate = Callable[[Array], Array]
+
+FIELD, PUPIL = slice(0, 2), slice(2, 4)
+FINEST_STEP = 1e-8
+MOST_STEPS = 200
+POLLED = 24
+"""Directions that are polled at a step, half of them the opposites of the others."""
+
+PUPIL_STEP, AZIMUTHS = 1.0 / 16, 16
+"""Of the dense sampling."""
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Largest values of a metric, for each field height of a table and for the whole field.
+
+    Attributes
+    ----------
+    values : ndarray, shape (heights,)
+        Largest value over the pupil for each field height; NaN where no ray passes.
+    value : float
+        Largest of all; NaN if no ray passes.
+    field_mm, pupil : tuple of float
+        Object point and stop point (shares of its semi-diameter) of the ray that has it.
+    """
+
+    values: Array
+    value: float
+    field_mm: tuple[float, float]
+    pupil: tuple[float, float]
+
+
+def extremes(
+    lens: Lens,
+    system: CompiledSystem,
+    metric: Metric,
+    heights_mm: Array,
+    plane_z_mm: float | None = None,
+    *,
+    symmetric: bool = True,
+    between_heights: bool = True,
+) -> Extremes:
+    """Find the largest value of a metric over field and pupil.
+
+    Parameters
+    ----------
+    lens, system
+        The nominal lens and what was compiled from it (one trial).
+    metric
+        Value of each ray from its trace; values of failed rays do not count.
+    heights_mm
+        Field heights of the table.
+    plane_z_mm
+        Plane on which rays end; None ends them on the last surface.
+    symmetric
+        Whether the system is rotationally symmetric: fields then lie along y, half of the pupil does.
+    between_heights
+        Whether the largest value is sought between the heights of the table, too.
+    """
+
+    def evaluate(coordinates: Array) -> Array:
+        origins, directions = launch_pairs(
+            system,
+            coordinates[:, FIELD],
+            coordinates[:, PUPIL],
+            lens.object_z_mm,
+            lens.stop_index,
+            lens.stop_semi_diameter_mm,
+        )
+        rays = trace_compiled(system, origins, directions, plane_z_mm)
+        return np.where(rays.ok, metric(rays), -np.inf)
+
+    starts = _starts(evaluate, heights_mm, symmetric)
+    per_height = len(starts) // len(heights_mm)
+    heights = np.repeat(heights_mm, per_height)
+    spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
+    around = 0.0 if symmetric else 2.0 * np.pi / AZIMUTHS * lens.half_field_mm
+    pupil_steps = [PUPIL_STEP, PUPIL_STEP]
+    best, values = _climb(
+        evaluate, starts, np.array([around, around, *pupil_steps]), lambda u: _project(u, heights)
+    )
+    table = values.reshape(len(heights_mm), per_height).max(axis=1)
+    if between_heights:
+        steps = np.array([around, max(around, spacing), *pupil_steps])
+        best, values = _climb(evaluate, best, steps, lambda u: _project(u, None, lens.half_field_mm))
+    worst = int(np.argmax(values))
+    fx, fy, px, py = (float(v) for v in best[worst])
+    return Extremes(
+        values=np.where(np.isfinite(table), table, np.nan),
+        value=float(values[worst]) if np.isfinite(values[worst]) else np.nan,
+        field_mm=(fx, fy),
+        pupil=(px, py),
+    )
+
+
+def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
+    """For each height the best sample on the rim of the stop and the best inside, height by height."""
+    azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    radii = np.linspace(0.0, 1.0, round(1.0 / PUPIL_STEP) + 1)
+    angles = np.linspace(0.0, np.pi, 25) if symmetric else 2.0 * np.pi * np.arange(48) / 48
+    height, azimuth, radius, angle = np.meshgrid(heights_mm, azimuths, radii, angles, indexing="ij")
+    coordinates = np.stack(
+        [height * np.sin(azimuth), height * np.cos(azimuth), radius * np.sin(angle), radius * np.cos(angle)],
+        axis=-1,
+    )
+    values = evaluate(coordinates.reshape(-1, 4)).reshape(height.shape)
+    starts = []
+    for i in range(len(heights_mm)):
+        for part in (slice(-1, None), slice(0, -1)):
+            some = values[i, :, part]
+            where = np.unravel_index(np.argmax(some), some.shape)
+            starts.append(coordinates[i, :, part][where])
+    return np.array(starts)
+
+
+def _project(coordinates: Array, heights_mm: Array | None, half_field_mm: float = 0.0) -> Array:
+    """Put stop points back into the stop, and object points back to their heights or into the field."""
+    result = coordinates.copy()
+    field = np.linalg.norm(coordinates[..., FIELD], axis=-1, keepdims=True)
+    if heights_mm is None:
+        scale = np.minimum(1.0, half_field_mm / np.maximum(field, 1e-300))
+    else:
+        own = heights_mm.reshape(-1, *(1,) * (coordinates.ndim - 1))
+        scale = np.where(field > 0.0, own / np.maximum(field, 1e-300), 1.0)
+    result[..., FIELD] *= scale
+    result[..., PUPIL] /= np.maximum(1.0, np.linalg.norm(coordinates[..., PUPIL], axis=-1, keepdims=True))
+    return result
+
+
+def _climb(
+    evaluate: Evaluate, starts: Array, steps: Array, project: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """Direct search for the largest value from every start at once."""
+    rng = np.random.default_rng(0)
+    best, values = starts.copy(), evaluate(starts)
+    size = np.full(len(starts), 0.5)
+    rows = np.arange(len(starts))
+    for _ in range(MOST_STEPS):
+        if np.all(size < FINEST_STEP):
+            break
+        direction = rng.normal(size=(POLLED // 2, 4)) * (steps > 0.0)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        polled = np.concatenate([direction, -direction]) * steps
+        trial = project(best[:, None] + size[:, None, None] * polled)
+        found = evaluate(trial.reshape(-1, 4)).reshape(trial.shape[:-1])
+        choice = np.argmax(found, axis=1)
+        better = found[rows, choice] > values
+        best[better], values[better] = trial[rows, choice][better], found[rows, choice][better]
+        size = np.where(better, np.minimum(1.0, 1.5 * size), 0.7 * size)
+    return best, values

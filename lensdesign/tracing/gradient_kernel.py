@@ -1,0 +1,210 @@
+"""Rays of a centred lens with their exact derivatives by design variables (forward mode), in Numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from lensdesign.tracing.kernel import MISSED, NOT_CONVERGED, OK, TOTAL_REFLECTION, _newton
+
+CURVATURE, CONIC, ASPHERE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(7)
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def gradient_kernel(
+    origins,
+    directions,
+    vertex,
+    curvature,
+    conic,
+    asphere,
+    index,
+    planes,
+    kind,
+    where,
+    term,
+    values,
+    derivatives,
+    status,
+    failed,
+):
+    """Trace rays one by one, each with its derivatives.
+
+    For n rays, s surfaces, p planes and v variables: `values` (n, s + 1 + p, 2) is filled with x and y
+    on every surface, then the direction cosines behind the lens, then x and y on every plane;
+    `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
+    Variable j is described by kind[j], where[j] (a surface) and term[j] (an asphere coefficient).
+    """
+    rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
+    dp = np.empty((3, variables))
+    dd = np.empty((3, variables))
+    for i in range(rays):
+        p = origins[i].copy()
+        d = directions[i].copy()
+        _launch(p, d, dp, dd, kind)
+        status[i] = OK
+        failed[i] = -1
+        for s in range(surfaces):
+            why = _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where, term, s)
+            if why != OK:
+                status[i] = why
+                failed[i] = s
+                break
+            _keep(values, derivatives, i, s, p, dp)
+        if status[i] == OK:
+            _keep(values, derivatives, i, surfaces, d, dd)
+            _planes(p, d, dp, dd, vertex[surfaces - 1], planes, kind, where, values, derivatives, i, surfaces)
+
+
+@_jit
+def _keep(values, derivatives, i, slot, vector, gradient):
+    for a in range(2):
+        values[i, slot, a] = vector[a]
+        for j in range(gradient.shape[1]):
+            derivatives[i, slot, a, j] = gradient[a, j]
+
+
+@_jit
+def _launch(p, d, dp, dd, kind):
+    dp[:] = 0.0
+    dd[:] = 0.0
+    for j in range(kind.shape[0]):
+        if kind[j] == WORKING_DISTANCE:
+            dp[2, j] = -1.0
+        elif kind[j] == LAUNCH_X:
+            dd[0, j] = 1.0
+            dd[2, j] = -d[0] / d[2]
+        elif kind[j] == LAUNCH_Y:
+            dd[1, j] = 1.0
+            dd[2, j] = -d[1] / d[2]
+
+
+@_jit
+def _vertex_motion(kind, where, s):
+    """How fast the vertex of surface s moves along z with a variable."""
+    return 1.0 if kind == THICKNESS and where < s else 0.0
+
+
+@_jit
+def _hit(p, d, c, k, terms):
+    """Distance to the surface from p (in the surface's frame) and what became of the ray."""
+    q = 1.0 + k
+    qa = c * (1.0 + k * d[2] * d[2])
+    qb = d[2] - c * (p[0] * d[0] + p[1] * d[1] + q * p[2] * d[2])
+    qc = c * (p[0] * p[0] + p[1] * p[1] + q * p[2] * p[2]) - 2.0 * p[2]
+    square = qb * qb - qa * qc
+    if square < 0.0:
+        return 0.0, MISSED
+    root = math.sqrt(square)
+    stable = qb >= 0.0
+    denominator = qb + root if stable else qa
+    if denominator == 0.0:
+        return 0.0, MISSED
+    t = (qc if stable else qb - root) / denominator
+    if 1.0 - q * c * (p[2] + t * d[2]) <= 0.0:
+        return 0.0, MISSED
+    for j in range(terms.shape[0]):
+        if terms[j] != 0.0:
+            return _newton(p[0], p[1], p[2], d[0], d[1], d[2], t, c, k, terms)
+    return t, OK
+
+
+@_jit
+def _shape(r2, c, k, terms):
+    """Half the slope factor g = dz/d(r^2), and its derivative by r^2."""
+    e = math.sqrt(1.0 - (1.0 + k) * c * c * r2)
+    g = 0.5 * c / e
+    g_r2 = 0.25 * (1.0 + k) * c**3 / e**3
+    power = 1.0
+    for j in range(terms.shape[0]):
+        m = j + 2
+        g_r2 += m * (m - 1) * terms[j] * power
+        power *= r2
+        g += m * terms[j] * power
+    return g, g_r2, e
+
+
+@_jit
+def _shape_by_variable(kind, term, r2, c, k, e):
+    """Derivatives of the sag and of g by a shape variable at fixed r^2."""
+    if kind == CURVATURE:
+        return r2 / (e * (1.0 + e)), 0.5 / e**3
+    if kind == CONIC:
+        return 0.5 * c**3 * r2 * r2 / (e * (1.0 + e) ** 2), 0.25 * c**3 * r2 / e**3
+    if kind == ASPHERE:
+        return r2 ** (term + 2), (term + 2) * r2 ** (term + 1)
+    return 0.0, 0.0
+
+
+@_jit
+def _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where, term, s):
+    """Move a ray and its derivatives to surface s and refract them."""
+    c, k, terms = curvature[s], conic[s], asphere[s]
+    p[2] -= vertex[s]
+    t, why = _hit(p, d, c, k, terms)
+    if why != OK:
+        return why
+    for a in range(3):
+        p[a] += t * d[a]
+    r2 = p[0] * p[0] + p[1] * p[1]
+    g, g_r2, e = _shape(r2, c, k, terms)
+    nx, ny = -2.0 * g * p[0], -2.0 * g * p[1]
+    along = d[2] + nx * d[0] + ny * d[1]
+    m2 = 1.0 + nx * nx + ny * ny
+    m = math.sqrt(m2)
+    mu = index[s] / index[s + 1]
+    cos_in = along / m
+    square = 1.0 - mu * mu * (1.0 - cos_in * cos_in)
+    if square < 0.0:
+        return TOTAL_REFLECTION
+    if along == 0.0:
+        return NOT_CONVERGED
+    cos_out = math.sqrt(square)
+    bend = (cos_out - mu * cos_in) / m
+    for j in range(kind.shape[0]):
+        sag_j, g_j = 0.0, 0.0
+        if where[j] == s:
+            sag_j, g_j = _shape_by_variable(kind[j], term[j], r2, c, k, e)
+        px = dp[0, j] + t * dd[0, j]
+        py = dp[1, j] + t * dd[1, j]
+        pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], where[j], s)
+        dt = (sag_j - (nx * px + ny * py + pz)) / along
+        px += dt * d[0]
+        py += dt * d[1]
+        pz += dt * d[2]
+        dg = g_r2 * 2.0 * (p[0] * px + p[1] * py) + g_j
+        dnx = -2.0 * (dg * p[0] + g * px)
+        dny = -2.0 * (dg * p[1] + g * py)
+        dm2 = 2.0 * (nx * dnx + ny * dny)
+        dalong = dd[2, j] + dnx * d[0] + nx * dd[0, j] + dny * d[1] + ny * dd[1, j]
+        dcos_in = dalong / m - 0.5 * cos_in * dm2 / m2
+        dcos_out = mu * mu * cos_in * dcos_in / cos_out
+        dbend = (dcos_out - mu * dcos_in) / m - 0.5 * bend * dm2 / m2
+        dp[0, j], dp[1, j] = px, py
+        dp[2, j] = pz + _vertex_motion(kind[j], where[j], s)
+        dd[0, j] = mu * dd[0, j] + dbend * nx + bend * dnx
+        dd[1, j] = mu * dd[1, j] + dbend * ny + bend * dny
+        dd[2, j] = mu * dd[2, j] + dbend
+    d[0] = mu * d[0] + bend * nx
+    d[1] = mu * d[1] + bend * ny
+    d[2] = mu * d[2] + bend
+    p[2] += vertex[s]
+    return OK
+
+
+@_jit
+def _planes(p, d, dp, dd, last, planes, kind, where, values, derivatives, i, surfaces):
+    for q in range(planes.shape[0]):
+        t = (last + planes[q] - p[2]) / d[2]
+        slot = surfaces + 1 + q
+        for a in range(2):
+            values[i, slot, a] = p[a] + t * d[a]
+        for j in range(kind.shape[0]):
+            motion = _vertex_motion(kind[j], where[j], surfaces - 1)
+            dt = (motion - dp[2, j] - t * dd[2, j]) / d[2]
+            for a in range(2):
+                derivatives[i, slot, a, j] = dp[a, j] + t * dd[a, j] + dt * d[a]

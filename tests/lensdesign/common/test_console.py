@@ -1,0 +1,61 @@
+"""What all commands share: interrupts, termination, and standard output that cannot be written."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+
+LENSDESIGN = Path(sys.executable).parent / "lensdesign"
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_search_that_is_ended_leaves_what_was_there(
+    tmp_path: Path, number: signal.Signals, status: int
+) -> None:
+    text = (DESIGNS / "thinnest_singlet_spec.toml").read_text()
+    slow = 'algorithm = "isres"\nmax_seconds = 100.0\n\n[constraints]'
+    (tmp_path / "spec.toml").write_text(text.replace("[constraints]", slow))
+    (tmp_path / "out.toml").write_text("mine")
+    search = subprocess.Popen(
+        [LENSDESIGN, "optimize", "spec.toml", "-o", "out.toml"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in its background has them ignore interrupts, and so would the search.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    until = time.monotonic() + 60.0
+    while not list(tmp_path.glob(".out.*")) and time.monotonic() < until:
+        time.sleep(0.05)
+    time.sleep(0.3)
+    search.send_signal(number)
+    out, err = search.communicate(timeout=60)
+    assert search.returncode == status
+    assert out == ""
+    assert err == ("interrupted\n" if number == signal.SIGINT else "")
+    assert (tmp_path / "out.toml").read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.toml", "spec.toml"]
+
+
+@pytest.mark.parametrize("arguments", [["glass", "N-", "--search"], ["glass", "N-BK7", "--json"], ["--help"]])
+def test_a_reader_that_goes_away_is_no_error(arguments: list[str]) -> None:
+    command = subprocess.Popen([LENSDESIGN, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert command.stdout is not None
+    command.stdout.close()
+    assert command.communicate(timeout=60)[1] == b""
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="needs /dev/full")
+@pytest.mark.parametrize("arguments", [["glass", "N-BK7"], ["check", str(DESIGNS / "paper_singlet.toml")]])
+def test_full_standard_output_is_one_message(arguments: list[str]) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([LENSDESIGN, *arguments], stdout=full, stderr=subprocess.PIPE, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == b"error: cannot write to standard output: No space left on device\n"

@@ -1,0 +1,307 @@
+"""CODE V files: a prescription read as it is; designs back without loss; every refusal by name."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lens_files import bare, mutilated
+from random_lenses import lenses, poses
+
+from lensdesign import InputError, Lens, Pose
+from lensdesign.analysis.paraxial import first_order
+from lensdesign.files.codev import read_seq, write_seq
+from lensdesign.files.draft import LossyImportError, Supplement
+from lensdesign.lens.figure_source import FigureSource
+
+# The textbook Cooke triplet of 50 mm focal length, f/5, as CODE V would save it.
+COOKE = """RDM;LEN       "VERSION: 10.7       LENS VERSION: 80       Creation Date:  8-Sep-2020"
+TITLE 'COOKE TRIPLET'
+EPD   10.0
+DIM   M
+WL    650.0 550.0 480.0
+REF   2
+WTW   1 1 1
+INI   '   '
+XAN   0.0 0.0 0.0
+YAN   0.0 14.0 20.0
+WTF   1.0 1.0 1.0
+VUX   0.0 0.0 0.0
+VLY   0.0 &
+      0.0 0.0
+DOR   1.15 1.05
+SO    0.0 0.1e14
+S     22.01359 3.25896 SK16_HIKARI ; CIR 9.5
+  CCY 0; THC 100
+S     -435.76044 6.00755     ! the first air space
+  SLB "L1"
+S     -22.21328 0.99997 F2_SCHOTT
+S     20.29192 4.75041
+  STO
+  CIR 5.0
+S     79.68360 2.95208 SK16_HIKARI
+S     -18.39533 42.20778
+  PIM
+SI    0.0 0.0
+GO
+"""
+ASPHERE = """RDM
+DIM M
+NAO 0.1
+WL 587.5618
+YOB 0 2 4
+SO 0 30
+S 10.462 12.0 'NBK7_SCHOTT'
+  ASP; K -0.6265
+  A 1.5E-05; B 0.0; C -2.0D-10
+  STO; CIR 10.0
+S 0 20
+SI 0 0
+"""
+SUPPLEMENT = Supplement(
+    working_distance_mm=100.0,
+    field_diameter_mm=1.0,
+    numerical_aperture=0.02,
+    pixel_pitch_um=3.2,
+    pixels=(1000, 800),
+)
+SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 800))
+
+
+def saved(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "lens.seq"
+    path.write_text(text)
+    return path
+
+
+def test_a_textbook_triplet(tmp_path: Path) -> None:
+    result = read_seq(saved(tmp_path, COOKE), SUPPLEMENT)
+    lens = result.lens
+    assert [s.radius_mm for s in lens.surfaces] == [
+        22.01359,
+        -435.76044,
+        -22.21328,
+        20.29192,
+        79.6836,
+        -18.39533,
+    ]
+    assert [s.thickness_mm for s in lens.surfaces] == [3.25896, 6.00755, 0.99997, 4.75041, 2.95208, None]
+    assert [s.material for s in lens.surfaces] == ["SK16", None, "F2", None, "SK16", None]
+    assert (lens.title, lens.stop_index, lens.wavelengths_um) == ("COOKE TRIPLET", 3, (0.55, 0.65, 0.48))
+    assert first_order(lens).efl_mm == pytest.approx(50.0, abs=0.005)
+    assert (result.dropped, result.pose) == ((), Pose())
+    assert result.remarks == ("surface 6: PIM solve replaced by its present value",)
+
+
+def test_an_asphere(tmp_path: Path) -> None:
+    lens = read_seq(saved(tmp_path, ASPHERE), SENSOR).lens
+    front = lens.surfaces[0]
+    assert (front.conic, front.asphere, front.semi_diameter_mm) == (-0.6265, (1.5e-5, 0.0, -2e-10), 10.0)
+    assert (front.material, lens.object.field_diameter_mm, lens.object.numerical_aperture) == (
+        "N-BK7",
+        8.0,
+        0.1,
+    )
+    assert lens.sensor.plane_distances_mm == (20.0,)
+
+
+def test_curvatures_and_commands_of_single_values(tmp_path: Path) -> None:
+    by_curvature = ASPHERE.replace("RDM", "RDM N").replace("S 10.462", "S 0.02")
+    assert read_seq(saved(tmp_path, by_curvature), SENSOR).lens.surfaces[0].radius_mm == 50.0
+    by_command = ASPHERE.replace("S 10.462 12.0 'NBK7_SCHOTT'", "S\nRDY 11.0\nTHI S1 13.0\nGLA NSF11_SCHOTT")
+    front = read_seq(saved(tmp_path, by_command), SENSOR).lens.surfaces[0]
+    assert (front.radius_mm, front.thickness_mm, front.material) == (11.0, 13.0, "N-SF11")
+    other = ASPHERE.replace("STO;", "").replace("SI 0 0", "SI 0 0\nCUY S2 0.01\nSTO S1")
+    lens = read_seq(saved(tmp_path, other), SENSOR).lens
+    assert (lens.surfaces[1].radius_mm, lens.surfaces[0].stop) == (100.0, True)
+
+
+APERTURES = {"NAO 0.1": 0.1, "EPD 20": math.sin(math.atan(10.0 / 30.0))}
+
+
+@pytest.mark.parametrize(("command", "expected"), APERTURES.items())
+def test_apertures_at_the_object(tmp_path: Path, command: str, expected: float) -> None:
+    lens = read_seq(saved(tmp_path, ASPHERE.replace("NAO 0.1", command)), SENSOR).lens
+    assert lens.object.numerical_aperture == pytest.approx(expected, rel=1e-12)
+
+
+def test_apertures_at_the_image_are_one(tmp_path: Path) -> None:
+    """F-number F and numerical aperture sin(atan(1 / 2F)) are the same cone."""
+    na = math.sin(math.atan(0.5 / 4.0))
+    found = [
+        read_seq(saved(tmp_path, ASPHERE.replace("NAO 0.1", c)), SENSOR).lens.object.numerical_aperture
+        for c in ("FNO 4.0", f"NA {na!r}")
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
+@settings(max_examples=150)
+@given(lens=lenses(), pose=st.just(Pose()) | poses(None))
+def test_a_design_comes_back(tmp_path_factory: pytest.TempPathFactory, lens: Lens, pose: Pose) -> None:
+    path = tmp_path_factory.getbasetemp() / "round_trip.seq"
+    write_seq(lens, path, pose)
+    result = read_seq(path)
+    assert result.lens == bare(lens)
+    assert result.pose == pose
+    assert (result.dropped, result.remarks) == ((), ())
+
+
+def test_a_design_of_other_makers_comes_back(tmp_path: Path, paper_lens: Lens) -> None:
+    for name in ("OHARA:S-BSL7", "SCHOTT:F2", "hikari:f2", "FUSED SILICA", "PMMA"):
+        changed = paper_lens.with_surface(0, material=name)
+        write_seq(changed, tmp_path / "lens.seq")
+        assert read_seq(tmp_path / "lens.seq").lens == changed
+
+
+def test_without_our_comments_glasses_and_pose_are_the_same(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.seq"
+    pose = Pose(0.1, -0.2, 0.0, 1.5, -0.7, 4.4)
+    write_seq(paper_lens, path, pose)
+    text = "\n".join(line for line in path.read_text().splitlines() if not line.startswith("!"))
+    result = read_seq(saved(tmp_path, text), Supplement(pixel_pitch_um=3.2, pixels=(9344, 7000)))
+    for name, value in vars(pose).items():
+        assert getattr(result.pose, name) == pytest.approx(value, abs=1e-12)
+    assert result.lens.surfaces == paper_lens.surfaces
+    assert result.lens.object.working_distance_mm == pytest.approx(13.5, abs=1e-12)
+
+
+def test_decentered_surfaces_stand_where_the_pose_puts_them(tmp_path: Path, paper_lens: Lens) -> None:
+    """Frames walked line by line: ADE and BDE turn left-handed, REV undoes behind its surface."""
+    path = tmp_path / "lens.seq"
+    pose = Pose(0.1, -0.2, 0.03, 1.5, -0.7, 4.4)
+    write_seq(paper_lens, path, pose)
+    frame, vertices = np.eye(4), []
+    frame[2, 3] = paper_lens.object_z_mm
+    surfaces = path.read_text().split("\nS")[1:]
+    for block in surfaces:
+        words = block.replace(";", " ").split()
+        moves = {key: float(value) for key, value in pairwise(words) if key in MOVES}
+        change = change_matrix(moves)
+        if moves and "REV" not in words:
+            frame = frame @ change
+        vertices.append(frame.copy())
+        if "REV" in words:
+            frame = frame @ np.linalg.inv(change)
+        step = np.eye(4)
+        step[2, 3] = float(block.split()[2 if words[0] in "OI" else 1])
+        frame = frame @ step
+    rotation, shift = pose.transform()
+    assert len(vertices) == 6
+    for vertex, z in zip(vertices[2:4], paper_lens.vertex_z_mm, strict=True):
+        np.testing.assert_allclose(vertex[:3, :3], rotation[0], atol=1e-14)
+        np.testing.assert_allclose(vertex[:3, 3], rotation[0] @ [0.0, 0.0, z] + shift[0], atol=1e-13)
+    image = np.eye(4)
+    image[2, 3] = paper_lens.sensor_z_mm[0]
+    np.testing.assert_allclose(vertices[-1], image, atol=1e-13)
+
+
+MOVES = ("XDE", "YDE", "ADE", "BDE")
+
+
+def change_matrix(moves: dict[str, float]) -> np.ndarray:
+    """A plain decenter and tilt of CODE V."""
+    result = np.eye(4)
+    result[:2, 3] = moves.get("XDE", 0.0), moves.get("YDE", 0.0)
+    a, b = np.deg2rad([moves.get("ADE", 0.0), moves.get("BDE", 0.0)])
+    about_x, about_y = np.eye(4), np.eye(4)
+    about_x[1:3, 1:3] = [[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]
+    about_y[0, [0, 2]] = np.cos(b), -np.sin(b)
+    about_y[2, [0, 2]] = np.sin(b), np.cos(b)
+    return result @ about_x @ about_y
+
+
+LOSSES = [
+    ("F2_SCHOTT", "REFL", "surface 3: mirror, read as a surface in air"),
+    ("F2_SCHOTT", "620364", "surface 3: dispersion of the fictitious glass 620364"),
+    ("F2_SCHOTT", "620040.363700", "surface 3: dispersion of the fictitious glass"),
+    ("F2_SCHOTT", "1.62004:36.37", "surface 3: dispersion of the fictitious glass"),
+    (
+        "F2_SCHOTT",
+        "'MINE'\nPRV\nPWL 650 550 480\n'MINE' 1.61 1.62 1.63\nEND",
+        "dispersion of the private glass MINE",
+    ),
+    ("CIR 5.0", "CIR 5.0; REX 5.0", "surface 4: 'REX 5.0'"),
+    ("CIR 5.0", "CIR 5.0; CIR OBS 1.0", "surface 4: aperture CIR 'OBS 1.0'"),
+    ("CIR 5.0", "CIR 5.0; XDE 0.1; DAR", "surface 4: coordinate break that is no pose of the whole lens"),
+    ("CIR 5.0", "CIR 5.0; ADE 45; BEN", "surface 4: BEN"),
+    ("CIR 5.0", "CIR 5.0; DIF GRT", "surface 4: 'DIF GRT'"),
+    ("VUX   0.0", "VUX   0.1", "vignetting factors"),
+    ("SI    0.0", "SI    99.0", "surface 7: curved image surface"),
+    ("DOR", "ZOO 3; DOR", "line 15: 'ZOO 3'"),
+    ("DOR", "TEM 40; DOR", "temperature of '40' degrees C"),
+    ("DOR", "PRE 0; DOR", "pressure of '0' mmHg"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), LOSSES)
+def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in COOKE
+    path = saved(tmp_path, COOKE.replace(old, new, 1))
+    with pytest.raises(LossyImportError, match=message) as caught:
+        read_seq(path, SUPPLEMENT)
+    assert str(path) in str(caught.value)
+    result = read_seq(path, SUPPLEMENT, lossy=True)
+    assert result.dropped == caught.value.dropped
+    if "62" in new:
+        assert result.lens.surfaces[2].material == pytest.approx(1.62, abs=5e-5)
+
+
+FAULTS = [
+    ("DIM   M", "DIM   I", "line 4: DIM 'I'; only lengths in mm"),
+    ("RDM;LEN", "LEN", "line 17: '22.01359' may be a radius or a curvature"),
+    ("22.01359", "22.o1359", "line 17: '22.o1359' stands where a finite number must"),
+    ("22.01359", "nan", "'nan' stands where"),
+    ("3.25896", "-3.0", "the next surface lies -3 mm behind surface 1"),
+    ("SO ", "S ", "S as surface 0; the object"),
+    ("SI    0.0 0.0\n", "", "no image surface"),
+    ("GO", "S 1 2", "behind the image surface"),
+    ("GO", "THI S99 3", "there is no surface 'S99' yet"),
+    ("GO", "THI", "a command without its value"),
+    ("GO", "PRV", "private glasses .* without END"),
+    ("GO\n", "GO &", "the command goes on behind the end of the file"),
+    ("TITLE", "THI 3; TITLE", "a command of a surface before the first surface"),
+    ("F2_SCHOTT", "XF2_SCHOTT", "unknown material 'XF2'"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), FAULTS)
+def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in COOKE
+    path = saved(tmp_path, COOKE.replace(old, new, 1))
+    with pytest.raises(InputError, match=message) as caught:
+        read_seq(path, SUPPLEMENT)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_what_the_format_cannot_hold_is_not_written(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.seq"
+    figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
+    with pytest.raises(InputError, match=r"surface 1: a \.seq file cannot hold a measured figure"):
+        write_seq(paper_lens.with_surface(0, figure=figure), path)
+    with pytest.raises(InputError, match=r"10 asphere terms; a \.seq file holds 9, up to r\^20"):
+        write_seq(paper_lens.with_surface(1, asphere=(*(0.0,) * 9, 1e-30)), path)
+    assert not path.exists()
+
+
+def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.seq"
+    write_seq(paper_lens, path, Pose(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+    seeds = [path.read_bytes(), COOKE.encode(), ASPHERE.encode()]
+    rng = np.random.default_rng(11)
+    outcomes, messages = [], []
+    for trial in range(500):
+        data = mutilated(bytearray(seeds[trial % len(seeds)]), rng, [b"S99", b"&", b"'", b";"])
+        path.write_bytes(data)
+        try:
+            read_seq(path, SUPPLEMENT, lossy=bool(trial % 2))
+            outcomes.append(True)
+        except InputError as error:
+            outcomes.append(False)
+            messages.append(str(error))
+    assert 20 < sum(outcomes) < 480
+    assert all(str(path) in message for message in messages)

@@ -1,0 +1,255 @@
+"""Measured figures in files: grids and design files read back, and every fault named."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from lensdesign import DesignError, InputError, Lens, load_design, save_design, scaled
+from lensdesign.files.figures import read_figure_grid, surface_figure, write_figure_grid
+from lensdesign.lens.figure import figure_from_zernike
+from lensdesign.optimization.specification import load_specification
+from lensdesign.tracing.compiled import compile_system
+from lensdesign.tracing.gradients import gradient_trace
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+DESIGN = """
+wavelengths_um = [0.532]
+
+[object]
+field_diameter_mm = 3.0
+numerical_aperture = 0.25
+working_distance_mm = 13.5
+
+[sensor]
+pixel_pitch_um = 3.2
+pixels = [9344, 7000]
+plane_distances_mm = [2.0, 22.0]
+
+[[surface]]
+radius_mm = 42.3
+thickness_mm = 9.7
+material = "N-BK7"
+semi_diameter_mm = 4.0
+stop = true
+
+[surface.figure]
+FIGURE
+
+[[surface]]
+radius_mm = -12.0
+conic = -0.9
+semi_diameter_mm = 6.0
+"""
+
+ZERNIKE = "zernike_um = { 4 = 0.05, 7 = -0.02 }\nsemi_diameter_mm = 4.5"
+
+
+def design(folder: Path, figure: str) -> Path:
+    """A design file whose first surface has this figure table."""
+    path = folder / "lens.toml"
+    path.write_text(DESIGN.replace("FIGURE", figure))
+    return path
+
+
+def grid_file(folder: Path, name: str = "front.csv") -> Path:
+    """A grid file of a tilted, bent map."""
+    at = np.linspace(-5.0, 5.0, 51)
+    path = folder / name
+    write_figure_grid(path, 1e-4 * (at[:, None] + at**2), 0.2)
+    return path
+
+
+# Grid files.
+
+
+@given(seed=SEEDS)
+def test_a_written_grid_reads_back(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=rng.integers(1, 12, 2)) * 10.0 ** rng.integers(-9, 3)
+    values[rng.random(values.shape) < 0.2] = np.nan
+    spacing = float(rng.uniform(0.01, 1.0))
+    path = tmp_path_factory.getbasetemp() / "map.csv"
+    write_figure_grid(path, values, spacing)
+    read, read_spacing = read_figure_grid(path)
+    assert read_spacing == spacing
+    np.testing.assert_allclose(read, values, rtol=1e-15)
+
+
+def test_rows_rise_along_y_and_values_along_x(tmp_path: Path) -> None:
+    figure = surface_figure(load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"')).surfaces[0])
+    assert figure is not None
+    assert figure.sag(0.0, 3.0) == pytest.approx(3e-4, abs=1e-12)
+    assert figure.sag(3.0, 0.0) == pytest.approx(9e-4, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value_mm"), [("mm", 2.0), ("um", 2e-3), ("nm", 2e-6), ("waves_633nm", 2.0 * 0.6328e-3)]
+)
+def test_units_comments_and_points_not_measured(tmp_path: Path, unit: str, value_mm: float) -> None:
+    path = tmp_path / "map.csv"
+    path.write_text(f"\ufeff# of the first sample\n# unit = {unit}\n#spacing_mm=0.5\n2, ,nan\n\n0.5e0,1,-2\n")
+    values, spacing = read_figure_grid(path)
+    assert spacing == 0.5
+    np.testing.assert_allclose(
+        values, value_mm * np.array([[1.0, np.nan, np.nan], [0.25, 0.5, -1.0]]), rtol=1e-14
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("# unit = um\n1,2\n", "no line '# spacing_mm = ...' before the grid"),
+        ("# spacing_mm = 1\n1,2\n", "no line '# unit = ...' before the grid"),
+        ("# spacing_mm = 1\n# unit = um\n", "holds no values"),
+        ("# spacing_mm = 1\n# unit = um\n1,2\n1,2,3\n", "line 4: 3 values, but the first row holds 2"),
+        ("# spacing_mm = 1\n# unit = um\n1,x\n", "line 3: 'x' is not a number"),
+        ("# spacing_mm = 1\n# unit = um\n1,inf\n", "line 3: inf is no sag error"),
+        ("# spacing_mm = -1\n# unit = um\n1\n", "line 1: spacing_mm = -1: must be finite and above 0"),
+        ("# spacing_mm = 1\n# unit = mils\n1\n", "line 2: unit = mils: allowed: mm, um, nm, waves_633nm"),
+        ("# spacing = 1\n1\n", r"line 1: spacing: unknown key; .*did you mean spacing_mm\?"),
+        ("# unit = um\n# unit = um\n1\n", "line 2: unit is given twice"),
+    ],
+)
+def test_faults_of_a_grid_file_are_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "map.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_figure_grid(path)
+    assert str(path) in str(caught.value)
+
+
+def test_what_is_no_grid_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"shape \(3,\)"):
+        write_figure_grid(tmp_path / "map.csv", np.zeros(3), 1.0)
+    assert not list(tmp_path.iterdir())
+
+
+# Design files.
+
+
+@pytest.mark.parametrize(
+    "figure",
+    [ZERNIKE, ZERNIKE.replace("_um", "_waves_633nm"), 'file = "front.csv"'],
+)
+def test_a_saved_design_reads_back_equal_from_anywhere(tmp_path: Path, figure: str) -> None:
+    grid_file(tmp_path)
+    lens = load_design(design(tmp_path, figure))
+    for folder in (tmp_path, tmp_path / "else" / "where"):
+        save_design(lens, folder / "copy.toml")
+        again = load_design(folder / "copy.toml")
+        assert again == lens
+        own, other = (surface_figure(one.surfaces[0]) for one in (lens, again))
+        assert own is other
+    if "file" in figure:
+        assert 'file = "../../front.csv"' in (tmp_path / "else" / "where" / "copy.toml").read_text()
+
+
+def test_coefficients_in_waves_are_those_of_the_helium_neon_laser(tmp_path: Path) -> None:
+    table = "zernike_waves_633nm = { 7 = 0.5 }\nsemi_diameter_mm = 4.5"
+    figure = surface_figure(load_design(design(tmp_path, table)).surfaces[0])
+    assert figure is not None
+    assert figure.sag(1.0, 2.0) == pytest.approx(figure_from_zernike({7: 0.3164}, 4.5).sag(1.0, 2.0))
+
+
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
+    before = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
+    write_figure_grid(tmp_path / "front.csv", np.full((60, 60), 0.1), 0.2)
+    after = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
+    assert after - before == pytest.approx(0.1 - 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("figure", "message"),
+    [
+        ("", "surface 1, figure: nothing given: must be one of file, zernike_um, zernike_waves_633nm"),
+        ('file = "front.csv"\nzernike_um = { 4 = 1.0 }', "file and zernike_um given: must be one of"),
+        ("zernike_um = { 4 = 0.1 }", "zernike_um needs a semi_diameter_mm"),
+        ('file = "front.csv"\nsemi_diameter_mm = 5.0', "semi_diameter_mm goes with Zernike coefficients"),
+        ("zernike_um = { 4 = 0.1 }\nsemi_diameter_mm = 3.9", "3.9 is less than the surface's of 4"),
+        ("zernike = { 4 = 0.1 }", r"figure, zernike: unknown key; .*did you mean zernike_um\?"),
+        ("zernike_um = { 999 = 0.1 }\nsemi_diameter_mm = 5.0", "Zernike index 999: must be a whole number"),
+        ("zernike_um = { coma = 0.1 }\nsemi_diameter_mm = 5.0", "Zernike index 'coma'"),
+        ("zernike_um = { 4 = inf }\nsemi_diameter_mm = 5.0", "coefficient 4 = inf: must be a finite number"),
+        ("zernike_um = [0.1]\nsemi_diameter_mm = 5.0", "zernike_um: must be a table"),
+        ('file = "none.csv"', r"surface 1: cannot read .*none\.csv: No such file"),
+        ("file = 3", "surface 1, figure, file = 3: must"),
+        ('file = "small.csv"', r"surface 1: .*small\.csv: figure: the grid reaches 3 mm"),
+        ('file = "holes.csv"', r"surface 1: .*holes\.csv: figure: 2 of \d+ points inside"),
+    ],
+)
+def test_faults_of_a_figure_table_are_named(tmp_path: Path, figure: str, message: str) -> None:
+    grid_file(tmp_path)
+    write_figure_grid(tmp_path / "small.csv", np.zeros((31, 31)), 0.2)
+    holes = np.zeros((51, 51))
+    holes[25, 25:27] = holes[0] = np.nan
+    write_figure_grid(tmp_path / "holes.csv", holes, 0.2)
+    path = design(tmp_path, figure)
+    with pytest.raises(InputError, match=message) as caught:
+        load_design(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_figure_needs_a_clear_aperture(paper_lens: Lens) -> None:
+    figure = {"semi_diameter_mm": 20.0, "zernike_um": {4: 0.1}}
+    with pytest.raises(DesignError, match="a surface with a figure needs a semi_diameter_mm"):
+        paper_lens.with_surface(1, semi_diameter_mm=None, figure=figure)
+
+
+def test_tables_that_the_documentation_shows_are_valid(tmp_path: Path) -> None:
+    grid_file(tmp_path, "front_figure.csv")
+    page = (ROOT / "docs" / "design-files.md").read_text(encoding="utf-8")
+    tables = re.findall(r"^    \[surface\.figure\]\n((?:    .+\n)+)", page, re.MULTILINE)
+    assert len(tables) == 2
+    for table in tables:
+        assert surface_figure(load_design(design(tmp_path, textwrap.dedent(table))).surfaces[0]) is not None
+
+
+# Who else has to know.
+
+
+def test_zernike_figures_scale_with_the_lens(tmp_path: Path) -> None:
+    lens = load_design(design(tmp_path, ZERNIKE))
+    own, small = (surface_figure(one.surfaces[0]) for one in (lens, scaled(lens, 0.125)))
+    assert own is not None
+    assert small is not None
+    assert small.sag(0.125, 0.25) == pytest.approx(0.125 * float(own.sag(1.0, 2.0)), rel=1e-12)
+    assert abs(float(own.sag(1.0, 2.0))) > 1e-6
+
+
+def test_a_grid_file_does_not_scale(tmp_path: Path) -> None:
+    lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
+    with pytest.raises(DesignError, match=r"front\.csv cannot be scaled: give it as Zernike coefficients"):
+        scaled(lens, 0.5)
+
+
+def test_specifications_and_derivatives_refuse_figures(tmp_path: Path) -> None:
+    path = design(tmp_path, ZERNIKE)
+    lens = load_design(path)
+    with path.open("a") as file:
+        file.write('[[variable]]\nsurface = 2\nparameter = "conic"\nbounds = [-2.0, 0.0]\n')
+    with pytest.raises(DesignError, match="surface 1: optimize the nominal lens, without a measured figure"):
+        load_specification(path)
+    with pytest.raises(InputError, match="leave the measured figures out"):
+        gradient_trace(
+            compile_system(lens, 0.532), -13.5, np.array([2.0]), 0, 4.0, 0.25, *np.zeros((2, 1, 2)), ()
+        )
+
+
+def test_zernike_figures_need_no_file(tmp_path: Path) -> None:
+    lens = load_design(design(tmp_path, ZERNIKE))
+    os.remove(tmp_path / "lens.toml")
+    x = np.array([2.0])
+    added = compile_system(lens, 0.532).sag(0, x, x) - lens.surfaces[0].sag_mm(math.sqrt(8.0))
+    assert added == pytest.approx(figure_from_zernike({4: 0.05, 7: -0.02}, 4.5).sag(x, x), rel=1e-9)

@@ -1,0 +1,507 @@
+"""Zemax files: published prescriptions read as they are; designs back without loss; every refusal by name."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lens_files import bare, mutilated
+from random_lenses import lenses, poses
+
+from lensdesign import InputError, Lens, MaterialError, Pose
+from lensdesign.analysis.paraxial import first_order
+from lensdesign.common.input_files import LENS_FILE_BYTES
+from lensdesign.files.draft import LossyImportError, Supplement
+from lensdesign.files.zemax import read_zmx, write_zmx
+from lensdesign.files.zemax_records import radius_mm
+from lensdesign.lens.figure_source import FigureSource
+
+HEADER = """VERS 171115
+DBDT 0 1 1.000E+10 0.000E+00
+MODE SEQ
+NAME {name}
+NOTE 0 a remark of the maker's
+PFIL 0 0 0
+LANG 0
+UNIT MM X W X CM MR CPMM
+ENPD {pupil}
+ENVD 20 1 0
+GFAC 0 0
+GCAT SCHOTT OHARA MISC CORNING INFRARED
+SDMA 0 1 0
+FTYP 0 0 1 {waves} 0 0 0 1
+XFLN 0
+YFLN 0
+FWGN 1
+"""
+SUPPLEMENT = Supplement(
+    working_distance_mm=100.0,
+    field_diameter_mm=1.0,
+    numerical_aperture=0.02,
+    pixel_pitch_um=3.2,
+    pixels=(1000, 800),
+)
+
+
+def zmx_text(
+    name: str, pupil: float, waves: tuple[float, ...], surfaces: list[tuple[str, ...]], primary: int = 1
+) -> str:
+    """A file as lens makers write it: object at infinity, then the records of each surface."""
+    lines = [HEADER.format(name=name, pupil=pupil, waves=len(waves)).rstrip()]
+    lines += [f"WAVM {i} {w} 1" for i, w in enumerate(waves, start=1)]
+    lines += [f"WAVM {i} 0.55 1" for i in range(len(waves) + 1, 25)]
+    lines += [f"PWAV {primary}", "GLRS 1 0", "SURF 0", "  FIMP", "  CURV 0.0", "  DISZ INFINITY"]
+    for i, records in enumerate(surfaces, start=1):
+        lines += [f"SURF {i}", *(f"  {record}" for record in records)]
+    last = len(surfaces) + 1
+    lines += [f"SURF {last}", "  FIMP", "  CURV 0.0", "  DISZ 0", '  MEMA 0 0 0 0 1 ""']
+    return "\r\n".join([*lines, "TOL TOFF   0   0", "MNUM 1 1", "MOFF   0   1", "EFFL 0 2 0 0 0 0", ""])
+
+
+def surface(curvature: float | str, distance: float, semi: float, *more: str) -> tuple[str, ...]:
+    """Records of one surface."""
+    return (f"CURV {curvature!s} 0 0 0 0", f"DISZ {distance!r}", f'DIAM {semi!r} 1 0 0 1 ""', *more)
+
+
+D = (0.5875618,)
+FDC = (0.4861327, 0.5875618, 0.6562725)
+EDMUND_38398 = zmx_text(  # Edmund Optics 38-398, plano-convex, 12.5 mm x 15 mm FL, as in its own file
+    "38398",
+    12.5,
+    (0.5876,),
+    [
+        (
+            "STOP",
+            "FIMP",
+            "CURV 8.496176720475789867E-02",
+            "DISZ 3.1000000000000001",
+            "GLAS N-SF11",
+            'DIAM 5.75 1 0 0 1 ""',
+            'OEMA 0.5 0 0 0 0 ""',
+            'MEMA 6.25 0 0 0 1 ""',
+            "CLAP 0 5.75 0",
+        ),
+        ("CURV 0.0", "DISZ 13.262120360019384", "MAZH 0 0", 'DIAM 5.75 1 0 0 1 ""', "FLAP 0 5.75 0"),
+    ],
+)
+LA1951 = zmx_text(  # Thorlabs LA1951, plano-convex, R = 13.1 mm, 11.7 mm thick, f = 25.3 mm, fb = 17.6 mm
+    "LA1951",
+    20.0,
+    D,
+    [
+        surface(1 / 13.1, 11.7, 12.0, "STOP", "TYPE STANDARD", "GLAS N-BK7 0 0 1.5168 64.17 0 0 0 0 0 0"),
+        surface("0.0", 17.6, 12.0, "TYPE STANDARD"),
+    ],
+)
+AC254_050 = zmx_text(  # Thorlabs AC254-050-A, cemented achromat, f = 50 mm within 1 %, fb = 43.4 mm
+    "AC254-050-A",
+    22.0,
+    FDC,
+    [
+        surface("0.02999400119976", 9.0, 12.0, "STOP", "GLAS N-BAF10"),
+        surface("-0.044883303411131101", 2.5, 12.0, "GLAS N-SF10"),
+        surface("-0.0034355996839248002", 43.4, 12.0),
+    ],
+    primary=2,
+)
+ACL2520 = zmx_text(  # Thorlabs ACL2520, aspheric condenser of B270, R = 10.462 mm, f = 20.1 mm
+    "ACL2520",
+    20.0,
+    D,
+    [
+        (
+            *surface(1 / 10.462, 12.0, 10.0, "STOP", "TYPE EVENASPH", "CONI -0.6265", "GLAS B270"),
+            "PARM 1 0",
+            "PARM 2 1.5E-5",
+            *(f"PARM {i} 0" for i in range(3, 9)),
+        ),
+        surface("0.0", 12.1, 11.5),
+    ],
+)
+COOKE = zmx_text(  # The textbook triplet of 50 mm focal length, f/5
+    "A SIMPLE COOKE TRIPLET.",
+    10.0,
+    (0.48, 0.55, 0.65),
+    [
+        surface(1 / 22.01359, 3.25896, 9.5, "GLAS SK16"),
+        surface(-1 / 435.76044, 6.00755, 9.5),
+        surface(-1 / 22.21328, 0.99997, 5.0, "GLAS F2"),
+        surface(1 / 20.29192, 4.75041, 5.0, "STOP"),
+        surface(1 / 79.68360, 2.95208, 7.5, "GLAS SK16"),
+        surface(-1 / 18.39533, 42.20778, 7.5),
+    ],
+    primary=2,
+)
+TESSAR_INCHES = (  # M. Laikin, Lens Design, 4th ed., p. 63: Tessar f/4.5, here in mm with a scale of 25.4
+    (1.3329, 0.2791, "N-SK15"),
+    (-9.9754, 0.2054, ""),
+    (-2.0917, 0.09, "F2"),
+    (1.2123, 0.0709, ""),
+    (math.inf, 0.1534, ""),
+    (-7.5205, 0.09, "K10"),
+    (1.3010, 0.3389, "N-SK15"),
+    (-1.5218, 3.4025, ""),
+)
+TESSAR = zmx_text(
+    "Tessar",
+    20.0,
+    FDC,
+    [
+        surface(1 / (25.4 * r), 25.4 * t, 5.0, *([f"GLAS {g}"] if g else []), *(["STOP"] if i == 4 else []))
+        for i, (r, t, g) in enumerate(TESSAR_INCHES)
+    ],
+    primary=2,
+)
+
+
+def saved(tmp_path: Path, text: str, encoding: str = "utf-16") -> Path:
+    path = tmp_path / "lens.zmx"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "radii", "focal_mm", "back_mm", "digits"),
+    [
+        (EDMUND_38398, [11.77, None], 15.0, 13.262120360019384, (0.05, 1e-9)),
+        (LA1951, [13.1, None], 25.3, 17.6, (0.05, 0.05)),
+        (AC254_050, [33.34, -22.28, -291.07], 50.0, 43.4, (0.5, 0.05)),
+        (ACL2520, [10.462, None], 20.1, 12.1, (0.1, 0.1)),
+        (
+            COOKE,
+            [22.01359, -435.76044, -22.21328, 20.29192, 79.6836, -18.39533],
+            50.0,
+            42.20778,
+            (0.05, 0.25),
+        ),
+        (TESSAR, None, 101.6, 86.4235, (0.1, 0.5)),
+    ],
+    ids=["Edmund 38-398", "LA1951", "AC254-050-A", "ACL2520", "Cooke triplet", "Tessar"],
+)
+def test_published_prescriptions(
+    tmp_path: Path,
+    text: str,
+    radii: list[float | None] | None,
+    focal_mm: float,
+    back_mm: float,
+    digits: tuple[float, float],
+) -> None:
+    """Focal lengths to the published digits; triplet and Tessar have their image at the best focus."""
+    result = read_zmx(saved(tmp_path, text), SUPPLEMENT)
+    lens = result.lens
+    if radii is not None:
+        assert [s.radius_mm for s in lens.surfaces] == radii
+    assert (result.dropped, result.pose) == ((), Pose())
+    found = first_order(lens)
+    assert found.efl_mm == pytest.approx(focal_mm, abs=digits[0])
+    assert found.bfl_mm == pytest.approx(back_mm, abs=digits[1])
+    assert lens.sensor.plane_distances_mm[0] == pytest.approx(back_mm)
+
+
+def test_the_rest_of_a_prescription(tmp_path: Path) -> None:
+    lens = read_zmx(saved(tmp_path, COOKE), SUPPLEMENT).lens
+    assert lens.title == "A SIMPLE COOKE TRIPLET."
+    assert lens.wavelengths_um == (0.55, 0.48, 0.65)
+    assert [s.material for s in lens.surfaces] == ["SK16", None, "F2", None, "SK16", None]
+    assert [s.thickness_mm for s in lens.surfaces] == [3.25896, 6.00755, 0.99997, 4.75041, 2.95208, None]
+    assert lens.stop_index == 3
+    asphere = read_zmx(saved(tmp_path, ACL2520), SUPPLEMENT).lens.surfaces[0]
+    assert (asphere.conic, asphere.asphere, asphere.semi_diameter_mm) == (-0.6265, (1.5e-5,), 10.0)
+
+
+def test_solves_are_remarked(tmp_path: Path) -> None:
+    result = read_zmx(saved(tmp_path, EDMUND_38398), SUPPLEMENT)
+    assert result.remarks == ("surface 2: MAZH solve or pickup replaced by its present value",)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-8", "utf-8-sig", "latin-1"])
+def test_encodings(tmp_path: Path, encoding: str) -> None:
+    text = COOKE.replace("A SIMPLE", "ÉTUDE D'UN")
+    assert read_zmx(saved(tmp_path, text, encoding), SUPPLEMENT).lens.title == "ÉTUDE D'UN COOKE TRIPLET."
+
+
+def test_records_need_no_indent(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.zmx"
+    write_zmx(paper_lens, path)
+    text = path.read_text(encoding="utf-16").replace("\n  ", "\n")
+    assert read_zmx(saved(tmp_path, text)).lens == paper_lens
+
+
+@settings(max_examples=150)
+@given(lens=lenses(), pose=st.just(Pose()) | poses(None))
+def test_a_design_comes_back(tmp_path_factory: pytest.TempPathFactory, lens: Lens, pose: Pose) -> None:
+    path = tmp_path_factory.getbasetemp() / "round_trip.zmx"
+    write_zmx(lens, path, pose)
+    result = read_zmx(path)
+    assert result.lens == bare(lens)
+    assert result.pose == pose
+    assert (result.dropped, result.remarks) == ((), ())
+
+
+def test_a_design_of_other_makers_comes_back(tmp_path: Path, paper_lens: Lens) -> None:
+    own = tmp_path / "own.agf"
+    own.write_text("NM MY-GLASS 2 517642 1.5 64\nCD 1.04 0.006 0.23 0.02 1.01 103.5\nLD 0.4 0.7\n")
+    lens = paper_lens.replaced(glass_catalogs=(own,))
+    for name in ("OHARA:S-BSL7", "SCHOTT:F2", "hikari:f2", "own.agf:MY-GLASS", "my-glass", "FUSED SILICA"):
+        changed = lens.with_surface(0, material=name)
+        write_zmx(changed, tmp_path / "folder" / "lens.zmx")
+        found = read_zmx(tmp_path / "folder" / "lens.zmx", Supplement(glass_catalogs=(own,)))
+        assert found.lens == changed
+
+
+def test_a_pose_is_read_without_our_notes(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.zmx"
+    pose = Pose(0.1, -0.2, 0.0, 1.5, -0.7, 4.4)
+    write_zmx(paper_lens, path, pose)
+    lines = [line for line in path.read_text(encoding="utf-16").splitlines() if not line.startswith("NOTE")]
+    given_values = Supplement(pixel_pitch_um=3.2, pixels=(9344, 7000))
+    result = read_zmx(saved(tmp_path, "\n".join(lines)), given_values)
+    for name, value in vars(pose).items():
+        assert getattr(result.pose, name) == pytest.approx(value, abs=1e-12)
+    assert result.lens.object.working_distance_mm == pytest.approx(13.5, abs=1e-12)
+    assert result.lens.sensor.plane_distances_mm == pytest.approx((2.0,), abs=1e-12)
+
+
+def test_coordinate_breaks_put_the_lens_where_the_pose_does(tmp_path: Path, paper_lens: Lens) -> None:
+    """Frames walked record by record, as the user's manual defines the coordinate break."""
+    path = tmp_path / "lens.zmx"
+    pose = Pose(0.1, -0.2, 0.03, 1.5, -0.7, 4.4)
+    write_zmx(paper_lens, path, pose)
+    frame, vertices = np.eye(4), []
+    frame[2, 3] = paper_lens.object_z_mm
+    for block in path.read_text(encoding="utf-16").split("SURF ")[1:]:
+        records = [line.split() for line in block.splitlines()]
+        parameters = {int(r[1]): float(r[2]) for r in records if r[:1] == ["PARM"]}
+        if "COORDBRK" in block:
+            frame = frame @ break_matrix([parameters[i] for i in range(1, 7)])
+        else:
+            vertices.append(frame.copy())
+        step = np.eye(4)
+        step[2, 3] = next(float(r[1]) for r in records if r[:1] == ["DISZ"])
+        frame = frame @ step
+    rotation, shift = pose.transform()
+    for vertex, z in zip(vertices[1:-1], paper_lens.vertex_z_mm, strict=True):
+        np.testing.assert_allclose(vertex[:3, :3], rotation[0], atol=1e-14)
+        np.testing.assert_allclose(vertex[:3, 3], rotation[0] @ [0.0, 0.0, z] + shift[0], atol=1e-13)
+    image = np.eye(4)
+    image[2, 3] = paper_lens.sensor_z_mm[0]
+    np.testing.assert_allclose(vertices[-1], image, atol=1e-13)
+
+
+def break_matrix(values: list[float]) -> np.ndarray:
+    """Decenter, then right-handed turns about x, y and z; or all that in reverse order."""
+    x, y, *tilts, order = values
+    decenter = np.eye(4)
+    decenter[:2, 3] = x, y
+    steps = [decenter]
+    for axis, tilt in enumerate(np.deg2rad(tilts)):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(4)
+        turn[i, i] = turn[j, j] = math.cos(tilt)
+        turn[i, j], turn[j, i] = -math.sin(tilt), math.sin(tilt)
+        steps.append(turn)
+    return np.linalg.multi_dot(steps[::-1] if order else steps)
+
+
+@given(st.floats(1e-300, 1e300) | st.floats(-1e4, -1e-3))
+def test_radii_come_back_from_curvatures_of_many_digits(radius: float) -> None:
+    from decimal import Context, Decimal
+
+    digits = str(Context(prec=25).divide(Decimal(1), Decimal(radius)))
+    assert radius_mm(digits, "") == radius
+
+
+@given(st.integers(1, 10**7).map(lambda n: n / 1000))
+def test_catalogue_radii_come_back_from_curvatures_of_17_digits(radius: float) -> None:
+    assert radius_mm(repr(1.0 / radius), "") == radius
+    assert radius_mm(f"{1.0 / radius:.18E}", "") == radius
+
+
+APERTURES = {
+    "OBNA 0.1 0": 0.1,
+    "OBNA 30.0 1": 0.5,
+    "FLOA": 4e-5,
+    "ENPD 0.008": 4e-5,
+    "FNUM 4.0 0": None,
+    "FNUM 4.0 1": None,
+}
+
+
+@pytest.mark.parametrize(("record", "expected"), APERTURES.items())
+def test_apertures(tmp_path: Path, record: str, expected: float | None) -> None:
+    """The stop is the front surface, a thin lens; the image F-number is that of a ray from the axis."""
+    focal, distance = 50.0, 100.0
+    text = zmx_text(
+        "thin",
+        0.008,
+        D,
+        [surface(1 / 50.0, 3e-7, 0.004, "STOP", "GLAS MODEL 1 0 2.0 0"), surface("0.0", 100.0, 1.0)],
+    )
+    text = text.replace("ENPD 0.008", record).replace("INFINITY", repr(distance))
+    if expected is None:
+        slope = 0.5 / 4.0 * (focal / distance if record.endswith(" 0") else 1.0)  # as 2f images onto 2f
+        expected = math.sin(math.atan(slope))
+    supplement = Supplement(field_diameter_mm=1.0, pixel_pitch_um=3.0, pixels=(10, 10))
+    lens = read_zmx(saved(tmp_path, text), supplement).lens
+    assert lens.object.numerical_aperture == pytest.approx(expected, rel=1e-7)
+
+
+def test_object_heights(tmp_path: Path, paper_lens: Lens) -> None:
+    write_zmx(paper_lens, tmp_path / "lens.zmx")
+    text = (tmp_path / "lens.zmx").read_text(encoding="utf-16")
+    text = text.replace("FTYP 1 0 2", "FTYP 1 0 3").replace("XFLN 0 0", "XFLN 0 0 -3 99")
+    text = text.replace("YFLN 0 1.5", "YFLN 0 1.5 4 99")
+    assert read_zmx(saved(tmp_path, text)).lens.object.field_diameter_mm == 10.0
+
+
+def test_a_moved_image_takes_the_noted_planes_with_it_or_loses_them(tmp_path: Path, paper_lens: Lens) -> None:
+    write_zmx(paper_lens, tmp_path / "lens.zmx")
+    text = (tmp_path / "lens.zmx").read_text(encoding="utf-16").replace("DISZ 2.0", "DISZ 2.5")
+    with pytest.raises(LossyImportError, match=r"sensor planes \[2.0, 22.0\]: the image now lies 2.5 mm"):
+        read_zmx(saved(tmp_path, text))
+    assert read_zmx(saved(tmp_path, text), lossy=True).lens.sensor.plane_distances_mm == (2.5,)
+
+
+LOSSES = [
+    ("GLAS N-BAF10", "GLAS MIRROR", "surface 1: mirror, read as a surface in air"),
+    ("GLAS N-BAF10", "GLAS ___BLANK 1 0 1.67 47.1 0 0", r"surface 1: dispersion of the model glass"),
+    ("STOP", "COAT AR\r\n  STOP", "surface 1: COAT 'AR'"),
+    ("STOP", "TYPE DGRATING\r\n  STOP", "surface 1: surface type 'DGRATING', read as STANDARD"),
+    ("STOP", "SQAP 3 3\r\n  STOP", "surface 1: SQAP '3 3'"),
+    ("STOP", "CLAP 1 3 0\r\n  STOP", "surface 1: central obscuration of radius 1"),
+    ("STOP", "CLAP 0 3 0\r\n  OBDC 1 0\r\n  STOP", "surface 1: decentered aperture"),
+    ("STOP", "TYPE EVENASPH\r\n  PARM 1 0.1\r\n  STOP", r"surface 1: asphere term in r\^2 of 0.1"),
+    ("STOP", "PARM 3 0.1\r\n  STOP", "surface 1: PARM 3 of 0.1"),
+    ("MNUM 1 1", "MNUM 3 1", "3 configurations"),
+    ("ENVD 20 1 0", "ENVD 25 1 0", "environment of 25 degrees C and 1 atm"),
+    ("FTYP 0 0", "FTYP 0 1", "telecentric object space"),
+    ("FWGN 1", "FWGN 1\r\nVCYN 0.2", "vignetting factors"),
+    ("FWGN 1", "FWGN 1\r\nXYZW 1 2", r"XYZW '1 2' \(line 18\)"),
+    ("  FIMP\r\n  CURV 0.0\r\n  DISZ 0", "  CURV 0.01\r\n  DISZ 0", "surface 4: curved image surface"),
+    ("CURV 0.0\r\n  DISZ INF", "CURV 0.1\r\n  DISZ INF", "surface 0: curved object surface"),
+    ("DISZ INF", "GLAS F2\r\n  DISZ INF", "surface 0: object in F2, read as air"),
+    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break that is no pose"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), LOSSES)
+def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in AC254_050
+    path = saved(tmp_path, AC254_050.replace(old, new, 1))
+    with pytest.raises(LossyImportError, match=message) as caught:
+        read_zmx(path, SUPPLEMENT)
+    assert str(path) in str(caught.value)
+    assert read_zmx(path, SUPPLEMENT, lossy=True).dropped == caught.value.dropped
+
+
+FAULTS = [
+    ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'; only sequential"),
+    ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'; only lengths in MM"),
+    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' stands where a finite number must"),
+    ("DISZ 9.0", "DISZ nan", "'nan' stands where a finite number must"),
+    ("DISZ 9.0", "DISZ 1e999", "'1e999' stands where"),
+    ("DISZ 9.0", "DISZ 1_0", "'1_0' stands where"),
+    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' stands where"),
+    ("DISZ 9.0", "DISZ", "0 values where at least 1 must stand"),
+    ("DISZ 9.0", "DISZ 0.0", "the next surface lies 0 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ -9.0", "the next surface lies -9 mm behind surface 1"),
+    ("DISZ 9.0", "DISZ INFINITY", "the next surface lies inf mm behind surface 1"),
+    ("SURF 2", "SURF 7", "SURF '7' where surface 2 must follow"),
+    ("N-BAF10", "N-BAF10X", r"unknown material 'N-BAF10X'; did you mean N-BAF10"),
+    ("CURV 0.0", "CURV abc", "'abc' stands where"),
+    ("PWAV 2", "PWAV 2.5", "'2.5' stands where a whole number must"),
+    ("STOP", "GLAS", "GLAS without a name"),
+    ("FWGN 1", "NOTE 0 transferlens pixels [1", r"remark transferlens 'pixels' \(line 17\): not readable"),
+    (
+        "FWGN 1",
+        f"NOTE 0 transferlens pixels {'[' * 100000}",
+        r"remark transferlens 'pixels' \(line 17\): not readable",
+    ),
+    ("FWGN 1", 'NOTE 0 transferlens plane_distances_mm ["x"]\r\nFWGN 1', None),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), FAULTS)
+def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str | None) -> None:
+    assert old in AC254_050
+    path = saved(tmp_path, AC254_050.replace(old, new, 1))
+    if message is None:
+        assert read_zmx(path, SUPPLEMENT).lens.sensor.plane_distances_mm == (43.4,)
+        return
+    with pytest.raises(InputError, match=message) as caught:
+        read_zmx(path, SUPPLEMENT)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError,
+        match=r"does not tell working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
+    ):
+        read_zmx(saved(tmp_path, AC254_050))
+
+
+def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lens.zmx"
+    for content, message in [
+        (b"", "0 surfaces found"),
+        (b"\x00\x01\x02\xff" * 100, "not a text file"),
+        (b"\xff\xfeS\x00U", "not valid UTF-16"),
+        (b"SURF 0\nSURF 1\nSURF 2\n", "no wavelength found"),
+        (b"SURF 0\n" + b"SURF 1\n" * 3, "where surface 2 must follow"),
+        ("\n".join(f"SURF {i}" for i in range(1100)).encode(), "more than 1000 surfaces"),
+        (b"X" * 1_000_000, "0 surfaces found"),
+    ]:
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=message):
+            read_zmx(path)
+    with path.open("wb") as handle:
+        handle.truncate(2**30)
+    start = time.perf_counter()
+    with pytest.raises(InputError, match=f"1073741824 bytes; at most {LENS_FILE_BYTES} are read"):
+        read_zmx(path)
+    assert time.perf_counter() - start < 1.0
+    with pytest.raises(InputError, match="No such file"):
+        read_zmx(tmp_path / "nowhere.zmx")
+    with pytest.raises(InputError, match="Is a directory"):
+        read_zmx(tmp_path)
+
+
+def test_what_the_format_cannot_hold_is_not_written(tmp_path: Path, paper_lens: Lens) -> None:
+    path = tmp_path / "lens.zmx"
+    figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
+    with pytest.raises(InputError, match=r"surface 1: a \.zmx file cannot hold a measured figure"):
+        write_zmx(paper_lens.with_surface(0, figure=figure), path)
+    with pytest.raises(InputError, match=r"surface 2: 8 asphere terms; a .zmx file holds 7, up to r\^16"):
+        write_zmx(paper_lens.with_surface(1, asphere=(0.0,) * 7 + (1e-30,)), path)
+    with pytest.raises(InputError, match="one pose, not one for each trial"):
+        write_zmx(paper_lens, path, Pose(np.zeros(3)))
+    with pytest.raises(MaterialError, match="unknown material"):
+        write_zmx(paper_lens.with_surface(0, material="N-BK77"), path)
+    assert not path.exists()
+
+
+def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens) -> None:
+    write_zmx(paper_lens, tmp_path / "lens.zmx", Pose(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+    own = (tmp_path / "lens.zmx").read_bytes()
+    seeds = [own, AC254_050.encode(), ACL2520.encode("utf-16")]
+    rng = np.random.default_rng(7)
+    outcomes, messages = [], []
+    start = time.perf_counter()
+    for trial in range(500):
+        data = mutilated(bytearray(seeds[trial % len(seeds)]), rng, [b"INFINITY", b"()"])
+        (tmp_path / "lens.zmx").write_bytes(data)
+        try:
+            read_zmx(tmp_path / "lens.zmx", SUPPLEMENT, lossy=bool(trial % 2))
+            outcomes.append(True)
+        except InputError as error:
+            outcomes.append(False)
+            messages.append(str(error))
+    assert time.perf_counter() - start < 60.0
+    assert 20 < sum(outcomes) < 480
+    assert all(message.find(str(tmp_path / "lens.zmx")) >= 0 for message in messages)

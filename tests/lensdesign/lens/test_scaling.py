@@ -1,0 +1,47 @@
+"""Scaled twins."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lensdesign import load_design, trace
+from lensdesign.analysis.spread import largest_spread
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.scaling import scaled
+from lensdesign.tracing.bundles import launch, pupil_hexapolar
+
+PAPER = load_design("designs/paper_singlet.toml")
+ASPHERIC = PAPER.replaced(surfaces=(PAPER.surfaces[0].replaced(asphere=(1e-6, -2e-9)), PAPER.surfaces[1]))
+
+
+@given(st.floats(0.05, 20.0))
+def test_rays_of_a_twin_are_those_of_the_lens_but_for_size(factor: float) -> None:
+    twin = scaled(ASPHERIC, factor)
+    pupil = pupil_hexapolar(3).points
+    results = []
+    for lens, size in ((ASPHERIC, 1.0), (twin, factor)):
+        origins, directions = launch(lens, [[0.0, 1.2 * size]], pupil, 0.532)
+        rays = trace(lens, origins, directions, 0.532, plane_z_mm=size * 20.0)
+        results.append((rays.position / size, rays.direction, rays.opl / size))
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_spread_stays() -> None:
+    angles = [largest_spread(lens, 0.532).spread_deg for lens in (PAPER, scaled(PAPER, 0.125))]
+    assert angles[1] == pytest.approx(angles[0], abs=1e-7)
+
+
+def test_there_and_back() -> None:
+    back = scaled(scaled(ASPHERIC, 0.125), 8.0)
+    assert back.sensor.pixels == ASPHERIC.sensor.pixels
+    assert back.surfaces[0].asphere == pytest.approx(ASPHERIC.surfaces[0].asphere, rel=1e-12)
+    assert isinstance(back, Lens)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e12])
+def test_refused(factor: float) -> None:
+    with pytest.raises(DesignError):
+        scaled(PAPER, factor)

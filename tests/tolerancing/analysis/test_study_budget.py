@@ -1,0 +1,74 @@
+"""Budgets of studies: on a response model, held against trials of the lens, written as a study."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from lensdesign.errors import InputError
+from tolerancing.analysis.study_budget import budget_of_study, write_scaled_study
+from tolerancing.study.evaluate import context_of, score_trials
+from tolerancing.study.files import load_study
+
+
+@pytest.fixture
+def loaded(write_study, ray_study):
+    return load_study(write_study(ray_study))
+
+
+@pytest.fixture
+def trials(loaded):
+    return score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(200))
+
+
+def test_the_yield_is_kept_by_fresh_trials(loaded, trials):
+    before = np.mean(trials.passed)
+    counted = []
+    found = budget_of_study(
+        loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=300, report=counted.append
+    )
+    assert found.budget.good.low >= 0.7
+    assert found.verified.share >= 0.68
+    assert found.verified.total == 300
+    assert sum(counted) >= 600
+    # Looser where there is yield to spare, tighter where there is none.
+    assert (found.budget.cost < found.budget.cost_before) == (before > 0.75)
+
+
+def test_a_dear_tolerance_is_loosened_at_the_cost_of_others(write_study, ray_study):
+    loaded = load_study(write_study(ray_study.replace("4.83", "4.86")))
+    trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(200))
+    arguments = (loaded.lens, loaded.study, trials.values, trials.scores, 0.6)
+    even = budget_of_study(*arguments, fresh=200).budget
+    dear = budget_of_study(*arguments, {"shop_radius_mm": 30.0}, fresh=200).budget
+    assert dear.scales[1] / dear.scales[0] > 1.2 * even.scales[1] / even.scales[0]
+
+
+def test_unknown_weights_are_refused(loaded, trials):
+    with pytest.raises(InputError, match="weight of 'radius': there is no such perturbation; allowed: lens"):
+        budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.8, {"radius": 2.0})
+
+
+def test_the_study_written_has_the_scaled_widths(loaded, tmp_path):
+    path = tmp_path / "scaled.toml"
+    write_scaled_study(loaded, np.array([0.5, 2.0]), path)
+    again = load_study(path)
+    shapes = [p.distribution for p in again.study.perturbations]
+    assert (shapes[0].sigma, shapes[1].sigma, shapes[1].limit) == (0.01, 0.02, 0.04)
+    assert again.study.merits == loaded.study.merits
+    tables, before = tomllib.loads(path.read_text()), tomllib.loads(loaded.study_text)
+    assert {k: v for k, v in tables.items() if k != "perturbation"} == {
+        k: v for k, v in before.items() if k != "perturbation"
+    }
+
+
+def test_measured_deviations_cannot_be_scaled(write_study, ray_study, tmp_path):
+    (tmp_path / "measured.csv").write_text("radius\n0.001\n-0.002\n")
+    text = ray_study.replace(
+        'distribution = "truncated_normal"\nsigma = 0.01\nlimit = 0.02',
+        'distribution = "empirical"\nfile = "measured.csv"\ncolumn = "radius"',
+    )
+    loaded = load_study(write_study(text))
+    with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
+        write_scaled_study(loaded, np.array([0.5, 2.0]), tmp_path / "scaled.toml")
+    assert not (tmp_path / "scaled.toml").exists()

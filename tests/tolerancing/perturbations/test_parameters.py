@@ -1,0 +1,89 @@
+"""Perturbations: what tables and lenses allow."""
+
+import pytest
+
+from lensdesign import DesignError
+from lensdesign.lens.lens import Lens
+from tolerancing.perturbations.distributions import Normal
+from tolerancing.perturbations.parameters import PerturbedParameter, perturbation_from_table
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "parameter", "column"),
+    [
+        ({}, "lens", "tilt_y_deg", "lens_tilt_y_deg"),
+        ({}, "surface 2", "conic", "surface_2_conic"),
+        ({}, "surface 2", "radius_fringes", "surface_2_radius_fringes"),
+        ({}, "surface 1", "irregularity_pv_waves", "surface_1_irregularity_pv_waves"),
+        ({}, "sensor", "plane_distance_2_mm", "sensor_plane_distance_2_mm"),
+        ({"name": "laser"}, "light", "wavelength_um", "laser_um"),
+        ({"name": "wedge"}, "surface 1", "tilt_x_deg", "wedge_deg"),
+        ({"name": "sag_mm"}, "surface 1", "despace_mm", "sag_mm"),
+    ],
+)
+def test_columns_carry_their_unit(name, target, parameter, column):
+    assert PerturbedParameter(**name, target=target, parameter=parameter).column == column
+
+
+GOOD = {"target": "lens", "parameter": "tilt_x_deg", "distribution": "normal", "sigma": 0.1}
+
+
+def test_table_is_read_with_its_distribution():
+    read = perturbation_from_table(GOOD | {"mean": 0.5}, "here")
+    assert read.distribution == Normal(sigma=0.1, mean=0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sgma": 1.0}, r"here: sgma: unknown key; allowed: .*target.*sigma"),
+        ({"distribution": "norml"}, r"distribution = 'norml'.*allowed: normal, .*did you mean normal"),
+        ({"distribution": 3}, r"distribution = 3.*allowed: normal"),
+        ({"sigma": -0.1}, r"here: sigma = -0.1: must be greater than 0"),
+        ({"sigma": float("inf")}, r"here: sigma = inf: must be a finite number"),
+        ({"target": "lense"}, r"'lense' is no target; allowed: lens, surface N"),
+        ({"target": "surface 0"}, r"'surface 0' is no target"),
+        ({"parameter": "radius_mm"}, r"lens has no such parameter; allowed: decenter_x_mm"),
+        ({"target": "object"}, r"object has no such parameter; allowed: decenter_x_mm.*working_distance_mm"),
+        ({"target": "light"}, r"light has no such parameter; allowed: wavelength_um"),
+        ({"group": "Barrel 1"}, r"group = 'Barrel 1'"),
+        ({"parameter": "pivot_z_mm"}, r"lens has no such parameter"),
+        ({"name": "Tilt X"}, r"name = 'Tilt X'"),
+    ],
+)
+def test_faults_name_key_value_and_what_is_allowed(change, message):
+    with pytest.raises(DesignError, match=message):
+        perturbation_from_table(GOOD | change, "here")
+
+
+@pytest.mark.parametrize("key", ["target", "parameter", "distribution", "sigma"])
+def test_missing_keys_are_named(key):
+    with pytest.raises(DesignError, match=f"here: {key}: missing key"):
+        perturbation_from_table({k: v for k, v in GOOD.items() if k != key}, "here")
+
+
+@pytest.mark.parametrize(
+    ("target", "parameter", "message"),
+    [
+        ("surface 3", "conic", r"no such surface; allowed: lens, surface 1, surface 2"),
+        ("surface 1", "radius_mm", r"surface 1 is a plane"),
+        ("surface 1", "radius_percent", r"surface 1 is a plane"),
+        ("surface 2", "radius_fringes", r"surface 2 has no semi_diameter_mm"),
+        ("surface 2", "irregularity_rms_waves", r"surface 2 has no semi_diameter_mm"),
+        ("sensor", "plane_distance_2_mm", r"the design has 1 sensor plane"),
+        ("surface 2", "abbe_percent", r"last surface"),
+        ("surface 2", "thickness_mm", r"last surface"),
+        ("surface 2", "index", r"last surface"),
+    ],
+)
+def test_parameters_that_a_lens_does_not_have_are_refused(target, parameter, message):
+    lens = Lens.model_validate(
+        {
+            "wavelengths_um": [0.5],
+            "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.2, "working_distance_mm": 10.0},
+            "sensor": {"pixel_pitch_um": 3.0, "pixels": [100, 100], "plane_distances_mm": [1.0]},
+            "surface": [{"thickness_mm": 3.0, "material": 1.5, "semi_diameter_mm": 2.0}, {"radius_mm": -9.0}],
+        }
+    )
+    with pytest.raises(ValueError, match=message):
+        PerturbedParameter(target=target, parameter=parameter).check(lens)

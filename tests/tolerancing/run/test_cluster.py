@@ -1,0 +1,130 @@
+"""A Dask cluster: the same rows as here, workers that die, and plain words where it cannot be used."""
+
+import logging
+import socket
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+from dask_cluster import Cluster
+from stored_rows import rows
+
+import lensdesign.common.clusters as module
+import tolerancing.run.workers as workers
+from lensdesign import InputError
+from lensdesign.common.clusters import toolkit_version
+from tolerancing.run.run import run_study
+from tolerancing.run.tasks import Task
+from tolerancing.run.workers import StudyParcel, work_in_cluster
+from tolerancing.study.files import load_study
+
+distributed = pytest.importorskip("distributed")
+
+PYTHON_MERIT = """
+[[merit]]
+name = "mine"
+kind = "python"
+function = "mine.py:slow_distance"
+at_most = 0.05
+"""
+
+MINE = """
+import time
+
+def slow_distance(trial):
+    time.sleep(0.004)
+    return abs(trial.deltas["lens_decenter_y_mm"])
+"""
+
+
+@pytest.fixture
+def loaded(write_study, full_study, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE)
+    return load_study(write_study(full_study + PYTHON_MERIT))
+
+
+@pytest.fixture
+def cluster(tmp_path_factory):
+    made = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield made
+    made.close()
+
+
+def test_a_worker_that_is_killed_half_way_changes_no_row(loaded, cluster, tmp_path):
+    first, _ = cluster.worker(), cluster.worker()
+
+    def report(done, total):
+        if done > 150:
+            first.kill()
+
+    outcome = run_study(loaded, tmp_path / "cluster", trials=300, cluster=cluster.address, report=report)
+    assert (outcome.trials_run, outcome.workers, first.poll() is not None) == (300, 0, True)
+    run_study(loaded, tmp_path / "here", trials=300, workers=1)
+    assert rows(tmp_path / "cluster") == rows(tmp_path / "here")
+
+
+def test_workers_of_another_version_are_refused(loaded, cluster, tmp_path, monkeypatch, caplog):
+    cluster.worker()
+    monkeypatch.setattr(module, "toolkit_version", lambda: "99.0")
+    with pytest.raises(InputError, match=rf"worker tcp.* has version {toolkit_version()} .* 99\.0"):
+        run_study(loaded, tmp_path / "store", cluster=cluster.address)
+    assert caplog.text == ""
+
+
+def test_a_cluster_without_workers_is_refused(loaded, cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 4.0)
+    with pytest.raises(InputError, match="no worker has joined the scheduler within 4 s"):
+        run_study(loaded, tmp_path / "store", cluster=cluster.address)
+
+
+def test_no_scheduler_there_is_told_within_the_time_and_quietly(loaded, tmp_path, monkeypatch, capfd):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    before, start = logging.getLogger("distributed").level, time.monotonic()
+    with pytest.raises(InputError, match=f"{address}: no Dask scheduler answers"):
+        run_study(loaded, tmp_path / "store", cluster=address)
+    assert time.monotonic() - start < 10.0
+    assert "".join(capfd.readouterr()) == ""
+    assert logging.getLogger("distributed").level == before
+
+
+def test_missing_package_is_told(loaded, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match="extra cluster"):
+        run_study(loaded, tmp_path / "store", cluster="tcp://127.0.0.1:1")
+
+
+def test_a_cluster_has_its_own_workers(loaded, tmp_path):
+    with pytest.raises(InputError, match="give one or the other"):
+        run_study(loaded, tmp_path / "store", cluster="tcp://127.0.0.1:1", workers=2)
+
+
+@pytest.fixture
+def parcel(loaded):
+    levels = {merit.label: merit.used_level for merit in loaded.study.all_merits}
+    return StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
+
+
+def test_a_parcel_is_unpacked_once_and_needs_no_file_of_its_sender(parcel, tmp_path, monkeypatch):
+    for path in tmp_path.glob("*.*"):
+        path.unlink()
+    monkeypatch.setattr(workers, "_unpacked", {})
+    results = work_in_cluster(parcel, Task(trials=(0, 1)))
+    assert len(results) == 2
+    monkeypatch.setattr(workers, "load_from_files", None, raising=False)
+    assert len(work_in_cluster(parcel, Task(trials=(2,)))) == 1
+    assert len(workers._unpacked) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"toolkit_version": "99.0"}, r"worker on .* has version .* 99\.0"), ({"fingerprint": "x"}, "indices")],
+)
+def test_a_worker_refuses_what_it_would_score_otherwise(parcel, monkeypatch, change, message):
+    monkeypatch.setattr(workers, "_unpacked", {})
+    monkeypatch.setattr(workers, "_by_thread", type("Empty", (), {})())
+    with pytest.raises(InputError, match=message):
+        work_in_cluster(replace(parcel, **change), Task(trials=(0,)))

@@ -1,0 +1,165 @@
+"""What goes wrong around a run: kills, a full disk, a second run; the rows are the same afterwards."""
+
+import os
+import random
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import stored_rows
+
+from lensdesign import InputError
+from tolerancing.run.run import run_study
+from tolerancing.store.store import open_store
+from tolerancing.study.files import load_study
+
+SCRIPT = Path(stored_rows.__file__).with_name("run_into_store.py")
+TRIALS = 3000
+KILLS = 8
+
+
+@pytest.fixture
+def study(write_study, ray_study):
+    """A study that takes long enough to be killed."""
+    return write_study("sensitivity = false\n" + ray_study.replace("rings = 2", "rings = 8"))
+
+
+@pytest.fixture
+def unbroken(study, tmp_path):
+    """All rows of a run that nothing befell."""
+    run_study(load_study(study), tmp_path / "unbroken", workers=1, trials=TRIALS)
+    return stored_rows.rows(tmp_path / "unbroken")
+
+
+def start(study, store, workers=2, trials=TRIALS, **options):
+    """Begin a run in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, SCRIPT, study, store, str(workers), str(trials)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **options,
+    )
+
+
+def kill(run):
+    """End a run and its workers as a power cut would; returns the amount that it last reported as stored."""
+    os.killpg(run.pid, signal.SIGKILL)
+    told = run.communicate()[0].split()
+    return int(told[-1]) if told else 0
+
+
+def check(path):
+    """Let SQLite look for damage."""
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    connection.close()
+
+
+def test_runs_that_are_killed_at_any_moment_go_on_and_make_the_same_rows(study, unbroken, tmp_path):
+    path, rng, kills = tmp_path / "store", random.Random(20240601), 0
+    held = 0
+    while kills < KILLS:
+        run = start(study, path, trials=TRIALS * (kills + 1) // KILLS)
+        if kills % 2:  # while it starts, or long after the first rows
+            time.sleep(rng.uniform(0.0, 1.5))
+        else:
+            run.stdout.readline()
+            time.sleep(rng.uniform(0.0, 0.1))
+        stored = kill(run)
+        kills += 1
+        if path.exists():
+            with open_store(path) as store:
+                assert store.trial_count() >= held + stored
+                held = store.trial_count()
+    assert 0 < held < TRIALS
+    run = start(study, path)
+    run.communicate()
+    assert run.returncode == 0
+    assert stored_rows.rows(path) == unbroken
+    check(path)
+
+
+def test_two_runs_at_once_make_one_store(study, unbroken, tmp_path):
+    path = tmp_path / "store"
+    runs = [start(study, path, workers=1) for _ in range(2)]
+    told = [run.communicate() for run in runs]
+    assert [run.returncode for run in runs] == [0, 0], told
+    assert stored_rows.rows(path) == unbroken
+    check(path)
+
+
+def limited(tenths):
+    """Let no file grow beyond some tenths of a megabyte, as a full disk would."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (tenths * 2**20 // 10,) * 2)
+
+    return limit
+
+
+def test_full_disk_in_the_middle_of_a_run_stops_it_with_a_word_and_the_store_intact(
+    study, unbroken, tmp_path
+):
+    path = tmp_path / "store"
+    run = start(study, path, workers=1, preexec_fn=limited(2))
+    _, error = run.communicate()
+    assert run.returncode == 2
+    assert error.startswith(f"error: cannot write the store {path}: ")
+    assert "goes on from there" in error
+    assert "Traceback" not in error
+    with open_store(path) as store:
+        assert 0 < store.trial_count() < TRIALS
+    check(path)
+    run_study(load_study(study), path, workers=1, trials=TRIALS)
+    assert stored_rows.rows(path) == unbroken
+
+
+def test_full_disk_before_anything_is_written_leaves_nothing(study, tmp_path):
+    folder = tmp_path / "new"
+    folder.mkdir()
+    run = start(study, folder / "store", workers=1, preexec_fn=limited(0))
+    _, error = run.communicate()
+    assert run.returncode == 2
+    assert error.startswith("error: cannot write")
+    assert "Traceback" not in error
+    assert list(folder.iterdir()) == []
+
+
+def test_workers_of_a_run_that_is_killed_end_too(study, tmp_path):
+    psutil = pytest.importorskip("psutil")
+    run = start(study, tmp_path / "store", trials=200_000)
+    run.stdout.readline()
+    workers = psutil.Process(run.pid).children(recursive=True)
+    assert len(workers) >= 2
+    run.kill()
+    run.communicate()
+    assert psutil.wait_procs(workers, timeout=10.0)[1] == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
+def test_a_folder_that_cannot_be_written(study, tmp_path):
+    folder = tmp_path / "locked"
+    folder.mkdir()
+    run_study(load_study(study), folder / "store", workers=1, trials=20)
+    folder.chmod(0o555)
+    try:
+        with open_store(folder / "store") as store:
+            assert len(store.trials()) == 20
+        with pytest.raises(InputError, match="cannot write the store"):
+            run_study(load_study(study), folder / "store", workers=1, trials=30)
+        with pytest.raises(InputError, match="cannot write"):
+            run_study(load_study(study), folder / "other", workers=1, trials=30)
+    finally:
+        folder.chmod(0o755)
+
+
+def test_a_place_where_nothing_can_be_made(study):
+    with pytest.raises(InputError, match="cannot write /proc/store"):
+        run_study(load_study(study), "/proc/store", workers=1, trials=3)

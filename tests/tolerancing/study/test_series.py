@@ -1,0 +1,133 @@
+"""Sweeps, grids, slice counts and sensitivities: what is varied, and what each step scores."""
+
+import numpy as np
+import pytest
+
+from lensdesign import DesignError, Pose
+from lensdesign.files.design import validate
+from lensdesign.lens.scaling import scaled
+from tolerancing.analysis.sensitivity import STEPS
+from tolerancing.merits.context import Context, Sampling
+from tolerancing.study.evaluate import context_of, score_step
+from tolerancing.study.files import load_study
+from tolerancing.study.slice_counts import SliceCounts
+from tolerancing.study.sweep import ParameterGrid
+from wavesim import PupilSampler, line_pair_contrast, refocus, resolve
+
+GRID = """
+[[grid]]
+name = "decenter_tilt"
+merits = ["strehl"]
+line_widths_um = [1.0]
+[grid.x]
+target = "lens"
+parameter = "decenter_y_mm"
+values = [0.0, 0.02, 0.04]
+[grid.y]
+target = "lens"
+parameter = "tilt_x_deg"
+values = [0.0, 0.1]
+"""
+
+
+@pytest.fixture
+def loaded(write_study, full_study):
+    return load_study(write_study(full_study + GRID))
+
+
+def series(loaded, kind):
+    (found,) = [k for k, part in enumerate(loaded.study.series) if type(part).__name__ == kind]
+    return found, loaded.study.series[found]
+
+
+def test_a_sweep_scores_its_merits_and_lines(loaded):
+    number, sweep = series(loaded, "Sweep")
+    context = context_of(loaded.lens, loaded.study)
+    steps = [score_step(context, loaded.study, number, step) for step in range(len(sweep))]
+    assert [step.coordinates for step in steps] == [{"decenter_y_mm": v} for v in (0.0, 0.02, 0.04)]
+    assert set(steps[1].scores) == {"largest_spread_deg", "contrast_1um_refocused", "contrast_1um"}
+    pupil = PupilSampler(loaded.lens, samples=64).pupil(Pose(decenter_y_mm=0.04))
+    expected = min(line_pair_contrast(refocus(pupil).pupil, 1.0, axis) for axis in ("x", "y"))
+    assert steps[2].scores["contrast_1um_refocused"] == pytest.approx(expected, abs=1e-12)
+    assert [len(step.pictures) for step in steps] == [0, 0, 2]
+
+
+def test_a_grid_takes_all_pairs(loaded):
+    number, grid = series(loaded, "ParameterGrid")
+    context = context_of(loaded.lens, loaded.study)
+    steps = [score_step(context, loaded.study, number, step) for step in range(len(grid))]
+    assert [tuple(step.coordinates.values()) for step in steps] == [
+        (x, y) for y in (0.0, 0.1) for x in (0.0, 0.02, 0.04)
+    ]
+    assert list(steps[0].coordinates) == ["lens_decenter_y_mm", "lens_tilt_x_deg"]
+    pupil = PupilSampler(loaded.lens, samples=64).pupil(Pose(decenter_y_mm=0.04, tilt_x_deg=0.1))
+    from wavesim import strehl
+
+    assert steps[-1].scores["strehl"] == pytest.approx(strehl(refocus(pupil).pupil), abs=1e-12)
+
+
+def test_sensitivities_take_one_perturbation_at_a_time(loaded):
+    number, alone = series(loaded, "OneAtATime")
+    assert len(alone) == 2 * len(STEPS)
+    assert [alone.coordinates(step)["deviation"] for step in range(len(STEPS))] == pytest.approx(
+        [0.04 * share for share in STEPS]
+    )
+    assert alone.coordinates(len(STEPS))["perturbation"] == "shop_radius_mm"
+    context = context_of(loaded.lens, loaded.study)
+    step = score_step(context, loaded.study, number, len(STEPS) - 1)
+    assert step.series == "sensitivity"
+    assert set(step.scores) == {"largest_spread_deg", "strehl"}
+    pupil = PupilSampler(loaded.lens, samples=64).pupil(Pose(decenter_y_mm=0.04))
+    from wavesim import strehl
+
+    assert step.scores["strehl"] == pytest.approx(strehl(refocus(pupil).pupil), abs=1e-12)
+
+
+def test_sensitivities_can_be_left_out(write_study, full_study):
+    study = load_study(write_study("sensitivity = false\n" + full_study)).study
+    assert [part.label for part in study.series] == ["decenter"]
+
+
+def test_slice_counts_are_judged_against_the_eikonal_engine(paper_lens, loaded):
+    twin = scaled(paper_lens, 1.0 / 32.0)
+    counts = SliceCounts(slices=(1, 40), line_widths_um=(1.0,), picture_slices=(40,))
+    counts.check(twin)
+    context = Context(twin, Sampling())
+    steps = [counts.score(context, loaded.study, step) for step in range(len(counts))]
+    assert [tuple(step.coordinates.values()) for step in steps] == [
+        ("vertical", 1.0),
+        ("oblique", 1.0),
+        ("vertical", 40.0),
+        ("oblique", 40.0),
+    ]
+    direct = resolve(twin, [1.0], 0.0, "slices", slices=40, compensation="oblique").lines[0]
+    assert steps[3].scores["contrast_1um"] == direct.contrast
+    assert steps[3].scores["contrast_of_eikonal_1um"] == direct.contrast_of_reference
+    assert steps[0].scores["contrast_1um"] < steps[3].scores["contrast_1um"]
+    assert steps[0].pictures == ()
+    (picture,) = steps[3].pictures
+    assert picture.half_width_um == 5.0
+    assert np.ptp(picture.intensity, axis=1).max() == 0.0
+    # Five bars: the profile crosses its middle ten times.
+    profile = picture.intensity[:, 0]
+    level = 0.5 * (profile.max() + profile.min())
+    assert np.count_nonzero(np.diff(np.sign(profile - level))) == 10
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "message"),
+    [
+        (SliceCounts, {"slices": [0], "line_widths_um": [1.0]}, "slices 1 = 0: must be greater"),
+        (SliceCounts, {"slices": [9], "line_widths_um": []}, "line_widths_um"),
+        (
+            SliceCounts,
+            {"slices": [9], "line_widths_um": [1.0], "picture_slices": [8]},
+            r"picture_slices = \[8\]: allowed are those of slices",
+        ),
+        (SliceCounts, {"slices": [9], "line_widths_um": [1.0], "compensations": ["none"]}, "compensations"),
+        (ParameterGrid, {"name": "g", "merits": ["strehl"]}, "x: missing key"),
+    ],
+)
+def test_faulty_series_are_refused(kind, keys, message):
+    with pytest.raises(DesignError, match=message):
+        validate(kind, keys, "here")

@@ -1,0 +1,132 @@
+"""Finding how a lens is mounted from frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.calibration.estimation import Calibrated, calibrate, eikonal_tiles, noise_misfit
+from wavesim.calibration.mounting import Mounting
+from wavesim.fields.field import Field, Grid
+from wavesim.pictures.calibrations import calibration_figure
+from wavesim.reconstruction.from_field import Recorded
+from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.engine import Scene
+
+TRUE = Mounting(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0)
+RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Bars behind a small twin that is mounted with errors, and their frames."""
+
+    scene: Scene
+    light: Field
+    known: Field
+    recorded: list[Recorded]
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    grid = Grid((144, 144), 4.2e-4, lens.object_z_mm)
+    exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
+    scene = Scene(lens, grid, exit_grid, 0.532)
+    y, x = grid.y_mm[:, None], grid.x_mm
+    light = Field(grid, (np.hypot(y, x) < 0.029).astype(np.complex64), 0.532)
+    rng = np.random.default_rng(7)
+    bars = np.ones(grid.shape)
+    for _ in range(12):
+        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
+        for bar in range(3):
+            bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
+    known = Field(grid, bars.astype(np.complex64), 0.532)
+    blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    model = RecordingModel(eikonal_tiles(TRUE.scene(scene)), TRUE.illumination(light), blank, 1.0)
+    seen = [
+        Recorded(plane.distance_mm, amplitude.astype(np.float32))
+        for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)
+    ]
+    return Bench(scene, light, known, seen)
+
+
+def found_values(found: Calibrated) -> np.ndarray:
+    return found.mounting.values_of(RIGID)
+
+
+def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
+    brighter = [Recorded(p.distance_mm, 3.0 * p.amplitude) for p in bench.recorded]
+    found = calibrate(bench.scene, bench.light, brighter, known=bench.known)
+    assert found_values(found) == pytest.approx(TRUE.values_of(RIGID), rel=0.03)
+    assert found.misfit < 0.05 * found.misfit_before
+    assert found.stopped_because == "converged"
+    assert found.at_reach == ()
+
+
+def test_an_unknown_object_tells_them_too(bench: Bench) -> None:
+    """Two of the four, to be quick; the others are known."""
+    start = TRUE.with_values(["decenter_x_mm", "tilt_y_deg"], [0.0, 0.0])
+    told: list[tuple[str, int, Mounting, float]] = []
+    settings: dict[str, Any] = {
+        "parameters": ("decenter_x_mm", "tilt_y_deg"),
+        "scale": 1.0,
+        "start": start,
+        "iterations": 6,
+    }
+    found = calibrate(
+        bench.scene, bench.light, bench.recorded, progress=lambda *told_now: told.append(told_now), **settings
+    )
+    assert found_values(found) == pytest.approx(TRUE.values_of(RIGID), rel=0.1)
+    assert found.misfit < 0.2 * found.misfit_before
+    assert {name for name, *_ in told} == {"coarse", "fine"}
+    assert [(m, s) for name, _, m, s in told if name == "fine"] == list(found.trail)
+    figure = calibration_figure(found, noise=0.01)
+    assert len([axes for axes in figure.axes if axes.get_visible()]) == 3
+    goes_on_where_it_was_cut_off(bench, found, settings)
+
+
+def goes_on_where_it_was_cut_off(bench: Bench, whole: Calibrated, settings: dict[str, Any]) -> None:
+    made = []
+
+    def counted(scene: Scene) -> Any:
+        made.append(scene)
+        return eikonal_tiles(scene)
+
+    cut = len(whole.trail) - 3
+    again = calibrate(
+        bench.scene, bench.light, bench.recorded, tried=whole.trail[:cut], make=counted, **settings
+    )
+    assert again.mounting == whole.mounting
+    assert again.misfit == pytest.approx(whole.misfit, rel=1e-4)
+    # The first for its derivatives, what was cut off, and the start for the misfit before.
+    assert len(made) == 1 + 3 + 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"parameters": ("decenter_z_mm",)}, "unknown; allowed"),
+        ({"parameters": ()}, "one or more"),
+        ({"most_mountings": 0}, "most_mountings = 0"),
+        ({"known": Field(Grid((4, 4), 1e-3, -1.0), np.ones((4, 4)), 0.532)}, "known object"),
+    ],
+)
+def test_unusable_choices_are_refused(bench: Bench, changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        calibrate(bench.scene, bench.light, bench.recorded, **changed)
+
+
+def test_the_misfit_of_noise_is_what_noise_leaves() -> None:
+    rng = np.random.default_rng(0)
+    amplitude = rng.uniform(1.0, 2.0, (200, 200))
+    sigma = np.full(amplitude.shape, 0.05)
+    noisy = amplitude + sigma * rng.standard_normal(amplitude.shape)
+    left = np.linalg.norm(noisy - amplitude) / np.linalg.norm(noisy)
+    assert noise_misfit([Recorded(0.0, noisy, sigma)]) == pytest.approx(left, rel=0.02)
+    assert noise_misfit([Recorded(0.0, noisy)]) is None

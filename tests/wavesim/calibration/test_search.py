@@ -1,0 +1,115 @@
+"""Searches for a few parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lensdesign.errors import InputError, SamplingError
+from wavesim.calibration.search import GaussNewton, interpolated_minimum, stiff_directions
+
+SEEDS = st.integers(0, 2**31)
+
+
+def valley(seed: int, n: int = 3, stiffness: float = 30.0) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of a linear model whose directions differ in stiffness, and where its residual vanishes."""
+    rng = np.random.default_rng(seed)
+    turned, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    across, _ = np.linalg.qr(rng.standard_normal((40, n)))
+    slopes = (across * np.geomspace(1.0, stiffness, n)) @ turned
+    return slopes.T, rng.uniform(-0.5, 0.5, n)
+
+
+@given(SEEDS)
+@settings(max_examples=25, deadline=None)
+def test_stiff_directions_make_the_curvature_diagonal(seed: int) -> None:
+    slopes, _ = valley(seed)
+    reach = np.array([1.0, 0.1, 10.0])
+    directions, curvatures = stiff_directions(slopes, reach)
+    found = directions.T @ slopes @ slopes.T @ directions
+    assert found == pytest.approx(np.diag(np.diag(found)), abs=1e-9 * curvatures.max())
+    assert np.linalg.norm(directions / reach[:, None], axis=0) == pytest.approx(np.ones(3))
+    assert curvatures.max() / curvatures.min() <= 1e3 * (1.0 + 1e-9)
+
+
+@given(SEEDS)
+@settings(max_examples=25, deadline=None)
+def test_gauss_newton_solves_a_linear_model(seed: int) -> None:
+    slopes, truth = valley(seed)
+    found = GaussNewton(lambda p: ((truth - p) @ slopes, slopes), np.zeros(3), np.ones(3)).run(1e-12, 60)
+    assert found.point == pytest.approx(truth, abs=1e-4)
+    assert found.stopped_because == "converged"
+
+
+def test_gauss_newton_stays_within_its_reach() -> None:
+    slopes, _ = valley(3)
+    outside = np.array([0.2, 2.0, -0.1])
+    found = GaussNewton(lambda p: ((outside - p) @ slopes, slopes), np.zeros(3), np.ones(3)).run(1e-9, 60)
+    assert np.all(np.abs(found.point) <= 1.0 + 1e-5)
+    # The lowest point of the box is known to be where no feasible small step helps.
+    curvature = slopes @ slopes.T
+    down = curvature @ (outside - found.point)
+    inner = np.abs(found.point) < 0.999
+    assert np.abs(down[inner]) == pytest.approx(np.zeros(inner.sum()), abs=1e-2 * np.abs(down).max())
+
+
+def test_gauss_newton_goes_around_points_where_the_model_fails() -> None:
+    slopes, truth = valley(5)
+    asked = []
+
+    def model(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(point)
+        if len(asked) in (2, 3):
+            raise SamplingError("no light")
+        return (truth - point) @ slopes, slopes
+
+    assert GaussNewton(model, np.zeros(3), np.ones(3)).run(1e-12, 60).point == pytest.approx(truth, abs=1e-4)
+
+
+@given(SEEDS)
+@settings(max_examples=10, deadline=None)
+def test_interpolation_finds_the_floor_of_a_valley(seed: int) -> None:
+    """The residual of the whole model is a tenth of the linear one's, and least where that is softest."""
+    slopes, truth = valley(seed, stiffness=8.0)
+    left, values, _ = np.linalg.svd(slopes)
+    whole = (left * values**2 / values[0] * 0.1) @ np.eye(3)
+
+    def size(point: np.ndarray) -> float:
+        return float(np.hypot(np.linalg.norm((truth - point) @ whole), 0.01))
+
+    found = interpolated_minimum(size, np.zeros(3), np.ones(3), slopes, 200)
+    assert np.linalg.norm((truth - found.point) @ whole) < 0.02
+    assert found.size == size(found.point)
+    assert found.stopped_because == "converged"
+
+
+def test_interpolation_keeps_to_its_budget_and_tells_the_best_point() -> None:
+    slopes, truth = valley(7)
+    seen = []
+
+    def size(point: np.ndarray) -> float:
+        seen.append((float(np.linalg.norm((truth - point) @ slopes)), point))
+        return seen[-1][0]
+
+    found = interpolated_minimum(size, np.zeros(3), np.ones(3), slopes, 12)
+    assert len(seen) == 12 == found.evaluations
+    assert found.size == min(s for s, _ in seen)
+    assert found.stopped_because == "mountings used up"
+
+
+def test_what_fails_at_the_start_is_told() -> None:
+    def size(point: np.ndarray) -> float:
+        raise InputError("no light at all")
+
+    with pytest.raises(InputError, match="no light at all"):
+        interpolated_minimum(size, np.zeros(2), np.ones(2), np.eye(2), 20)
+
+
+def test_an_interrupt_comes_through() -> None:
+    def size(point: np.ndarray) -> float:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interpolated_minimum(size, np.zeros(2), np.ones(2), np.eye(2), 20)

@@ -1,0 +1,191 @@
+"""The command `wavesim image`, end to end on a small twin."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from wavesim_command import run_wavesim
+
+from lensdesign import load_design, save_design, scaled
+from wavesim.camera.exposures import estimate_intensity
+from wavesim.camera.frames import read_frame
+from wavesim.objects.patch import make_target, object_patch
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("design") / "twin.toml"
+    save_design(scaled(load_design("designs/paper_singlet.toml"), 1 / 32), path)
+    return path
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> tuple[object, str, str]:
+    return run_wavesim(monkeypatch, capsys, "image", *arguments)
+
+
+QUICK = ("--patch-mm", 0.05, "--engine", "eikonal", "--error", 0.3)
+
+
+def test_frames_truth_and_record(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    code, out, err = run(monkeypatch, capsys, twin, *QUICK, "--seed", 5, "-o", folder, "--json")
+    assert (code, err) == (0, "")
+    data = json.loads(out)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "frame_1.tif", "frame_2.tif", "frames.png", "image.json", "object.npz", "object.png",
+        "object_amplitude.tif", "object_phase.tif",
+    ]  # fmt: skip
+    assert json.loads((folder / "image.json").read_text())["engine"] == data["engine"]
+    lens = load_design(twin)
+    frames = [read_frame(folder / f"frame_{n}.tif") for n in (1, 2)]
+    assert tuple(f.settings.plane_distance_mm for f in frames) == lens.sensor.plane_distances_mm
+    assert all(f.settings.pixel_pitch_um == 3.2 for f in frames)
+    # Light of amplitude 1 through the chart's clear part: nearly all of it must be on the sensor.
+    stored = np.load(folder / "object.npz")
+    side = len(stored["values"])
+    x = (np.arange(side) - 0.5 * (side - 1)) * float(stored["pitch_um"])
+    passed = np.abs(stored["values"]) ** 2 * (np.hypot(x, x[:, None]) < 25.0)
+    sent = float(passed.sum()) * float(stored["pitch_um"]) ** 2
+    for frame in frames:
+        assert float(estimate_intensity(frame)[0].sum()) * 3.2**2 == pytest.approx(sent, rel=0.1)
+    assert data["sensor"]["seed"] == 5
+    assert data["frames"][0]["brightest_counts"] == frames[0].counts.max()
+    assert 0.0 <= data["energy_share_beyond_pixel_limit"] < 0.01
+
+
+def test_the_same_seed_gives_the_same_frames_and_words_for_people(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    counts = {}
+    for name, options in {"a": ("--seed", 1), "b": ("--seed", 1), "c": ("--no-noise",)}.items():
+        code, out, _ = run(
+            monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "--object", "star", "--ground", "dark",
+            *options, "-o", tmp_path / name,
+        )  # fmt: skip
+        assert code == 0
+        counts[name] = read_frame(tmp_path / name / "frame_1.tif").counts
+    assert np.array_equal(counts["a"], counts["b"])
+    assert not np.array_equal(counts["a"], counts["c"])
+    for text in ("object star", "engine eikonal", "frame_1.tif", f"wrote 7 files to {tmp_path / 'c'}"):
+        assert text in out.replace("\n", " ")
+
+
+def test_results_are_replaced_and_what_else_is_there_stays(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "frame_1.tif").write_text("old")
+    code, _, _ = run(monkeypatch, capsys, twin, *QUICK, "--planes-mm", "0.1", "-o", tmp_path)
+    assert code == 0
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert read_frame(tmp_path / "frame_1.tif").counts.max() > 1000
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--object", "usef"), "object = 'usef'"),
+        (("--object", "none.png", "--picture-pixel-um", 1), "cannot read the picture none.png"),
+        (("--patch-mm", 1), "patch_mm = 1: must be above 0 and at most"),
+        (("--patch-mm", 0.05, "--field-stop-mm", 0.06), "field_stop_mm = 0.06"),
+        (("--ground", "grey"), "ground = 'grey'"),
+        (("--illumination", "sun"), "illumination = 'sun'"),
+        (("--waist-mm", 0.01), "--waist-mm: means nothing without --illumination gaussian"),
+        (("--planes-mm", "0.1,0.1"), "--planes-mm = '0.1,0.1'"),
+        (("--planes-mm", "near"), "--planes-mm = 'near'"),
+        (("--stage-error-mm", "0,0,0"), "--stage-error-mm = '0,0,0': must be 1 or 2 numbers"),
+        (("--pixels", 100), "reaches beyond the sensor's"),
+        (("--pixels", 1000), "pixels = 1000: must be from 1 to"),
+        (("--pixels", "100x300"), "pixels = 100 x 300: must be from 1 x 1 to the sensor's 292 x 219"),
+        (("--pixels", "1x2x3"), "--pixels = '1x2x3': must be a whole number, two such as 9344x7000, or all"),
+        (("--pixels", "-3"), "--pixels = '-3'"),
+        (("--exposures", "0,1"), "--exposures = '0,1': must be greater than 0"),
+        (("--exposures", "long"), "--exposures = 'long'"),
+        (("--object", "star", "--chart-at-mm", "0,0"), "object = 'star': only usaf has charts beside"),
+        (("--chart-at-mm", "0.01"), "--chart-at-mm = '0.01': must be 2 numbers"),
+        (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even of group 9 alone"),
+        (("--chart-at-mm", "0.024,0"), "reaches beyond the field stop of 0.05 mm"),
+        (("--bits", 20), "bits = 20"),
+        (("--full-well", 0), "full_well_electrons = 0.0"),
+        (("--seed", -1), "--seed = -1"),
+        (("--engine", "eiconal"), "engine = 'eiconal': there is no such engine"),
+        (("--engine", "eikonal", "--slices", 3), "engine eikonal: slices = 3"),
+        (("--tilt-x-deg", "nan"), "tilt_x_deg"),
+    ],
+)
+def test_bad_input_is_one_message_status_two_and_nothing_written(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    twin: Path,
+    tmp_path: Path,
+    options: tuple[object, ...],
+    message: str,
+) -> None:
+    folder = tmp_path / "out"
+    code, out, err = run(monkeypatch, capsys, twin, "--patch-mm", 0.05, *options, "-o", folder)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert message in err
+    assert "Traceback" not in err
+    assert not folder.exists()
+
+
+def test_a_file_in_place_of_the_folder_is_refused_and_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "out"
+    place.write_text("mine")
+    code, _, err = run(monkeypatch, capsys, twin, *QUICK, "-o", place)
+    assert code == 2
+    assert "is no folder" in err
+    assert place.read_text() == "mine"
+
+
+def test_exposures_of_each_plane_stand_side_by_side(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    several = (*QUICK, "--exposures", "1000,1", "--seed", 2, "--pixels", "all")
+    code, out, err = run(monkeypatch, capsys, twin, *several, "-o", tmp_path / "a", "--json")
+    assert (code, err) == (0, "")
+    told = json.loads(out)["frames"]
+    names = ["frame_1_1.tif", "frame_1_2.tif", "frame_2_1.tif", "frame_2_2.tif"]
+    assert [frame["file"] for frame in told] == names
+    assert [frame["times"] for frame in told] == [1.0, 1000.0, 1.0, 1000.0]
+    assert told[0]["saturated_pixels"] == 0 < told[1]["saturated_pixels"]
+    frames = [read_frame(tmp_path / "a" / name) for name in names]
+    # The whole sensor, wider than high.
+    assert all(frame.counts.shape == (219, 292) for frame in frames)
+    assert frames[1].settings.exposure == pytest.approx(1000.0 * frames[0].settings.exposure)
+    known = ~frames[1].saturated
+    (short, about), (long, more) = (estimate_intensity(frame) for frame in frames[:2])
+    error = math.sqrt(float(about[known].sum() + more[known].sum()))
+    assert short[known].sum() == pytest.approx(long[known].sum(), abs=4.5 * error)
+    # One exposure has the names and the noise that it would have without the option; a long one says nothing.
+    for name, options in {"b": (), "c": ("--exposures", 1), "d": ("--exposures", 1000)}.items():
+        code, out, err = run(monkeypatch, capsys, twin, *QUICK, *options, "-o", tmp_path / name)
+        assert (code, err.count("\n")) == (0, 1)
+    assert "1000 x" in out
+    plain, one, longer = (read_frame(tmp_path / name / "frame_1.tif").counts for name in "bcd")
+    assert np.array_equal(plain, one)
+    assert not np.array_equal(plain, longer)
+
+
+def test_a_chart_stands_beside_the_middle_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    options = (*QUICK[2:], "--patch-mm", 0.09, "--planes-mm", 0.1, "--no-noise", "--chart-at-mm", "0.036,0")
+    code, out, err = run(monkeypatch, capsys, twin, *options, "-o", tmp_path, "--json")
+    assert (code, err) == (0, "")
+    target = make_target(object_patch(load_design(twin), 0.09), "usaf", numerical_aperture=0.5)
+    assert json.loads(out)["object"]["elements"] == len(target.elements) + 2
+    stored = np.abs(np.load(tmp_path / "object.npz")["values"])
+    x = target.transmission.grid.x_mm
+    other = (abs(stored - np.abs(target.transmission.values)) > 1e-3).any(axis=0)
+    assert 0.028 < x[other].min() < 0.036 < x[other].max() < 0.044

@@ -1,0 +1,307 @@
+"""The command `wavesim reconstruct`, end to end on a small twin."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from wavesim_command import (
+    PLANES_MM,
+    frames_and_design,
+    run_wavesim,
+    write_frames,
+)
+
+from wavesim.camera.frames import Frame, read_frame, write_frame
+from wavesim.reconstruction import from_object as reconstruction
+from wavesim.reconstruction import recording_model, resumable, retrieval_steps
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small twin, two frames of a chart through it, and the chart."""
+    folder = tmp_path_factory.mktemp("data")
+    write_frames(folder)
+    return folder
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> tuple[object, str, str]:
+    return run_wavesim(monkeypatch, capsys, "reconstruct", *arguments)
+
+
+def usual(data: Path) -> tuple[object, ...]:
+    return (*frames_and_design(data), "--engine", "eikonal")
+
+
+def test_the_object_is_found_and_all_is_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    code, out, err = run(
+        monkeypatch, capsys, *usual(data), "--kind", "amplitude", "--iterations", 15, "--truth", data,
+        "--usaf", "bright", "--refocus-mm=-0.006,0.006", "-o", tmp_path / "out", "--json",
+    )  # fmt: skip
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["truth"]["object_correlation"] > 0.97
+    assert found["truth"]["ssim"] > 0.9
+    assert found["usaf"]["smallest_resolved"]["line_width_um"] == pytest.approx(0.87, abs=0.01)
+    assert abs(found["refocus_um"]) < 1.0
+    assert [plane["plane_distance_mm"] for plane in found["planes"]] == list(PLANES_MM)
+    assert all(plane["residual"] < 0.2 and plane["correlation"] > 0.99 for plane in found["planes"])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "amplitude.tif", "convergence.csv", "curves.png", "phase.tif", "reconstruction.json",
+        "reconstruction.npz", "reconstruction.png", "residuals.png", "svfg.csv",
+    ]  # fmt: skip
+    with Image.open(tmp_path / "out" / "amplitude.tif") as picture:
+        amplitude = np.asarray(picture)
+    stored = np.load(tmp_path / "out" / "reconstruction.npz")
+    np.testing.assert_allclose(amplitude, np.abs(stored["values"]), atol=1e-6)
+    lines = (tmp_path / "out" / "convergence.csv").read_text().splitlines()
+    assert len(lines) == found["iterations"] + 1
+
+
+def test_the_paper_s_way_and_words_for_people(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    code, out, err = run(
+        monkeypatch, capsys, *usual(data), "--method", "paper", "--iterations", 40, "--truth", data,
+        "--refocus-mm=-0.004,0.004", "-o", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "method paper, complex object, engine eikonal: 40 iterations" in out
+    figures = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
+    assert figures["correlation_a6"] > 0.99
+    assert figures["truth"]["object_correlation"] > 0.5
+    assert figures["planes"][0]["residual"] < 0.3
+
+
+@pytest.mark.parametrize(
+    ("method", "start"), [("object", "even"), ("object", "amplitude"), ("paper", "model")]
+)
+def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    data: Path,
+    tmp_path: Path,
+    method: str,
+    start: str,
+) -> None:
+    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "KEEP_SHARE", np.inf)
+    monkeypatch.setattr(reconstruction, "AMPLITUDE_START", 2)
+    options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
+    options = (*options, "--refocus-mm=-0.002,0.002")
+    code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
+    assert code == 0, err
+
+    step = {"object": recording_model.RecordingModel, "paper": retrieval_steps.Passes}[method], "step"
+    call: Any = getattr(*step)
+    taken: list[int] = []
+
+    def stopped(*args: Any) -> Any:
+        taken.append(1)
+        if len(taken) > 3:
+            raise KeyboardInterrupt
+        return call(*args)
+
+    monkeypatch.setattr(*step, stopped)
+    code, out, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
+    assert (code, out) == (130, "")
+    assert "interrupted after 3 of 7 iterations; the same command goes on" in err
+    assert [path.name for path in (tmp_path / "cut").iterdir()] == ["checkpoint.npz"]
+
+    def counted(*args: Any) -> Any:
+        taken.append(1)
+        return call(*args)
+
+    taken.clear()
+    monkeypatch.setattr(*step, counted)
+    code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
+    assert code == 0, err
+    assert len(taken) == 4
+    whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
+    np.testing.assert_allclose(cut, whole, atol=1e-5)
+    assert not (tmp_path / "cut" / "checkpoint.npz").exists()
+
+
+def test_what_was_kept_of_another_run_is_not_used(tmp_path: Path) -> None:
+    kept = resumable.Checkpoint(tmp_path / "checkpoint.npz", resumable.key_of("a", b"b"))
+    kept.keep(values=np.ones(3))
+    found = kept.load()
+    assert found is not None
+    assert found["values"].tolist() == [1.0, 1.0, 1.0]
+    assert resumable.Checkpoint(kept.path, resumable.key_of("ab", b"")).load() is None
+    kept.path.write_bytes(b"damaged")
+    assert kept.load() is None
+
+
+def changed(frame: Frame, path: Path, counts: Any = None, **settings: Any) -> Path:
+    write_frame(Frame(frame.counts if counts is None else counts, frame.settings.replaced(**settings)), path)
+    return path
+
+
+def bad_frame(data: Path, folder: Path, fault: str) -> Path:
+    """The second frame with something wrong."""
+    frame, path = read_frame(data / "frame_2.tif"), folder / "bad.tif"
+    counts = frame.counts.copy()
+    if fault == "size":
+        return changed(frame, path, counts[:200, :200].copy())
+    if fault == "saturated":
+        counts[50:120, 50:120] = frame.settings.clipped_counts
+        return changed(frame, path, counts)
+    if fault == "empty":
+        return changed(frame, path, np.full_like(counts, int(frame.settings.offset_counts)))
+    if fault == "pitch":
+        return changed(frame, path, pixel_pitch_um=3.3)
+    if fault == "wavelength":
+        return changed(frame, path, wavelength_um=0.6)
+    if fault == "twice":
+        return data / "frame_1.tif"
+    if fault == "plane":
+        return changed(frame, path, plane_distance_mm=PLANES_MM[0])
+    path.write_bytes((data / "frame_2.tif").read_bytes()[:3000])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("size", "bad.tif: 200 x 200 pixels"),
+        ("saturated", "of the pixels are saturated"),
+        ("empty", "bad.tif: is empty"),
+        ("pitch", "bad.tif: pixel_pitch_um = 3.3"),
+        ("wavelength", "bad.tif: wavelength_um = 0.6"),
+        ("plane", "both state plane_distance_mm = 0.0625, but show different intensities"),
+        ("twice", "frame_1.tif: is named twice"),
+        ("corrupt", "bad.tif: damaged TIFF"),
+    ],
+)
+def test_bad_frames_are_one_message_status_two_and_nothing_written(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    data: Path,
+    tmp_path: Path,
+    fault: str,
+    message: str,
+) -> None:
+    bad, folder = bad_frame(data, tmp_path, fault), tmp_path / "out"
+    code, out, err = run(
+        monkeypatch, capsys, data / "frame_1.tif", bad, "--design", data / "twin.toml", "-o", folder
+    )
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert message in err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "best"), "--method = 'best': allowed: paper, object"),
+        (("--kind", "phase"), "--kind = 'phase'"),
+        (("--start", "model"), "--start = 'model': allowed for object: even, amplitude"),
+        (("--iterations", 0), "--iterations = 0"),
+        (("--tv-weight", "much"), "--tv-weight = 'much'"),
+        (("--tv-weight", -1), "tv_weight = -1"),
+        (("--usaf", "grey"), "--usaf = 'grey'"),
+        (("--pixel-pitch-um", 5), "frames have pixel_pitch_um = 5, the design's sensor 3.2"),
+        (("--plane-distance-mm", "0.1"), "--plane-distance-mm = '0.1': must be 2 numbers"),
+        (("--plane-distance-mm", "0.0625,9"), "reaches beyond the sensor's"),
+        (("--patch-mm", 1), "patch_mm = 1: must be above 0 and at most"),
+        (("--field-stop-mm", 1), "field_stop_mm = 1"),
+        (("--truth", "nowhere"), "cannot read the measured field nowhere"),
+        (("--refocus-mm", "1"), "--refocus-mm = '1'"),
+        (("--chart-at-mm", "0.02,0"), "--chart-at-mm: means nothing without --usaf"),
+        (("--chart-at-mm", "0.02,0", "--usaf", "bright"), "chart at 0.02, 0 mm"),
+    ],
+)
+def test_bad_options_are_one_message_status_two_and_nothing_written(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    data: Path,
+    tmp_path: Path,
+    options: tuple[object, ...],
+    message: str,
+) -> None:
+    folder = tmp_path / "out"
+    code, out, err = run(monkeypatch, capsys, *usual(data), *options, "-o", folder)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert "Traceback" not in err
+    assert not folder.exists()
+
+
+def test_one_frame_does_for_an_amplitude_object_but_not_for_the_paper_s_way(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    one = (data / "frame_1.tif", *usual(data)[2:])
+    code, _, err = run(monkeypatch, capsys, *one, "--method", "paper", "-o", tmp_path / "paper")
+    assert code == 2
+    assert "--method paper: needs frames of two planes" in err
+    code, _, err = run(
+        monkeypatch, capsys, *one, "--kind", "amplitude", "--iterations", 4, "-o", tmp_path / "object"
+    )
+    assert code == 0, err
+
+
+def test_foreign_frames_and_little_diversity_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    for number in (1, 2):
+        counts = read_frame(data / f"frame_{number}.tif").counts
+        Image.fromarray(counts).save(tmp_path / f"{number}.tif")
+    frames = (tmp_path / "1.tif", tmp_path / "2.tif", *usual(data)[2:])
+    code, _, err = run(monkeypatch, capsys, *frames, "-o", tmp_path / "out")
+    assert code == 2
+    assert "does not say how it was recorded" in err
+    code, _, err = run(
+        monkeypatch, capsys, *frames, "--plane-distance-mm", "0.0625,0.0635", "--exposure", "1,1",
+        "--pixel-pitch-um", 3.2, "--wavelength-um", 0.532, "--bits", 16, "--offset-counts", 64,
+        "--gain-electrons-per-count", 15.3, "--iterations", 1, "-o", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "little diversity between planes 0.0625, 0.0635 mm: dz w^2 / (lambda f^2) =" in err.replace(
+        "\n", " "
+    )
+
+
+def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    chart = ("--patch-mm", 0.09, "--engine", "eikonal", "--error", 0.3, "--chart-at-mm", "0.036,0")
+    exposed = (*chart, "--exposures", "1,30", "--planes-mm", 0.0625, "--pixels", "all", "-o", tmp_path)
+    code, _, err = run_wavesim(monkeypatch, capsys, "image", data / "twin.toml", *exposed)
+    assert code == 0, err
+    merged, alone = tmp_path / "merged", tmp_path / "alone"
+    both = (tmp_path / "frame_1_1.tif", tmp_path / "frame_1_2.tif")
+    usual = (
+        "--design",
+        data / "twin.toml",
+        *chart,
+        "--usaf",
+        "bright",
+        "--kind",
+        "amplitude",
+        "--iterations",
+        8,
+    )
+    code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
+    assert code == 0, err
+    assert re.fullmatch(r"memory: about 0\.4\d GB of [\d.]+ GB allowed", err.strip())
+    assert "at 0.036, 0 mm resolved down to group 9, element 2" in out.replace("\n", " ")
+    code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
+    assert code == 0
+    told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
+    assert [len(one["planes"][0]["exposures"]) for one in told] == [2, 1]
+    assert told[0]["planes"][0]["noise"] < 0.7 * told[1]["planes"][0]["noise"]
+    (beside,) = told[0]["usaf"]["beside"]
+    assert beside["at_mm"] == [0.036, 0.0]
+    assert [one["group"] for one in beside["elements"]] == [9, 9]
+    code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
+    assert code == 2
+    assert "--method paper: needs frames of two planes" in err

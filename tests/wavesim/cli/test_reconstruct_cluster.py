@@ -1,0 +1,113 @@
+"""`wavesim reconstruct` whose super-tiles a cluster does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dask_cluster import Cluster
+from wavesim_command import frames_and_design, run_wavesim, write_frames
+
+from wavesim.cli import reconstruct_run as reconstruction_run
+from wavesim.engines.whole_field.on_cluster import ClusterError
+from wavesim.reconstruction import resumable
+
+Run = Callable[..., tuple[object, str, str]]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small twin, two frames of a chart through it, and the chart."""
+    folder = tmp_path_factory.mktemp("data")
+    write_frames(folder)
+    return folder
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
+    """The command on the twin's frames."""
+
+    def command(*arguments: object) -> tuple[object, str, str]:
+        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
+
+    return command
+
+
+def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Figures and fields."""
+    with np.load(folder / "reconstruction.npz") as stored:
+        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)
+
+
+def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
+    code, _, err = run(*options, "-o", tmp_path / "here")
+    assert code == 0, err
+    cluster = Cluster(tmp_path)
+    try:
+        cluster.worker()
+        code, _, err = run(*options, "--cluster", cluster.address, "-o", tmp_path / "away")
+    finally:
+        cluster.close()
+    assert code == 0, err
+    (_, here), (_, away) = written(tmp_path / "here"), written(tmp_path / "away")
+    np.testing.assert_allclose(away["values"], here["values"], atol=1e-5)
+
+
+def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    uses, most = [0], [1000]
+
+    @contextmanager
+    def tiles(address: str | None) -> Iterator[Callable[[Any], Any]]:
+        def take(engine: Any) -> Any:
+            def perform(way: Any, tasks: Any) -> Iterator[Any]:
+                uses[0] += 1
+                if uses[0] > most[0]:
+                    raise ClusterError("the cluster's scheduler is gone")
+                yield from engine._perform_here(way, tasks)
+
+            engine.perform = perform
+            return engine
+
+        yield take
+
+    monkeypatch.setattr(reconstruction_run, "tiles_in", tiles)
+    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
+    options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
+    for most[0], said in ((1, "no iteration was kept"), (4, "goes on from where it was last kept")):
+        uses[0] = 0
+        code, out, err = run(*options)
+        assert (code, out) == (2, "")
+        assert err.splitlines()[-1].startswith("error: the cluster's scheduler is gone; ")
+        assert err.endswith(f"{said}\n")
+        assert "Traceback" not in err
+    uses[0], most[0] = 0, 1000
+    code, _, err = run(*options)
+    assert code == 0, err
+    assert uses[0] == 3  # the last iteration, and the amplitudes of the result
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--cluster", "tcp://nowhere:1"), "--cluster: engine eikonal is done here"),
+        (("--device", "gpu"), "engine eikonal: device = 'gpu': there is no such setting"),
+    ],
+)
+def test_bad_options_are_one_message_status_two_and_nothing_written(
+    run: Run, tmp_path: Path, options: tuple[object, ...], message: str
+) -> None:
+    code, out, err = run("--engine", "eikonal", *options, "-o", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert message in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()

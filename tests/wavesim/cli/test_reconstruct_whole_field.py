@@ -1,0 +1,129 @@
+"""What `wavesim reconstruct` has for whole fields, on a small twin: a limit of memory, progress."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from wavesim_command import frames_and_design, run_wavesim, write_frames
+
+from wavesim.cli import reconstruct_run as reconstruction_run
+from wavesim.runtime.memory import Need
+from wavesim.runtime.scratch import Scratch
+
+Run = Callable[..., tuple[object, str, str]]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small twin, two frames of a chart through it, and the chart."""
+    folder = tmp_path_factory.mktemp("data")
+    write_frames(folder)
+    return folder
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
+    """The command on the twin's frames."""
+
+    def command(*arguments: object) -> tuple[object, str, str]:
+        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
+
+    return command
+
+
+def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Figures and fields."""
+    with np.load(folder / "reconstruction.npz") as stored:
+        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)
+
+
+def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: Path
+) -> None:
+    needs: list[Need] = []
+    files: list[str] = []
+    tell, make = reconstruction_run.run_need, Scratch._mapped
+
+    def told(*arguments: Any, **settings: Any) -> Need:
+        needs.append(tell(*arguments, **settings))
+        return needs[-1]
+
+    def made(self: Scratch, size: int, what: str) -> Any:
+        files.append(what)
+        return make(self, size, what)
+
+    monkeypatch.setattr(reconstruction_run, "run_need", told)
+    monkeypatch.setattr(Scratch, "_mapped", made)
+    options = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 3, "--truth", data)
+    code, out, err = run(*options, "--json", "-o", tmp_path / "free")
+    assert (code, files) == (0, []), err
+    assert "memory:" not in err
+    free, whole = written(tmp_path / "free")
+    assert json.loads(out)["memory"]["predicted_bytes"] == needs[0].most_bytes
+    limit_gb = 1e-9 * needs[0].least_bytes + 1e-6
+    code, _, err = run(*options, "--memory-gb", limit_gb, "-o", tmp_path / "bound")
+    assert code == 0, err
+    assert f" GB of {limit_gb:.3g} GB allowed" in err
+    assert {"the illumination", "the recorded amplitudes", "the true object", "a step"} <= set(files)
+    bound, same = written(tmp_path / "bound")
+    np.testing.assert_allclose(same["values"], whole["values"], atol=1e-6)
+    assert bound["truth"] == pytest.approx(free["truth"], rel=1e-4)
+    assert not [path for path in (tmp_path / "bound").iterdir() if path.name.startswith(".")]
+    for limit, message in ((0.3, "needs 0.4"), (-1, "--memory-gb = -1"), ("nan", "--memory-gb = nan")):
+        code, out, err = run(*options, "--memory-gb", limit, "-o", tmp_path / "low")
+        assert (code, out) == (2, "")
+        assert message in err
+        assert not (tmp_path / "low").exists()
+    code, _, err = run(*options, "--memory-gb", 0.3, "--refocus-mm=-0.01,0.01", "-o", tmp_path / "low")
+    assert code == 2
+    assert "or refocus a part of the object alone (--region-mm)" in err
+
+
+class Bar:
+    """In place of a bar: what it would show."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def add_task(self, description: str, **_: object) -> int:
+        self.shown.append(description)
+        return 0
+
+    def update(self, _task: int, description: str | None = None, **_: object) -> None:
+        if description is not None:
+            self.shown.append(description)
+
+
+def test_progress_is_told_within_an_iteration(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bar, engines = Bar(), []
+
+    @contextmanager
+    def shown() -> Iterator[Bar]:
+        yield bar
+
+    make = reconstruction_run.imaging_engine
+
+    def kept(*arguments: Any, **settings: Any) -> Any:
+        engines.append(make(*arguments, **settings))
+        return engines[-1]
+
+    monkeypatch.setattr(reconstruction_run, "progress_bar", shown)
+    monkeypatch.setattr(reconstruction_run, "imaging_engine", kept)
+    options = ("--engine", "two-level", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
+    code, _, err = run(*options, "-o", tmp_path)
+    assert code == 0, err
+    (engine,) = engines
+    count = len(engine.groups)
+    assert bar.shown[0] == "object: engine two-level"
+    assert f"object: engine two-level, super-tile {count} of {count}" in bar.shown
+    assert any(re.fullmatch(rf"object: misfit 0\.\d{{5}}, super-tile 1 of {count}", s) for s in bar.shown)
+    assert engine.report is None

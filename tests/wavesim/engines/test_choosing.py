@@ -1,0 +1,146 @@
+"""The engine that a scene needs, and no more."""
+
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, save_design, scaled
+from lensdesign.errors import InputError, SamplingError
+from wavesim.cli.commands import main
+from wavesim.engines.choosing import choose, chosen_engine, predict, predictions
+from wavesim.engines.registry import make_engine
+from wavesim.evaluation.engines import lens_case
+from wavesim.evaluation.failures import stopped_down
+from wavesim.fields.field import relative_error
+from wavesim.fields.guards import SamplingWarning
+from wavesim.scene.engine import SAFETY
+from wavesim.scene.patches import patch_scene
+
+PAPER = load_design("designs/paper_singlet.toml")
+TWIN = scaled(PAPER, 1 / 16)
+SCENE = patch_scene(TWIN, 0.02, plane_distance_mm=0.125, meridional=True)
+
+
+def test_takes_the_cheapest_that_holds() -> None:
+    for error in (1.9, 0.2, 0.03, 0.01):
+        choice = choose(SCENE, error)
+        holding = [p for p in choice.predictions if p.relative_error <= error and not p.refused]
+        assert choice.chosen in holding
+        assert choice.chosen.total_seconds(2) == min(p.total_seconds(2) for p in holding)
+        assert choice.chosen.label in choice.reason
+
+
+def test_less_error_is_never_cheaper() -> None:
+    seconds = [choose(SCENE, error).chosen.total_seconds(2) for error in (0.5, 0.1, 0.01)]
+    assert seconds[0] <= 3.0 * seconds[1] <= 9.0 * seconds[2]
+
+
+def test_predictions_hold() -> None:
+    """A few scenes of the more than hundred of benchmarks.chooser, which has the shares."""
+    warnings.simplefilter("ignore", SamplingWarning)
+    bound, near = [], []
+    for aperture, share, patch, error in (
+        (0.5, 0.0, 0.03, 0.2),
+        (0.5, 0.9, 0.01, 0.1),
+        (0.3, 0.5, 0.03, 0.1),
+        (0.2, 0.9, 0.03, 0.03),
+    ):
+        lens = stopped_down(TWIN, aperture)
+        case = lens_case(lens, patch, share * lens.half_field_mm, plane_distance_mm=0.125)
+        for prediction in predictions(case.scene, error):
+            if prediction.engine not in ("eikonal", "slices", "thin-lens"):
+                continue
+            engine = make_engine(prediction.engine, case.scene, **prediction.settings)
+            found = relative_error(engine.forward(case.object_field).values, case.exact.values)
+            bound.append(found <= prediction.relative_error)
+            near.append(prediction.relative_error < 5.0 * found)
+    assert len(bound) > 20
+    assert np.mean(bound) >= 0.9
+    assert np.mean(near) >= 0.75
+
+
+def test_prediction_is_the_sum_of_squares() -> None:
+    engine = make_engine("slices", SCENE, slices=100, compensation="oblique")
+    parts = [part.relative_error for part in engine.neglected()]
+    assert predict(SCENE, "slices", slices=100, compensation="oblique").relative_error == pytest.approx(
+        SAFETY * np.sqrt(np.sum(np.square(parts)))
+    )
+    assert predict(SCENE, "no-lens").relative_error == np.inf
+
+
+def test_memory_and_time_allowed_are_kept() -> None:
+    free = choose(SCENE, 0.01)
+    with pytest.raises(SamplingError, match="GB allowed"):
+        choose(SCENE, 0.01, memory_bytes=1e4)
+    with pytest.raises(SamplingError, match="s allowed"):
+        choose(SCENE, 0.01, seconds=1e-9)
+    assert free.chosen.peak_bytes > 1e4
+
+
+def test_the_whole_plane_of_the_lens_is_not_for_waves() -> None:
+    scene = patch_scene(PAPER, 0.02)
+    choice = choose(scene, 0.2)
+    assert choice.chosen.engine == "eikonal"
+    with pytest.raises(SamplingError, match="wpm"):
+        choose(scene, 1e-3)
+
+
+def test_engine_auto() -> None:
+    engine = make_engine("auto", SCENE, error=0.2)
+    assert type(engine) is type(chosen_engine(SCENE, error=0.2))
+    with pytest.raises(InputError, match="slices"):
+        make_engine("auto", SCENE, slices=3)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"error": 0.0},
+        {"error": 2.0},
+        {"error": np.nan},
+        {"memory_bytes": 0.0},
+        {"seconds": np.nan},
+        {"runs": 0},
+    ],
+)
+def test_refused(arguments: dict) -> None:
+    with pytest.raises(InputError):
+        choose(SCENE, **arguments)
+
+
+@pytest.fixture
+def twin_file(tmp_path: Path) -> str:
+    path = tmp_path / "twin.toml"
+    save_design(TWIN, path)
+    return str(path)
+
+
+def test_command(twin_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    where = ["--patch-mm", "0.02", "--plane-distance-mm", "0.125", "--meridional"]
+    for extra in ([], ["--json"]):
+        monkeypatch.setattr(sys, "argv", ["wavesim", "choose", twin_file, *where, *extra])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        assert not stopped.value.code
+        output = capsys.readouterr().out
+    found = json.loads(output)
+    assert found["engine"] in {p["engine"] for p in found["predictions"]}
+    assert {"relative_error", "seconds", "peak_mb", "refused"} <= set(found["predictions"][0])
+
+
+@pytest.mark.parametrize("options", [["--error", "0"], ["--patch-mm", "9"], ["--memory-gb", "-1"]])
+def test_command_refuses(
+    twin_file: str,
+    options: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["wavesim", "choose", twin_file, "--plane-distance-mm", "0.1", *options])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("error: ")

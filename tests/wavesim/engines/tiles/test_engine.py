@@ -1,0 +1,247 @@
+"""Eikonal tiles, against exact fields, rays of single object points, and another engine past a focus."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from engine_checks import dot_product_mismatch
+from numpy.typing import NDArray
+
+from lensdesign import Lens, Pose
+from lensdesign.errors import InputError, SamplingError
+from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.poses import SurfacePerturbation
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.wpm.engine import WavePropagation
+from wavesim.fields.field import Field, Grid, relative_error
+from wavesim.fields.guards import SamplingWarning
+from wavesim.oracles.registry import oracle_case, peak_bytes
+from wavesim.rays.characteristic import FoldError
+from wavesim.rays.maps import ray_map
+from wavesim.scene.engine import Scene
+
+WAVELENGTH_UM = 0.532
+POSE = Pose(tilt_x_deg=0.4, decenter_x_mm=0.05, tilt_y_deg=0.2)
+Values = NDArray[np.complex128]
+
+
+def plane_scene(lens: Lens, centre: tuple[float, float] = (0.0, 0.0), **changes: Any) -> Scene:
+    ends = Grid((120, 140), 0.5e-3, -13.5, centre), Grid((150, 160), 0.12, 12.7)
+    return Scene(lens, *ends, WAVELENGTH_UM, **changes)
+
+
+def line_scene(lens: Lens, centre: float = 0.0, **changes: Any) -> Scene:
+    ends = Grid((200,), 0.25e-3, -13.5, (0.0, centre)), Grid((3000,), 7e-3, 12.7)
+    return Scene(lens, *ends, WAVELENGTH_UM, **changes)
+
+
+def focusing_scene(exit_z_mm: float) -> Scene:
+    """A weak lens, with the image at z = 0.65 mm."""
+    front = Surface(radius_mm=0.3, thickness_mm=0.3, material=1.5, semi_diameter_mm=0.06, stop=True)
+    lens = Lens(
+        wavelengths_um=(WAVELENGTH_UM,),
+        object=ObjectSpace(field_diameter_mm=0.01, numerical_aperture=0.06, working_distance_mm=1.0),
+        sensor=Sensor(pixel_pitch_um=0.5, pixels=(100, 100), plane_distances_mm=(0.1,)),
+        surfaces=(front, Surface(radius_mm=-0.3, semi_diameter_mm=0.1)),
+    )
+    return Scene(lens, Grid((128,), 2e-3, -1.0), Grid((1200,), 0.4e-3, exit_z_mm), WAVELENGTH_UM)
+
+
+def noise(grid: Grid, seed: int = 1) -> Field:
+    rng = np.random.default_rng(seed)
+    return Field(grid, rng.normal(size=grid.shape) + 1j * rng.normal(size=grid.shape), WAVELENGTH_UM)
+
+
+def spot(grid: Grid, waist_mm: float) -> Field:
+    y = grid.y_mm - grid.centre_mm[1]
+    values = np.exp(-((y / waist_mm) ** 2))
+    if not grid.is_line:
+        values = values[:, None] * np.exp(-(((grid.x_mm - grid.centre_mm[0]) / waist_mm) ** 2))
+    return Field(grid, values.astype(complex), WAVELENGTH_UM)
+
+
+@pytest.mark.parametrize(("radius_mm", "allowed"), [(0.1, 3.5e-3), (0.2, 2.5e-3), (0.8, 6e-4)])
+def test_cylinder(radius_mm: float, allowed: float) -> None:
+    case = oracle_case("cylinder", radius_mm=radius_mm)
+    engine = EikonalTiles(case.scene)
+    assert relative_error(engine.forward(case.object_field).values, case.exact.values) < allowed
+    started = time.perf_counter()
+    engine.forward(case.object_field)
+    assert time.perf_counter() - started < 0.05
+
+
+@pytest.mark.parametrize("oracle", ["stigmatic", "plate", "plane"])
+def test_other_exact_fields(oracle: str) -> None:
+    case = oracle_case(oracle)
+    assert (
+        relative_error(EikonalTiles(case.scene).forward(case.object_field).values, case.exact.values) < 5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("quadratic", "changes"),
+    [
+        ("low-rank", {}),
+        ("low-rank", {"pose": POSE}),
+        ("low-rank", {"surface_perturbations": {1: SurfacePerturbation(decenter_y_mm=0.03, tilt_x_deg=0.1)}}),
+        ("low-rank", {"coating": "bare"}),
+        ("mean", {"pose": POSE}),
+    ],
+)
+def test_sum_over_the_rays_of_object_points(paper_lens: Lens, changes: Any, quadratic: Any) -> None:
+    scene = plane_scene(paper_lens, (0.3, 1.2), **changes)
+    points = {(10, 20): 1.0, (60, 70): 1j, (110, 30): -0.7}
+    values = np.zeros(scene.object_grid.shape, complex)
+    for place, strength in points.items():
+        values[place] = strength
+    found = EikonalTiles(scene, quadratic=quadratic).forward(Field(scene.object_grid, values, WAVELENGTH_UM))
+    expected, inside = direct_sum(scene, points)
+    assert relative_error(found.values[inside], expected[inside]) < 1.2e-2
+
+
+def direct_sum(scene: Scene, points: dict[tuple[int, int], complex]) -> tuple[Values, NDArray[np.bool_]]:
+    """Sum over object points of strength a exp(i k V), and where all have light, away from the rim."""
+    grid, k = scene.exit_grid, scene.wavenumber_per_mm
+    total, inside = np.zeros(grid.shape, complex), np.ones(grid.shape, bool)
+    for (row, column), strength in points.items():
+        point = float(scene.object_grid.x_mm[column]), float(scene.object_grid.y_mm[row])
+        carrier = ray_map(scene, point, grid.z_mm, 1e-3)
+        path, amplitude, *_ = carrier.maps.on_axes((grid.y_mm, grid.x_mm))
+        total += strength * amplitude * np.exp(1j * (k * path - 0.5 * np.pi)) * k / (2.0 * np.pi)
+        middle = carrier.rim_mm.mean(axis=0)
+        radius = np.linalg.norm(carrier.rim_mm - middle, axis=1).min()
+        inside &= np.hypot(grid.y_mm[:, None] - middle[0], grid.x_mm - middle[1]) < 0.97 * radius
+    return np.asarray(total * scene.object_grid.cell, complex), np.asarray(inside)
+
+
+@pytest.mark.parametrize("quadratic", ["low-rank", "mean"])
+@pytest.mark.parametrize("kind", ["plane", "coarse", "line", "past focus"])
+def test_adjoint(paper_lens: Lens, quadratic: Any, kind: str) -> None:
+    scene = {
+        "plane": lambda: plane_scene(paper_lens, (0.0, 1.0), pose=POSE),
+        "coarse": lambda: replace(plane_scene(paper_lens), exit_grid=Grid((420, 400), 0.04, 12.7)),
+        "line": lambda: line_scene(paper_lens, 1.4),
+        "past focus": lambda: focusing_scene(0.8),
+    }[kind]()
+    engine = EikonalTiles(scene, quadratic=quadratic, error=0.05)
+    assert dot_product_mismatch(engine) <= 1e-10
+
+
+def test_coarse_grid_changes_nothing(paper_lens: Lens) -> None:
+    few = replace(plane_scene(paper_lens), exit_grid=Grid((41, 41), 0.4, 12.7))
+    many = replace(few, exit_grid=Grid((401, 401), 0.04, 12.7))
+    u = noise(few.object_grid)
+    a, b = (EikonalTiles(scene).forward(u).values for scene in (few, many))
+    radius = np.hypot(few.exit_grid.y_mm[:, None], few.exit_grid.x_mm)
+    assert relative_error(b[::10, ::10][radius < 9.4], a[radius < 9.4]) < 1e-3
+
+
+def test_single_precision_agrees(paper_lens: Lens) -> None:
+    scene = plane_scene(paper_lens)
+    engine, u = EikonalTiles(scene), noise(scene.object_grid)
+    single = engine.forward(u.with_values(u.values.astype(np.complex64))).values
+    assert single.dtype == np.complex64
+    assert relative_error(single, engine.forward(u).values) < 1e-3
+
+
+@pytest.mark.parametrize("line", [True, False])
+def test_light_inside_the_stop_keeps_its_energy(paper_lens: Lens, line: bool) -> None:
+    scene = line_scene(paper_lens) if line else plane_scene(paper_lens)
+    light = spot(scene.object_grid, 3e-3)
+    out = EikonalTiles(scene).forward(light)
+    # |u|^2 over the plane is flux over cosine: small angles on both sides.
+    assert out.energy / light.energy == pytest.approx(1.0, abs=4e-3)
+
+
+def test_aperture_takes_what_rays_lose(paper_lens: Lens) -> None:
+    scene = line_scene(paper_lens)
+    point = np.zeros(200, complex)
+    point[100] = 1.0
+    out = EikonalTiles(scene).forward(Field(scene.object_grid, point, WAVELENGTH_UM))
+    # A point sends cos(theta) dp / lambda into each dp.
+    sine = 8.26 / math.hypot(8.26, 13.5 + float(paper_lens.surfaces[0].sag_mm(8.26)))
+    through = scene.object_grid.cell**2 * (math.asin(sine) + sine * math.sqrt(1 - sine**2)) * 1e3
+    assert out.energy == pytest.approx(through / WAVELENGTH_UM, rel=5e-3)
+
+
+def test_bare_surfaces_lose_what_fresnel_says(paper_lens: Lens) -> None:
+    ideal = line_scene(paper_lens)
+    light = spot(ideal.object_grid, 5e-3)
+    energies = [EikonalTiles(s).forward(light).energy for s in (ideal, replace(ideal, coating="bare"))]
+    index = 1.5194726
+    assert energies[1] / energies[0] == pytest.approx((4 * index / (1 + index) ** 2) ** 2, rel=2e-3)
+
+
+@pytest.mark.parametrize("exit_z_mm", [0.5, 0.65, 1.2])
+def test_on_and_past_a_focus(exit_z_mm: float) -> None:
+    scene = focusing_scene(exit_z_mm)
+    light = spot(scene.object_grid, 0.012)
+    engine = EikonalTiles(scene, error=3e-3)
+    assert engine.settings()["plane_z_mm"] < exit_z_mm
+    found = engine.forward(light).values
+    assert relative_error(found, WavePropagation(scene).forward(light).values) < 3e-3
+
+
+def test_fold_is_refused_by_name() -> None:
+    scene = focusing_scene(0.7)
+    with pytest.raises(FoldError, match=r"fold on the plane z = 0\.65 mm"):
+        EikonalTiles(scene, plane_z_mm=0.65).forward(noise(scene.object_grid))
+
+
+def test_too_wide_tiles_are_told_or_refused(paper_lens: Lens) -> None:
+    scene = plane_scene(paper_lens)
+    u = noise(scene.object_grid)
+    with pytest.warns(SamplingWarning, match=r"tile_width_mm = 0.07: leaves a relative error of 0.0"):
+        EikonalTiles(scene, tile_width_mm=0.07, quadratic="mean", error=0.015).forward(u)
+    with pytest.raises(SamplingError, match=r"tile_width_mm = 0.07.*0.001 is allowed"):
+        EikonalTiles(scene, tile_width_mm=0.07, quadratic="mean", error=1e-3).forward(u)
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "rms", "largest"), [(0.05, 0.0052, 0.0134), (0.1, 0.0207, 0.0536), (0.2, 0.0827, 0.2143)]
+)
+def test_neglected_path_of_a_tile(paper_lens: Lens, width_mm: float, rms: float, largest: float) -> None:
+    count = round(width_mm / 1e-3)
+    scene = Scene(paper_lens, Grid((count, count), 1e-3, -13.5), Grid((20, 20), 0.1, 12.7), WAVELENGTH_UM)
+    engine = EikonalTiles(scene, tile_width_mm=1.0, quadratic="mean", error=0.5)
+    assert engine.probe.neglected_waves == pytest.approx((rms, largest), rel=0.06)
+    assert any("waves rms" in part.what and part.relative_error > 0.005 for part in engine.neglected())
+
+
+@pytest.mark.parametrize("kind", ["plane", "line", "cylinder"])
+def test_peak_bytes(paper_lens: Lens, kind: str) -> None:
+    case = oracle_case("cylinder")
+    if kind != "cylinder":
+        scene = line_scene(paper_lens) if kind == "line" else plane_scene(paper_lens)
+        scene = replace(scene, exit_grid=Grid((20000,) if kind == "line" else (800, 800), 0.024, 12.7))
+        if kind == "line":
+            scene = replace(scene, exit_grid=Grid((20000,), 1e-3, 12.7))
+        case = replace(case, scene=scene, object_field=noise(scene.object_grid))
+    EikonalTiles(case.scene).forward(case.object_field)
+    told = EikonalTiles(case.scene).cost().peak_bytes
+    assert told == pytest.approx(peak_bytes("eikonal", case, {}), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"error": 0.0}, "error = 0.0: must be from 1e-5 to 1"),
+        ({"tile_width_mm": -1.0}, "tile_width_mm = -1.0: must be finite and above 0"),
+        ({"quadratic": "none"}, "quadratic = 'none': allowed: mean, low-rank"),
+        ({"plane_z_mm": math.nan}, "plane_z_mm = nan: must be finite"),
+    ],
+)
+def test_unusable_settings_are_refused(paper_lens: Lens, settings: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        EikonalTiles(line_scene(paper_lens), **settings)
+
+
+def test_field_that_is_not_finite_is_refused(paper_lens: Lens) -> None:
+    scene = line_scene(paper_lens)
+    with pytest.raises(InputError, match="not finite"):
+        EikonalTiles(scene).forward(Field(scene.object_grid, np.full(200, np.nan), WAVELENGTH_UM))

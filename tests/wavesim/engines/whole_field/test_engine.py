@@ -1,0 +1,252 @@
+"""Tiles of a whole field in two levels, against tiles in one level; the loops and maps they stand on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from engine_checks import peak_bytes
+from numpy.typing import NDArray
+
+from lensdesign import Lens, Pose, scaled
+from lensdesign.errors import InputError
+from lensdesign.lens.poses import SurfacePerturbation
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.ray_maps import field_maps, field_region
+from wavesim.engines.whole_field.tiles import Carried, ways_between
+from wavesim.fields.field import Field, Grid, relative_error
+from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
+from wavesim.rays.characteristic import FoldError
+from wavesim.rays.maps import RayMapError
+from wavesim.scene.engine import Scene
+
+WAVELENGTH_UM = 0.532
+POSE = Pose(tilt_x_deg=0.4, decenter_x_mm=0.05, tilt_y_deg=0.2)
+
+
+def plane_scene(
+    lens: Lens, centre: tuple[float, float] = (0.0, 0.0), samples: int = 220, **changes: Any
+) -> Scene:
+    """A patch of 0.11 mm, on a plane of which every twentieth pixel or so is looked at."""
+    ends = Grid((samples, samples + 20), 0.5e-3, -13.5, centre), Grid((290, 300), 0.065, 12.7)
+    return Scene(lens, *ends, WAVELENGTH_UM, **changes)
+
+
+def noise(grid: Grid, seed: int = 1) -> Field:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=grid.shape) + 1j * rng.normal(size=grid.shape)
+    return Field(grid, values.astype(np.complex64), WAVELENGTH_UM)
+
+
+@pytest.mark.parametrize(
+    ("centre", "error", "changes"),
+    [
+        ((0.2, 1.2), 1e-3, {}),
+        ((-0.4, 0.3), 1e-2, {"pose": POSE, "coating": "bare"}),
+        (
+            (0.0, 0.9),
+            1e-2,
+            {"surface_perturbations": {1: SurfacePerturbation(tilt_x_deg=0.2, radius_mm=0.05)}},
+        ),
+    ],
+)
+def test_two_levels_give_what_one_level_gives(
+    paper_lens: Lens, centre: tuple[float, float], error: float, changes: dict[str, Any]
+) -> None:
+    scene = plane_scene(paper_lens, centre, **changes)
+    field = noise(scene.object_grid)
+    one = EikonalTiles(scene, error=1e-3, tile_width_mm=0.06).forward(
+        Field(scene.object_grid, field.values.astype(complex), WAVELENGTH_UM)
+    )
+    # The rim, drawn soft in one and sharp in the other, is left out.
+    y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
+    bright = np.abs(one.values) > 0.0
+    middle = np.array([np.mean(np.nonzero(bright)[i]) for i in (0, 1)])
+    rows, columns = np.indices(bright.shape)
+    inside = np.hypot(rows - middle[0], columns - middle[1]) * (y[1] - y[0]) < 8.3
+    assert x[1] - x[0] == pytest.approx(y[1] - y[0])
+    engine = TwoLevelTiles(scene, error=error, tiles_across=2, tile_width_mm=0.03)
+    two = engine.forward(field)
+    assert relative_error(two.values[inside], one.values[inside]) < error
+    assert relative_error(two.values, one.values) < engine.predicted_error()
+
+
+def test_adjoint_is_the_conjugate_transpose(paper_lens: Lens) -> None:
+    scene = plane_scene(paper_lens, (0.1, 1.0), pose=POSE, coating="bare")
+    engine = TwoLevelTiles(scene, tiles_across=2)
+    here, there = noise(scene.object_grid, 1), noise(scene.exit_grid, 2)
+    out = engine.forward(here).values.astype(complex)
+    back = engine.adjoint(there).values.astype(complex)
+    left = np.vdot(there.values.astype(complex), out) * scene.exit_grid.cell
+    right = np.vdot(back, here.values.astype(complex)) * scene.object_grid.cell
+    size = np.linalg.norm(out) * np.linalg.norm(there.values) * scene.exit_grid.cell
+    assert abs(left - right) < 1e-6 * size
+
+
+@pytest.fixture(scope="module")
+def small_field(paper_lens: Lens) -> TwoLevelTiles:
+    """All of the field of a twin, and corners beyond it."""
+    twin = scaled(paper_lens, 1.0 / 16.0)
+    grid = Grid((400, 400), 0.5e-3, twin.object_z_mm)
+    return TwoLevelTiles(
+        Scene(twin, grid, Grid((500, 500), 3.0e-3, twin.sensor_z_mm[0]), WAVELENGTH_UM), error=3e-2
+    )
+
+
+def test_light_beyond_the_field_is_left_out(small_field: TwoLevelTiles) -> None:
+    grid, radius = small_field.scene.object_grid, small_field.scene.lens.half_field_mm
+    outside = grid.radius_squared_mm2() > radius**2
+    field = noise(grid)
+    whole = small_field.forward(field).values
+    field.values[outside] = 0.0
+    assert np.array_equal(small_field.forward(field).values, whole)
+    back = small_field.adjoint(noise(small_field.scene.exit_grid)).values
+    assert np.all(back[outside] == 0.0)
+    assert np.all(back[~outside] != 0.0)
+
+
+def test_a_field_in_focus_comes_back(small_field: TwoLevelTiles) -> None:
+    """Nearly unitary: what the aperture takes in comes back."""
+    grid = small_field.scene.object_grid
+    radius = np.sqrt(grid.radius_squared_mm2())
+    smooth = np.exp(-((radius / 0.05) ** 2)) * (1.0 + np.cos(2.0 * np.pi * 200.0 * grid.x_mm))
+    back = small_field.adjoint(small_field.forward(Field(grid, smooth.astype(np.complex64), WAVELENGTH_UM)))
+    assert relative_error(back.values, smooth) < 0.05
+
+
+def test_progress_is_told(small_field: TwoLevelTiles) -> None:
+    told: list[tuple[int, int]] = []
+    small_field.report = lambda done, count: told.append((done, count))
+    small_field.forward(noise(small_field.scene.object_grid))
+    small_field.report = None
+    assert told == [(i + 1, len(small_field.groups)) for i in range(len(small_field.groups))]
+    assert len(told) > 1
+
+
+@pytest.mark.parametrize("rows", [1, 77, 10_000])
+def test_bands_make_the_plane(small_field: TwoLevelTiles, rows: int) -> None:
+    field = noise(small_field.scene.object_grid)
+    whole = small_field.forward(field).values
+    sums: dict[int, NDArray[Any]] = {}
+    bands = list(small_field.forward_in_bands(field, rows, sums))
+    assert [b.start for b, _ in bands] == list(range(0, len(whole), rows))
+    assert np.concatenate([values for _, values in bands]) == pytest.approx(whole, abs=1e-6)
+    assert sorted(sums) == list(range(len(small_field.groups)))
+
+
+def test_sums_that_are_there_are_not_made_again(small_field: TwoLevelTiles) -> None:
+    field = noise(small_field.scene.object_grid)
+    sums: dict[int, NDArray[Any]] = {}
+    whole = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
+    del sums[1], sums[3]
+    told: list[tuple[int, int]] = []
+    small_field.report = lambda done, count: told.append((done, count))
+    again = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
+    small_field.report = None
+    assert np.array_equal(whole, again)
+    count = len(small_field.groups)
+    assert told == [(count - 1, count), (count, count)]
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_memory_is_what_was_predicted(small_field: TwoLevelTiles, back: bool) -> None:
+    scene = small_field.scene
+    field = noise(scene.exit_grid if back else scene.object_grid)
+    carry = small_field.adjoint if back else small_field.forward
+    carry(field)  # compiled by now
+    used = peak_bytes(lambda: carry(field))
+    assert used < 1.3 * small_field.cost().peak_bytes + field.values.nbytes
+
+
+def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
+    scene = plane_scene(paper_lens)
+    for wrong in ({"tile_width_mm": math.nan}, {"tiles_across": 0}, {"error": 1e-6}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            TwoLevelTiles(scene, **wrong)  # type: ignore[arg-type]
+    line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
+    with pytest.raises(InputError, match="on a line take eikonal"):
+        TwoLevelTiles(line)
+
+
+def test_tiles_too_wide_are_refused_by_name(paper_lens: Lens) -> None:
+    with pytest.raises(RayMapError, match="make tiles narrower"):
+        TwoLevelTiles(plane_scene(paper_lens, samples=1600), tile_width_mm=0.8).groups  # noqa: B018
+
+
+def test_a_fold_on_the_plane_is_refused(paper_lens: Lens) -> None:
+    lens = paper_lens.with_surface(1, radius_mm=-6.0, semi_diameter_mm=7.5)
+    grids = Grid((100, 100), 0.5e-3, -13.5), Grid((50, 50), 0.1, 35.0)
+    with pytest.raises((FoldError, RayMapError)):
+        TwoLevelTiles(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
+
+
+def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
+    grid = Grid((6000, 6000), 0.5e-3, -13.5)
+    scene = Scene(paper_lens, grid, Grid((100, 100), 0.1, 12.7), WAVELENGTH_UM, POSE)
+    region = field_region(scene)
+    assert region.is_disc
+    maps = field_maps(scene, region, 12.7, 0.09, 1e-4)
+    path, amplitude, direction = maps.errors
+    assert path < 1e-4
+    assert amplitude < 1e-3
+    assert direction < 1e-4
+
+
+def test_maps_that_cannot_be_so_accurate_are_refused(paper_lens: Lens) -> None:
+    scene = plane_scene(paper_lens)
+    region = field_region(scene)
+    assert not region.is_disc
+    with pytest.raises(RayMapError, match="ask for less accuracy"):
+        field_maps(scene, region, 12.7, 0.09, 1e-11)
+
+
+def test_corners_of_a_vignetted_stop_are_told(paper_lens: Lens) -> None:
+    grid, radius = Grid((6000, 6000), 0.5e-3, -13.5), Grid((100, 100), 0.1, 12.7)
+    found = []
+    for semi_diameter in (10.0, 8.0):
+        scene = Scene(paper_lens.with_surface(1, semi_diameter_mm=semi_diameter), grid, radius, WAVELENGTH_UM)
+        found.append(field_maps(scene, field_region(scene), 12.7, 0.09, 1e-4).edge_error_mm)
+    assert found[0] < 1e-5
+    assert 1e-4 < found[1] < 0.1
+
+
+def test_carried_loops_against_plain_numpy() -> None:
+    rng = np.random.default_rng(4)
+    fine = (np.linspace(-1.0, 1.0, 61), np.linspace(-0.7, 0.9, 53))
+    kernel = kernel_for(1e-3)
+    coarse = tuple(coarse_axis(a, 0.11, kernel) for a in fine)
+    smooth = tuple(np.linspace(a[0] - 0.2, a[-1] + 0.2, 30) for a in fine)
+
+    def turns(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 1e4 + 30.0 * y[:, None] ** 3 - 12.0 * x**2 + 7.0 * y[:, None] * x
+
+    def edge(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (1.2 - y[:, None] ** 2 - x**2) * 2.0 - 0.7
+
+    carried = Carried(
+        ways_between((coarse[0], coarse[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), kernel),
+        turns(smooth[0], smooth[1]),
+        edge(smooth[0], smooth[1]).astype(np.float32),
+        (slice(2, 63), slice(1, 54)),
+    )
+    shape = (len(coarse[0]), len(coarse[1]))
+    field = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
+    found = np.zeros((70, 60), np.complex64)
+    carried.add(field, found)
+    ways = [interpolation(c, f, kernel).matrix().toarray() for c, f in zip(coarse, fine, strict=True)]
+    e = np.clip(edge(*fine), 0.0, 1.0)
+    carrier = e * e * (3.0 - 2.0 * e) * np.exp(2j * np.pi * turns(*fine))
+    expected = np.zeros_like(found, dtype=complex)
+    expected[2:63, 1:54] = carrier * (ways[0] @ field @ ways[1].T)
+    assert found == pytest.approx(expected, abs=2e-5)
+    other = (rng.normal(size=found.shape) + 1j * rng.normal(size=found.shape)).astype(np.complex64)
+    between, back = (np.zeros(s, np.complex64) for s in carried.shapes)
+    for rows in ((0.0, 0.4), (0.4, 1.0)):
+        carried.collect_rows(other, between, rows)
+    for columns in ((0.0, 0.7), (0.7, 1.0)):
+        carried.collect_columns(between, back, columns)
+    wanted = ways[0].T @ (carrier.conj() * other[2:63, 1:54]) @ ways[1]
+    assert back == pytest.approx(wanted, abs=1e-4)

@@ -1,0 +1,181 @@
+"""Engines side by side, and where they fail."""
+
+import csv
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, save_design, scaled
+from lensdesign.errors import InputError
+from wavesim.cli.commands import main
+from wavesim.engines.registry import engine_class
+from wavesim.evaluation.engines import (
+    Measured,
+    compare,
+    lens_case,
+    random_field,
+    variants,
+    with_front,
+    write_csv,
+)
+from wavesim.evaluation.failures import (
+    REFUSED,
+    SILENT,
+    WARNED,
+    FailureMap,
+    free_space_maps,
+    map_rows,
+    slice_maps,
+    step_maps,
+    stopped_down,
+    tile_map,
+)
+from wavesim.fields.field import Grid
+from wavesim.fields.guards import SamplingWarning
+from wavesim.oracles.registry import oracle_case
+from wavesim.pictures.comparisons import comparison_figure, failure_figure
+
+TWIN = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
+
+
+def row(error: float, seconds: float, peak_mb: float) -> Measured:
+    return Measured("s", "f", "", error, seconds, 0.0, peak_mb, error, seconds, peak_mb)
+
+
+def test_the_front_holds_what_nothing_beats() -> None:
+    rows = with_front([row(0.1, 1.0, 9.0), row(0.2, 2.0, 1.0), row(0.05, 3.0, 9.0), row(np.nan, 0.1, 0.1)])
+    assert [r.fastest for r in rows] == [True, False, True, False]
+    assert [r.smallest for r in rows] == [False, True, True, False]
+
+
+def test_speckle_fills_the_aperture_evenly() -> None:
+    grid = Grid((512, 512), 2e-4, -1.0)
+    field = random_field(grid, 0.5, 0.4)
+    assert np.mean(np.abs(field.values) ** 2) == pytest.approx(1.0)
+    spectrum = np.abs(np.fft.fft2(field.values)) ** 2
+    radius = np.hypot(*np.meshgrid(*[np.fft.fftfreq(512, 2e-4)] * 2))
+    inside = radius < 0.4 / 0.5e-3
+    assert spectrum[~inside].max() < 1e-18 * spectrum.max()
+    inner = radius < 0.5 * 0.4 / 0.5e-3
+    assert spectrum[inner].mean() == pytest.approx(spectrum[inside].mean(), rel=0.05)
+
+
+def test_measured_beside_predicted(tmp_path: Path) -> None:
+    cases = {"cylinder": oracle_case("cylinder", radius_mm=0.05), "twin": lens_case(TWIN, 0.01)}
+    tried = [v for v in variants() if v[0] in ("eikonal, low-rank", "thin lens", "wpm, substep")]
+    told: list[tuple[int, int]] = []
+    rows = compare(cases, tried, lambda done, total, _: told.append((done, total)))
+    assert told == [(i, 2 * len(tried)) for i in range(2 * len(tried))]
+    assert {r.scene for r in rows} == set(cases)
+    best = min((r for r in rows if r.scene == "cylinder"), key=lambda r: r.relative_error)
+    assert best.relative_error < 5e-3
+    assert best.fastest
+    assert all(r.seconds > 0 for r in rows if np.isfinite(r.relative_error))
+    assert all(r.said for r in rows if np.isnan(r.relative_error))
+    write_csv(tmp_path / "rows.csv", [vars(r) for r in rows])
+    with (tmp_path / "rows.csv").open() as file:
+        back = list(csv.DictReader(file))
+    assert [float(b["relative_error"]) for b in back] == pytest.approx(
+        [r.relative_error for r in rows], nan_ok=True
+    )
+    figure = comparison_figure(rows, "title")
+    assert len(figure.axes) == 4
+    figure.savefig(tmp_path / "rows.png")
+
+
+def test_every_engine_is_compared() -> None:
+    assert {engine for _, engine, _ in variants()} == {"eikonal", "slices", "wpm", "thin-lens", "no-lens"}
+    for _, engine, _ in variants():
+        engine_class(engine)
+
+
+def test_stopped_down() -> None:
+    lens = stopped_down(TWIN, 0.25)
+    tangents = [np.tan(np.arcsin(na)) for na in (0.25, 0.5)]
+    assert lens.stop_semi_diameter_mm / TWIN.stop_semi_diameter_mm == pytest.approx(tangents[0] / tangents[1])
+    for wrong in (0.0, 0.6, np.nan):
+        with pytest.raises(InputError):
+            stopped_down(TWIN, wrong)
+
+
+def assert_speaks_first(found: FailureMap, largest_silent: float) -> None:
+    """Where the guard is silent the error is small; it does speak; worse cells are not told less."""
+    assert set(np.unique(found.guard)) <= {SILENT, WARNED, REFUSED}
+    silent = found.error[found.guard == SILENT]
+    assert len(silent)
+    assert np.all(silent < largest_silent)
+    assert np.any(found.guard > SILENT)
+    rows = map_rows(found)
+    assert len(rows) == found.error.size
+
+
+@pytest.mark.filterwarnings("ignore::wavesim.fields.guards.SamplingWarning")
+def test_slices_warn_before_they_fail() -> None:
+    maps = {found.name: found for found in slice_maps(TWIN, 0.01)}
+    assert_speaks_first(maps["slices_vertical"], 0.35)
+    oblique = maps["slices_oblique"].error
+    assert np.all(oblique <= maps["slices_vertical"].error)
+    assert np.all(oblique[:, -1] < oblique[:, 0])
+
+
+def test_tiles_warn_before_they_fail() -> None:
+    found = tile_map(TWIN)
+    assert_speaks_first(found, 0.4)
+    assert np.any(found.guard == REFUSED)
+
+
+def test_steps_warn_before_they_fail() -> None:
+    substep, staircase = step_maps()
+    assert_speaks_first(substep, 1e-2)
+    assert np.any(substep.guard == REFUSED)
+    assert np.all(staircase.guard >= WARNED)
+    assert np.any(staircase.guard == REFUSED)
+
+
+def test_free_space_warns_before_it_fails() -> None:
+    for found in free_space_maps():
+        assert_speaks_first(found, 2e-3)
+        assert np.all(found.error[found.guard == WARNED] < 0.1)
+
+
+def test_pictures_of_maps(tmp_path: Path) -> None:
+    maps = list(free_space_maps())
+    figure = failure_figure(maps, "title")
+    assert len(figure.axes) == 3
+    figure.savefig(tmp_path / "maps.png")
+
+
+def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    design, out = tmp_path / "twin.toml", tmp_path / "out"
+    save_design(TWIN, design)
+    small = [v for v in variants() if v[1] == "eikonal"][:2]
+    monkeypatch.setattr("wavesim.evaluation.engines.variants", lambda: small)
+    options = ["--patch-mm", "0.01", "--radius-mm", "0.05", "--no-maps", "--json"]
+    monkeypatch.setattr(sys, "argv", ["wavesim", "compare", str(design), "-o", str(out), *options])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SamplingWarning)
+        with pytest.raises(SystemExit) as stopped:
+            main()
+    assert not stopped.value.code
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["measured"]) == 4
+    assert (out / "comparison.png").stat().st_size > 10_000
+    assert len((out / "comparison.csv").read_text().splitlines()) == 5
+
+
+@pytest.mark.parametrize("options", [["--scale", "0"], ["--radius-mm", "9"], ["--patch-mm", "-1"]])
+def test_command_refuses(
+    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    design, out = tmp_path / "twin.toml", tmp_path / "out"
+    save_design(TWIN, design)
+    monkeypatch.setattr(sys, "argv", ["wavesim", "compare", str(design), "-o", str(out), *options])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert "error: " in capsys.readouterr().err
+    assert not (out / "comparison.csv").exists()

@@ -1,0 +1,32 @@
+"""The way from the exit grid to a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wavesim.fields.field import Grid
+from wavesim.fields.free_space import transfer_function
+from wavesim.fields.plane_way import PlaneWay
+
+
+@pytest.mark.parametrize("shape", [(6, 5), (1, 8), (7,), (8,)])
+@pytest.mark.parametrize("pitch_mm", [3.2e-3, 3e-4])
+@pytest.mark.parametrize("distance_mm", [0.0, 0.7, -2.0])
+def test_a_quarter_of_the_factor_is_the_whole(
+    shape: tuple[int, ...], pitch_mm: float, distance_mm: float
+) -> None:
+    """Also where the grid holds waves that decay."""
+    random = np.random.default_rng(3)
+    spectrum = random.random(shape) + 1j * random.random(shape)
+    factor = transfer_function(shape, pitch_mm, 0.532, 1.0, distance_mm, band_limit=False)
+    way = PlaneWay(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
+    np.testing.assert_allclose(spectrum * way, spectrum * factor, atol=1e-12)
+    np.testing.assert_allclose(way.times(spectrum.copy(), back=True), spectrum * factor.conj(), atol=1e-12)
+    assert way.factor.size <= (1 + shape[0] // 2) * (1 + shape[-1] // 2)
+    assert way.is_none == bool(np.all(factor == 1.0))
+
+
+def test_no_distance_is_no_way() -> None:
+    assert PlaneWay(Grid((6, 5), 3.2e-3, 1.0), 0.532, 0.0, np.complex64).is_none
+    assert not PlaneWay(Grid((6, 5), 2e-4, 1.0), 0.532, 0.0, np.complex64).is_none

@@ -1,0 +1,68 @@
+"""Band-limited interpolation between planes of even samples."""
+
+import numpy as np
+import pytest
+
+from wavesim.fields.resampling import (
+    OVERSAMPLING,
+    Weights,
+    add_interpolated,
+    coarse_axis,
+    gathered,
+    interpolation,
+    kernel_for,
+)
+
+FINE_Y, FINE_X = np.linspace(-1.0, 1.2, 61), np.linspace(-0.7, 0.9, 47)
+BAND = 40.0
+STEP = np.pi / (OVERSAMPLING * BAND)
+
+
+def ways(error: float) -> tuple[tuple[Weights, Weights], tuple[np.ndarray, np.ndarray]]:
+    kernel = kernel_for(error)
+    coarse = coarse_axis(FINE_Y, STEP, kernel), coarse_axis(FINE_X, STEP, kernel)
+    found = tuple(interpolation(c, f, kernel) for c, f in zip(coarse, (FINE_Y, FINE_X), strict=True))
+    return (found[0], found[1]), coarse
+
+
+def noise(shape: tuple[int, int], seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+@pytest.mark.parametrize("error", [1e-2, 1e-4, 1e-6])
+def test_waves_within_the_band_come_out(error: float) -> None:
+    (along_y, along_x), (coarse_y, coarse_x) = ways(error)
+    for ky, kx in ((BAND, -BAND), (0.0, 0.0), (-0.6 * BAND, BAND), (0.9 * BAND, 0.1 * BAND)):
+        coarse = np.exp(1j * (ky * coarse_y[:, None] + kx * coarse_x))
+        result = np.zeros((len(FINE_Y), len(FINE_X)), complex)
+        add_interpolated(coarse, (along_y, along_x), np.ones_like(result), result, 2)
+        exact = np.exp(1j * (ky * FINE_Y[:, None] + kx * FINE_X))
+        assert np.abs(result - exact).max() < 6.0 * error
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_the_same_as_matrices(threads: int) -> None:
+    (along_y, along_x), (coarse_y, coarse_x) = ways(1e-4)
+    y, x = along_y.matrix().toarray(), along_x.matrix().toarray()
+    coarse = noise((len(coarse_y), len(coarse_x)), 1)
+    carried, before = noise((61, 47), 2), noise((61, 47), 3)
+    carried[:5, 10:] = 0.0
+    result = before.copy()
+    add_interpolated(coarse, (along_y, along_x), carried, result, threads)
+    np.testing.assert_allclose(result, before + carried * (y @ coarse @ x.T), atol=1e-12)
+    back = gathered(before, (along_y, along_x), carried, threads)
+    np.testing.assert_allclose(back, y.T @ (carried.conj() * before) @ x, atol=1e-12)
+
+
+def test_single_precision_stays_single() -> None:
+    (along_y, along_x), (coarse_y, coarse_x) = ways(1e-3)
+    single = along_y.astype(np.float32), along_x.astype(np.float32)
+    coarse = noise((len(coarse_y), len(coarse_x)), 1).astype(np.complex64)
+    carried = np.ones((61, 47), np.complex64)
+    result = np.zeros((80, 60), np.complex64)
+    add_interpolated(coarse, single, carried, result[3:64, 5:52], 2)
+    exact = along_y.matrix() @ coarse @ along_x.matrix().T
+    assert np.abs(result[3:64, 5:52] - exact).max() < 1e-5 * np.abs(exact).max()
+    assert not np.any(result[:3])
+    assert gathered(carried, single, carried, 2).dtype == np.complex64

@@ -1,0 +1,330 @@
+"""Object-domain reconstruction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.engines.registry import make_engine
+from wavesim.fields.field import Field, Grid, correlation
+from wavesim.fields.free_space import transfer_function
+from wavesim.reconstruction.from_field import Recorded, recorded_intensity
+from wavesim.reconstruction.from_object import LEAST_TV, Kind, Progressed, reconstruct
+from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.engine import Engine, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    engine: Engine
+    illumination: Field
+    transmission: np.ndarray
+    recorded: list[Recorded]
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    """Bars of 0.9 to 3 um within a field stop, through a small twin of the paper's lens, onto two planes."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    object_grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
+    exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
+    engine = make_engine("eikonal", Scene(lens, object_grid, exit_grid, 0.532), error=0.1)
+    y, x = object_grid.y_mm[:, None], object_grid.x_mm
+    stop = (np.hypot(y, x) < 0.024).astype(np.complex64)
+    rng = np.random.default_rng(7)
+    transmission = np.ones(object_grid.shape)
+    for _ in range(12):
+        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
+        for bar in range(3):
+            transmission[
+                (np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)
+            ] = 0.0
+    lit = Field(object_grid, stop, 0.532)
+    at_exit = engine.forward(lit.with_values((transmission * stop).astype(np.complex64))).values
+    planes = []
+    for distance in (0.0, 0.6):
+        way = transfer_function(exit_grid.shape, 3.2e-3, 0.532, 1.0, distance, band_limit=False)
+        planes.append(Recorded(distance, np.abs(np.fft.ifft2(np.fft.fft2(at_exit) * way)).astype(np.float32)))
+    return Case(engine, lit, transmission, planes)
+
+
+def score(case: Case, found: Field) -> float:
+    """Correlation of what the object adds to its illumination, inside the field stop."""
+    inside = np.abs(case.illumination.values) > 0.0
+    return correlation((found.values - 1.0)[inside], (case.transmission - 1.0)[inside])
+
+
+def test_an_amplitude_object_comes_back(case: Case) -> None:
+    found = reconstruct(
+        case.engine,
+        case.illumination,
+        case.recorded,
+        kind="amplitude",
+        tv_weight=0.02,
+        iterations=40,
+        scale=1.0,
+    )
+    assert score(case, found.transmission) > 0.97
+    assert found.misfit[-1] < 0.1 * found.misfit[0]
+    values = found.transmission.values
+    assert np.all(values.imag == 0.0)
+    assert np.all((values.real >= 0.0) & (values.real <= 1.0))
+    assert not np.any(values[np.abs(case.illumination.values) == 0.0])
+    size = np.sqrt(sum(np.sum(p.amplitude.astype(float) ** 2) for p in case.recorded))
+    left = np.sqrt(sum(np.sum(m.astype(float) ** 2) for m in found.residual_maps)) / size
+    assert left == pytest.approx(found.misfit[-1], rel=0.5)
+
+
+def test_a_complex_object_is_found_to_the_data(case: Case) -> None:
+    found = reconstruct(
+        case.engine, case.illumination, case.recorded, tv_weight=0.02, iterations=40, scale=1.0
+    )
+    assert score(case, found.transmission) > 0.8
+    assert found.misfit[-1] < 0.25 * found.misfit[0]
+
+
+def test_one_plane_is_worse_than_two(case: Case) -> None:
+    scores = [
+        score(
+            case,
+            reconstruct(
+                case.engine,
+                case.illumination,
+                planes,
+                kind="amplitude",
+                tv_weight=0.02,
+                iterations=15,
+                scale=1.0,
+            ).transmission,
+        )
+        for planes in (case.recorded[:1], case.recorded)
+    ]
+    assert scores[0] < scores[1]
+
+
+def test_the_scale_is_found(case: Case) -> None:
+    louder = [Recorded(p.distance_mm, 7.0 * p.amplitude) for p in case.recorded]
+    found = reconstruct(
+        case.engine, case.illumination, louder, kind="amplitude", tv_weight=0.02, iterations=30
+    )
+    assert found.scale == pytest.approx(7.0, rel=0.25)
+    assert score(case, found.transmission) > 0.9
+
+
+def test_the_truth_stays(case: Case) -> None:
+    start = case.illumination.with_values(case.transmission.astype(np.complex64))
+    found = reconstruct(
+        case.engine, case.illumination, case.recorded, kind="amplitude", iterations=5, scale=1.0, start=start
+    )
+    assert max(found.misfit) < 1e-4
+    assert score(case, found.transmission) > 0.9999
+
+
+def test_progress_and_early_stop(case: Case) -> None:
+    told: list[int] = []
+    start = case.illumination.with_values(case.transmission.astype(np.complex64))
+    found = reconstruct(
+        case.engine,
+        case.illumination,
+        case.recorded,
+        kind="amplitude",
+        iterations=60,
+        tv_weight=0.02,
+        scale=1.0,
+        start=start,
+        progress=lambda k, _: told.append(k),
+    )
+    assert told == list(range(len(found.misfit)))
+    assert found.stopped_early == (len(found.misfit) < 60)
+
+
+def noisy(case: Case, electrons: float, seed: int = 4) -> list[Recorded]:
+    """Point samples with shot noise, and their standard deviations."""
+    random = np.random.default_rng(seed)
+    gain = electrons / max(float(p.amplitude.max()) ** 2 for p in case.recorded)
+    planes = []
+    for plane in case.recorded:
+        counts = random.poisson(gain * plane.amplitude.astype(float) ** 2)
+        made = recorded_intensity(plane.distance_mm, counts / gain, np.maximum(counts, 1.0) / gain**2)
+        assert made.sigma is not None
+        planes.append(
+            replace(made, amplitude=made.amplitude.astype(np.float32), sigma=made.sigma.astype(np.float32))
+        )
+    return planes
+
+
+def test_pixels_that_are_not_known_do_not_count(case: Case) -> None:
+    """A block of saturated pixels and scattered dead ones spoil the result, unless they are left out."""
+    dead = np.random.default_rng(3).random(case.recorded[0].amplitude.shape) < 0.03
+    dead[100:112, 90:104] = True
+    spoiled, masked = [], []
+    for plane in case.recorded:
+        wrong = np.where(dead, 3.0 * plane.amplitude.max(), plane.amplitude).astype(np.float32)
+        spoiled.append(replace(plane, amplitude=wrong))
+        masked.append(replace(spoiled[-1], sigma=np.where(dead, np.inf, 1.0).astype(np.float32)))
+    scores = [
+        score(
+            case,
+            reconstruct(
+                case.engine,
+                case.illumination,
+                planes,
+                kind="amplitude",
+                tv_weight=0.02,
+                iterations=20,
+                scale=1.0,
+            ).transmission,
+        )
+        for planes in (spoiled, masked)
+    ]
+    assert scores[0] < 0.7
+    assert scores[1] > 0.95
+
+
+def test_even_standard_deviations_change_nothing(case: Case) -> None:
+    even = [replace(p, sigma=np.full(p.amplitude.shape, 0.3, np.float32)) for p in case.recorded]
+    found = [
+        reconstruct(case.engine, case.illumination, planes, kind="amplitude", iterations=3, scale=1.0)
+        for planes in (case.recorded, even)
+    ]
+    np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-5)
+    np.testing.assert_allclose(found[0].misfit, found[1].misfit, rtol=1e-5)
+
+
+@pytest.mark.parametrize("electrons", [1e4, 2e4, 4e4])
+def test_the_total_variation_weight_by_the_noise_is_near_the_best(case: Case, electrons: float) -> None:
+    recorded = noisy(case, electrons)
+    noise = RecordingModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+
+    def reached(weight: float | str) -> float:
+        return score(
+            case,
+            reconstruct(
+                case.engine,
+                case.illumination,
+                recorded,
+                kind="amplitude",
+                tv_weight=weight,
+                iterations=10,
+                scale=1.0,
+            ).transmission,
+        )
+
+    best = max(reached(factor * noise) for factor in (0.25, 1.0, 4.0))
+    assert 1.0 - reached("auto") < 1.6 * (1.0 - best)
+
+
+def test_the_weight_by_the_noise_is_told_in_the_models_scale(case: Case) -> None:
+    """Seven times the amplitudes with seven times the noise are the same object."""
+    recorded = noisy(case, 1e5)
+    louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in recorded]
+    found = [
+        reconstruct(
+            case.engine,
+            case.illumination,
+            planes,
+            kind="amplitude",
+            tv_weight="auto",
+            iterations=4,
+            scale=scale,
+        )
+        for planes, scale in ((recorded, 1.0), (louder, 7.0))
+    ]
+    np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "complex"])
+def test_without_noise_the_least_weight_remains(case: Case, kind: Kind) -> None:
+    quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-9, np.float32)) for p in case.recorded]
+    found = [
+        reconstruct(
+            case.engine, case.illumination, quiet, kind=kind, tv_weight=weight, iterations=3, scale=1.0
+        ).transmission.values
+        for weight in ("auto", LEAST_TV[kind])
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
+def test_an_amplitude_start_within_the_iterations(case: Case) -> None:
+    told: list[int] = []
+    found = reconstruct(
+        case.engine,
+        case.illumination,
+        case.recorded,
+        tv_weight=0.02,
+        iterations=16,
+        scale=1.0,
+        start="amplitude",
+        progress=lambda k, _: told.append(k),
+    )
+    assert told == list(range(16))
+    assert score(case, found.transmission) > 0.9
+    assert np.any(found.transmission.values.imag != 0.0)
+
+
+@pytest.mark.parametrize("start", [None, "amplitude"])
+def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | None) -> None:
+    """Whether or not arrays lie in files; what is kept is not changed by what comes after."""
+    kept: list[Progressed] = []
+    settings: dict[str, Any] = {"tv_weight": 0.02, "iterations": 16, "start": start}
+    whole = reconstruct(case.engine, case.illumination, case.recorded, keep=kept.append, **settings)
+    assert len(kept) == len(whole.misfit)
+    for k in (2, 11, 12):
+        again = reconstruct(case.engine, case.illumination, case.recorded, resume=kept[k], **settings)
+        np.testing.assert_array_equal(again.transmission.values, whole.transmission.values)
+        assert again.misfit == whole.misfit
+    assert np.isrealobj(kept[3].ahead) == (start == "amplitude")
+    assert np.iscomplexobj(kept[-1].ahead)
+
+
+@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("complex", 0.0)])
+def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, active_width: float) -> None:
+    room, used = Scratch(tmp_path, 0.0), []
+    quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-3)) for p in case.recorded]
+    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "active_width": active_width}
+    settings |= {"iterations": 4, "keep": lambda _: used.append(room.bytes_in_files)}
+    in_files, in_memory = (
+        reconstruct(case.engine, case.illumination, quiet, scratch=scratch, **settings)
+        for scratch in (room, None)
+    )
+    np.testing.assert_array_equal(in_files.transmission.values, in_memory.transmission.values)
+    assert in_files.misfit == in_memory.misfit
+    # The steps, and standard deviations in the model's precision.
+    step = case.illumination.values.nbytes // (2 if kind == "amplitude" else 1)
+    assert used[3] >= 2 * step + sum(p.amplitude.nbytes for p in case.recorded)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"recorded": []}, "one plane at least"),
+        ({"recorded": [Recorded(0.0, np.ones((3, 3)))]}, "shape"),
+        ({"recorded": [Recorded(0.0, np.zeros((216, 216)))]}, "all dark"),
+        ({"recorded": [Recorded(0.0, np.full((216, 216), np.nan))]}, "finite"),
+        ({"recorded": [Recorded(np.nan, np.ones((216, 216)))]}, "distance_mm = nan"),
+        ({"kind": "phase"}, "kind = 'phase'"),
+        ({"tv_weight": -1.0}, "tv_weight"),
+        ({"iterations": 0}, "iterations = 0"),
+        ({"scale": 0.0}, "scale = 0.0"),
+        ({"active_width": 1.5}, "active_width = 1.5"),
+        ({"tv_weight": "auto"}, "needs sigma"),
+        ({"tv_weight": "strong"}, "tv_weight = 'strong'"),
+        ({"start": "random"}, "start = 'random'"),
+        ({"start": Field(Grid((3, 3), 1.0, 0.0), np.ones((3, 3)), 0.532)}, "start: its shape"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.zeros((216, 216)))]}, "sigma must be above 0"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.ones(3))]}, "sigma must be above 0"),
+        ({"recorded": [Recorded(0.0, np.ones((216, 216)), np.full((216, 216), np.inf))]}, "not known"),
+    ],
+)
+def test_refused(case: Case, change: dict, message: str) -> None:
+    arguments = {"recorded": case.recorded} | change
+    with pytest.raises(InputError, match=message):
+        reconstruct(case.engine, case.illumination, **arguments)

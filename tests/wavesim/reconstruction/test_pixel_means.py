@@ -1,0 +1,136 @@
+"""Means over the squares of pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lensdesign.lens.lens import Sensor
+from wavesim.camera.sensor import light_on_pixels
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.free_space import transfer_function
+from wavesim.fields.plane_way import PlaneWay
+from wavesim.reconstruction.pixel_means import PixelMeans
+
+PITCH = 3.2e-3
+GRID = Grid((48, 40), PITCH, 1.0)
+SHAPES = [(48, 40), (33, 70), (2, 5), (1, 6), (1, 1)]
+
+
+def field(seed: int = 1) -> Field:
+    """Speckle that fills nine tenths of the pixels' band, in a soft window."""
+    rng = np.random.default_rng(seed)
+    spectrum = rng.standard_normal(GRID.shape) + 1j * rng.standard_normal(GRID.shape)
+    for axis, count in enumerate(GRID.shape):
+        inside = np.abs(np.fft.fftfreq(count)) < 0.45
+        spectrum *= inside.reshape((-1, 1) if axis == 0 else (1, -1))
+    values = np.fft.ifft2(spectrum)
+    edge = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in GRID.shape]
+    return Field(GRID, values * np.outer(*edge), 0.532)
+
+
+def speckle(shape: tuple[int, ...], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A spectrum that fills the band, and a number for each pixel."""
+    random = np.random.default_rng(seed)
+    return random.standard_normal(shape) + 1j * random.standard_normal(shape), random.random(shape)
+
+
+def spread(pixels: PixelMeans, values: np.ndarray) -> np.ndarray:
+    """The adjoint of the means of fine samples, such that means remain: in NumPy's words."""
+    for axis in (1, 0):
+        shape = list(values.shape)
+        shape[axis] *= 2
+        fine = np.zeros(shape, values.dtype)
+        halves = np.moveaxis(fine, axis, 0)[::2], np.moveaxis(fine, axis, 0)[1::2]
+        along = np.moveaxis(values, axis, 0)
+        halves[0][...] = pixels.taps[0] * along
+        for away, tap in enumerate(pixels.taps[1:], start=1):
+            behind, before = away // 2, away - away // 2
+            halves[away % 2][...] += tap * (np.roll(along, behind, 0) + np.roll(along, -before, 0))
+        values = 2.0 * fine
+    return values
+
+
+def coarsely(fine: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Spectrum of fine samples within the pixels' band: the adjoint of `densely`."""
+    spectrum = np.fft.fft2(fine)
+    kept = [np.round(n * np.fft.fftfreq(n)).astype(int) for n in shape]
+    return 0.25 * spectrum[np.ix_(*kept)]
+
+
+@pytest.mark.parametrize("active_width", [0.3, 0.7, 1.0])
+def test_means_are_those_of_the_sensor(active_width: float) -> None:
+    """The sensor's means come from a cosine series, by another way."""
+    one = field()
+    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
+    expected = light_on_pixels(one, sensor, active_width=active_width, oversampling=4)
+    pixels = PixelMeans(GRID, active_width)
+    means = pixels.means(np.abs(pixels.densely(np.fft.fft2(one.values))) ** 2)
+    off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
+    at_points = np.linalg.norm(np.abs(one.values) ** 2 - expected) / np.linalg.norm(expected)
+    assert off < 0.01
+    assert off < 0.3 * at_points
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("active_width", [0.3, 1.0])
+@pytest.mark.parametrize("distance_mm", [0.0, 0.4])
+def test_means_in_blocks_are_those_of_all_fine_samples(
+    shape: tuple[int, int], active_width: float, distance_mm: float
+) -> None:
+    grid = Grid(shape, PITCH, 1.0)
+    pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, distance_mm, np.complex128)
+    spectrum, _ = speckle(shape, 2)
+    fine = pixels.densely(
+        spectrum * transfer_function(shape, PITCH, 0.532, 1.0, distance_mm, band_limit=False)
+    )
+    found = pixels.intensity(pixels.carried(spectrum, way))
+    np.testing.assert_allclose(found, pixels.means(np.abs(fine) ** 2), atol=1e-14 * np.ptp(np.abs(fine) ** 2))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, int], dtype: np.dtype) -> None:
+    grid = Grid(shape, PITCH, 1.0)
+    pixels, way = PixelMeans(grid, 1.0), PlaneWay(grid, 0.532, 0.4, dtype)
+    spectrum, change = speckle(shape, 3)
+    total = np.ones(shape, dtype)
+    there = spectrum.astype(dtype)
+    pixels.add_back(pixels.carried(there, way), change.astype(total.real.dtype), way, total)
+    factor = transfer_function(shape, PITCH, 0.532, 1.0, 0.4, band_limit=False)
+    fine = pixels.densely(spectrum * factor) * spread(pixels, change)
+    expected = 1.0 + coarsely(fine, shape) * factor.conj()
+    np.testing.assert_allclose(total, expected, atol=20.0 * np.finfo(dtype).eps * np.abs(expected).max())
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 40), st.floats(0.01, 1.0), st.integers(0, 100))
+def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: float, seed: int) -> None:
+    """Means are a quadratic form of the spectrum, which its own derivative gives again."""
+    grid = Grid((height, width), PITCH, 1.0)
+    pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, 0.4, np.complex128)
+    spectrum, change = speckle(grid.shape, seed)
+    # So bright in the middle of the band that no mean is held at 0.
+    spectrum[0, 0] += 100.0 * grid.size
+    met = np.sum(change * pixels.intensity(pixels.carried(spectrum, way)))
+    total = np.zeros_like(spectrum)
+    pixels.add_back(pixels.carried(spectrum, way), change, way, total)
+    assert np.vdot(spectrum, total) / grid.size == pytest.approx(met, rel=1e-10)
+
+
+def test_dense_samples_hold_the_coarse_ones() -> None:
+    one, pixels = field(), PixelMeans(GRID, 1.0)
+    spectrum = np.fft.fft2(one.values)
+    fine = pixels.densely(spectrum)
+    np.testing.assert_allclose(fine[::2, ::2], one.values, atol=1e-12)
+    np.testing.assert_allclose(coarsely(fine, GRID.shape), spectrum, atol=1e-10)
+
+
+def test_means_and_spread_of_an_even_field_are_even() -> None:
+    pixels = PixelMeans(GRID, 1.0)
+    fine, coarse = (np.random.default_rng(2).random([k * n for n in GRID.shape]) for k in (2, 1))
+    assert np.vdot(pixels.means(fine), coarse) == pytest.approx(0.25 * np.vdot(fine, spread(pixels, coarse)))
+    assert spread(pixels, np.ones(GRID.shape)).mean() == pytest.approx(1.0)
+    np.testing.assert_allclose(pixels.means(np.ones([2 * n for n in GRID.shape])), 1.0)

@@ -1,0 +1,60 @@
+"""What a run may take, and what is said of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from lensdesign.errors import InputError
+from wavesim.runtime import memory
+from wavesim.runtime.memory import (
+    MemoryLimitError,
+    Need,
+    available_bytes,
+    estimate_line,
+    memory_limit,
+    room_for_arrays,
+)
+
+NEED = Need(most_bytes=9_000_000_000, least_bytes=3_000_000_000, file_bytes=1_000_000_000)
+
+
+def test_a_limit_is_what_was_given_or_a_share_of_what_is_free() -> None:
+    assert memory_limit(2.5) == 2.5e9
+    assert 0.0 < memory_limit(None) < available_bytes()
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="--memory-gb"):
+            memory_limit(wrong)
+
+
+def test_a_container_has_what_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit, used = tmp_path / "max", tmp_path / "current"
+    monkeypatch.setattr(memory, "CGROUPS", ((str(limit), str(used)),))
+    monkeypatch.setattr(memory, "_machine_bytes", lambda: 8_000_000_000)
+    assert available_bytes() == 8e9
+    limit.write_text("max\n")
+    used.write_text("5\n")
+    assert available_bytes() == 8e9
+    limit.write_text("3000000000\n")
+    used.write_text("1000000000\n")
+    assert available_bytes() == 2e9
+
+
+def test_arrays_are_moved_where_they_must_be() -> None:
+    assert room_for_arrays(NEED, 10e9, "it") == math.inf
+    assert room_for_arrays(NEED, 5e9, "it") == 2e9
+    with pytest.raises(MemoryLimitError, match=r"it needs 3 GB .* may take 2\.5 GB: take --memory-gb 3"):
+        room_for_arrays(NEED, 2.5e9, "it")
+
+
+def test_the_estimate_names_memory_and_files() -> None:
+    place = Path("results")
+    assert estimate_line(NEED, 20e9, place) == (
+        "memory: about 9 GB of 20 GB allowed, 1 GB in files under results"
+    )
+    assert (
+        estimate_line(NEED, 5e9, place) == "memory: about 5 GB of 5 GB allowed, 5 GB in files under results"
+    )
+    assert estimate_line(Need(10_000_000, 10_000_000), 5e9, place) == "memory: about 0.01 GB of 5 GB allowed"

@@ -1,0 +1,36 @@
+"""Scenes of a design."""
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.scene.patches import exit_grid, patch_scene
+
+PAPER = load_design("designs/paper_singlet.toml")
+TWIN = scaled(PAPER, 0.125)
+
+
+def test_grids_hold_the_light() -> None:
+    scene = patch_scene(PAPER, 0.1, 1.0, meridional=True)
+    assert scene.object_grid.pitch_mm < 0.532e-3 / (2 * 0.5)
+    assert 2 * scene.object_grid.half_widths_mm[0] >= 0.1
+    assert scene.object_grid.centre_mm == (0.0, 1.0)
+    assert scene.exit_grid.pitch_mm < 0.532e-3 / (2 * np.sin(np.radians(4.81)))
+    assert scene.exit_grid.half_widths_mm[0] > 10.06
+    assert scene.exit_grid.z_mm == pytest.approx(9.7 + 2.0)
+
+
+def test_a_plane_is_as_wide_both_ways() -> None:
+    scene = patch_scene(TWIN, 0.02, plane_distance_mm=0.25)
+    assert scene.object_grid.shape[0] == scene.object_grid.shape[1]
+    assert exit_grid(TWIN, 0.532, 0.25, 2) == scene.exit_grid
+    assert exit_grid(TWIN, 0.532, 0.25, 1).shape == scene.exit_grid.shape[:1]
+
+
+@pytest.mark.parametrize(
+    ("patch_mm", "field_mm"), [(0.0, 0.0), (-1.0, 0.0), (4.0, 0.0), (np.nan, 0.0), (0.1, 1.6), (0.1, np.nan)]
+)
+def test_refused(patch_mm: float, field_mm: float) -> None:
+    with pytest.raises(InputError):
+        patch_scene(PAPER, patch_mm, field_mm)

@@ -1,0 +1,1 @@
+"""What a store says: yields, sensitivities, inverse limits, budgets."""

@@ -1,0 +1,128 @@
+"""Scores of a study's merits for any deltas: what inverse limits and budgets search with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from tolerancing.analysis.sensitivity import Sensitivity, sensitivities
+from tolerancing.merits.context import Context
+from tolerancing.perturbations.batch import batch_of
+from tolerancing.perturbations.distributions import Distribution
+from tolerancing.study.evaluate import score_batch
+from tolerancing.study.results import StepResults
+from tolerancing.study.study import Study
+
+Array = NDArray[np.float64]
+Report = Callable[[int], None]
+
+ROWS_AT_ONCE = 64
+QUANTILES = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class StudyScorer:
+    """The study's merits as a function of deltas; irregularities keep the shapes of trial 0.
+
+    Attributes
+    ----------
+    context, study
+        What is scored.
+    report
+        Called with the number of rows after each of the parts in which they are scored.
+    """
+
+    context: Context
+    study: Study
+    report: Report | None = None
+
+    def __call__(self, values: Array) -> Array:
+        """Scores, shape (n, merits), of deltas from nominal, shape (n, perturbations)."""
+        study, parts = self.study, []
+        for start in range(0, len(values), ROWS_AT_ONCE):
+            rows = np.ascontiguousarray(values[start : start + ROWS_AT_ONCE])
+            batch = batch_of(study.perturbations, rows, study.pivot_z_mm, study.seed)
+            parts.append(score_batch(study.merits, self.context, batch)[0])
+            if self.report is not None:
+                self.report(len(rows))
+        return np.concatenate(parts) if parts else np.empty((0, len(study.merits)))
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """How a study's perturbations scatter; arrays of shape (perturbations,).
+
+    Attributes
+    ----------
+    tolerance
+        Largest deviation that counts as the tolerance.
+    mean, standard_deviation, kurtosis
+        Of the distributions.
+    """
+
+    tolerance: Array
+    mean: Array
+    standard_deviation: Array
+    kurtosis: Array
+
+
+def scatter_of(study: Study) -> Scatter:
+    """How a study's perturbations scatter."""
+    shapes = [p.distribution for p in study.perturbations]
+    return Scatter(
+        tolerance=np.array([d.largest for d in shapes]),
+        mean=np.array([d.centre for d in shapes]),
+        standard_deviation=np.array([d.standard_deviation for d in shapes]),
+        kurtosis=np.array([kurtosis(d) for d in shapes]),
+    )
+
+
+def kurtosis(distribution: Distribution) -> float:
+    """Fourth central moment over the squared variance, from the quantiles."""
+    values = distribution.quantile((np.arange(QUANTILES) + 0.5) / QUANTILES)
+    values = values - values.mean()
+    return float(np.mean(values**4) / np.mean(values**2) ** 2)
+
+
+def study_sensitivities(
+    study: Study, nominal: Mapping[str, float], steps: Sequence[StepResults]
+) -> Sensitivity:
+    """Sensitivities from the steps that a store holds.
+
+    Parameters
+    ----------
+    study
+        The study.
+    nominal
+        Scores of the nominal lens, by merit.
+    steps
+        Of the store; those of other series are passed over.
+
+    Raises
+    ------
+    InputError
+        If the study leaves sensitivities out, or the run has not got to them.
+    """
+    from tolerancing.study.one_at_a_time import LABEL, OneAtATime
+
+    if not study.sensitivity:
+        raise InputError("the study has sensitivity = false: there are no sensitivities")
+    own = sorted((s for s in steps if s.series == LABEL), key=lambda s: s.step)
+    wanted = len(OneAtATime(study.perturbations))
+    if len(own) < wanted:
+        raise InputError(f"the store holds {len(own)} of {wanted} steps of the sensitivities: finish its run")
+    labels = [m.label for m in study.merits]
+    scores = np.array([[step.scores.get(label, np.nan) for label in labels] for step in own])
+    scatter = scatter_of(study)
+    return sensitivities(
+        np.array([nominal.get(label, np.nan) for label in labels], float),
+        scores,
+        scatter.tolerance,
+        scatter.standard_deviation,
+        scatter.mean,
+        scatter.kurtosis,
+    )

@@ -1,0 +1,185 @@
+"""What a store says in a few numbers: yield with its confidence, statistics of each merit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tolerancing.analysis.yields import CONFIDENCE, Yield, yield_of
+from tolerancing.merits.base import Merit
+from tolerancing.study.results import TrialResults
+
+if TYPE_CHECKING:
+    from tolerancing.store.store import Store, StudyRecord
+    from tolerancing.study.study import Study
+
+PERCENTILES = (1, 5, 50, 95, 99)
+
+
+@dataclass(frozen=True)
+class MeritSummary:
+    """One merit over all trials; statistics leave out trials without a score, the yield does not.
+
+    Attributes
+    ----------
+    merit
+        The merit.
+    nominal
+        Score of the nominal lens; None where it has none.
+    good
+        Yield of this merit by itself; None where there are no trials.
+    scored
+        Number of trials with a score.
+    mean, standard_deviation
+        None with fewer than one, or two, scores.
+    percentiles
+        By `PERCENTILES`; empty without scores.
+    """
+
+    merit: Merit
+    nominal: float | None
+    good: Yield | None
+    scored: int
+    mean: float | None
+    standard_deviation: float | None
+    percentiles: dict[int, float]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A store in a few numbers.
+
+    Attributes
+    ----------
+    record, study
+        What was studied.
+    trials
+        Number of trials in the store.
+    failed
+        Number of those that could not be scored; they count as bad.
+    good
+        Yield over all limits; None where there are no trials.
+    merits
+        Merit by merit.
+    steps, planned_steps
+        Steps of sweeps and the like in the store, and in the study.
+    """
+
+    record: StudyRecord
+    study: Study
+    trials: int
+    failed: int
+    good: Yield | None
+    merits: tuple[MeritSummary, ...]
+    steps: int
+    planned_steps: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was planned is there."""
+        return self.trials >= self.record.planned_trials and self.steps >= self.planned_steps
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary for JSON; names carry their units, missing numbers are null."""
+        return {
+            "title": self.study.title,
+            "design": self.study.design,
+            "seed": self.study.seed,
+            "created": self.record.created,
+            "toolkit_version": self.record.toolkit_version,
+            "complete": self.complete,
+            "trials": self.trials,
+            "planned_trials": self.record.planned_trials,
+            "failed": self.failed,
+            "sweep_steps": self.steps,
+            "planned_sweep_steps": self.planned_steps,
+            "yield": _yield_dict(self.good),
+            "merits": {m.merit.column: _merit_dict(m) for m in self.merits},
+        }
+
+
+def summarize(store: Store, results: TrialResults | None = None) -> Summary:
+    """Summarize a store.
+
+    Parameters
+    ----------
+    store
+        An open store.
+    results
+        Its trials, if they were read already.
+    """
+    results = store.trials() if results is None else results
+    return summary_of(store.record(), store.study, store.nominal(), results, len(store.finished_steps()))
+
+
+def summary_of(
+    record: StudyRecord,
+    study: Study,
+    nominal: Mapping[str, float],
+    results: TrialResults,
+    steps: int,
+) -> Summary:
+    """Summarize trials.
+
+    Parameters
+    ----------
+    record, study
+        What was studied.
+    nominal
+        Scores of the nominal lens, by merit.
+    results
+        All trials that there are.
+    steps
+        Number of steps of the study's series that there are.
+    """
+    return Summary(
+        record=record,
+        study=study,
+        trials=len(results),
+        failed=sum(1 for message in results.messages if message),
+        good=yield_of(results.passed),
+        merits=tuple(
+            _merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
+            for k, merit in enumerate(study.merits)
+        ),
+        steps=steps,
+        planned_steps=sum(len(series) for series in study.series),
+    )
+
+
+def _merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
+    known = scores[np.isfinite(scores)]
+    nominal = None if nominal is None or np.isnan(nominal) else nominal
+    values = np.percentile(known, PERCENTILES) if len(known) else ()
+    return MeritSummary(
+        merit=merit,
+        nominal=nominal,
+        good=yield_of(merit.passed(scores)),
+        scored=len(known),
+        mean=float(known.mean()) if len(known) else None,
+        standard_deviation=float(known.std(ddof=1)) if len(known) > 1 else None,
+        percentiles={p: float(v) for p, v in zip(PERCENTILES, values, strict=False)},
+    )
+
+
+def _yield_dict(good: Yield | None) -> dict[str, Any] | None:
+    return None if good is None else {**vars(good), "confidence": CONFIDENCE}
+
+
+def _merit_dict(summary: MeritSummary) -> dict[str, Any]:
+    merit = summary.merit
+    return {
+        "kind": merit.kind,
+        "at_least": merit.at_least,
+        "at_most": merit.at_most,
+        "nominal": summary.nominal,
+        "yield": _yield_dict(summary.good),
+        "scored": summary.scored,
+        "mean": summary.mean,
+        "standard_deviation": summary.standard_deviation,
+        "percentiles": {str(p): v for p, v in summary.percentiles.items()},
+    }

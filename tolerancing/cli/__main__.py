@@ -1,0 +1,5 @@
+"""`python -m tolerancing.cli`."""
+
+from tolerancing.cli.commands import main
+
+main()

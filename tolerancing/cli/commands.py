@@ -1,0 +1,271 @@
+"""The command ``tolerancing``: run a study, show and report what its store holds."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError
+from tolerancing.cli import tolerances as cli_tolerances
+from tolerancing.cli.tolerances import Json, StorePath
+
+if TYPE_CHECKING:
+    from tolerancing.analysis.summary import Summary
+    from tolerancing.analysis.trial import SingleTrial
+    from tolerancing.analysis.yields import Yield
+    from tolerancing.merits.base import Merit
+    from tolerancing.store.store import Store
+
+app = make_app("Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.")
+
+app.command()(cli_tolerances.start)
+
+
+@app.command()
+def run(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    store: Annotated[Path, typer.Option(help="Store to make, or to go on with.")],
+    workers: Annotated[int | None, typer.Option(help="Processes; by default as many as processors.")] = None,
+    trials: Annotated[int | None, typer.Option(help="Trials in the end; by default the study's.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start over: replace the store.")] = False,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do it.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a study's trials, sweeps and sensitivities into a store.
+
+    An interrupted run goes on where it stopped.
+    """
+    from lensdesign.common.console import progress_bar
+    from tolerancing.analysis.summary import summarize
+    from tolerancing.run.run import run_study
+    from tolerancing.store.store import open_store
+    from tolerancing.study.files import load_study
+
+    loaded = load_study(study)
+    try:
+        with progress_bar() as bar:
+            task = bar.add_task("trials and steps", total=None)
+            outcome = run_study(
+                loaded,
+                store,
+                workers=workers,
+                trials=trials,
+                fresh=fresh,
+                cluster=cluster,
+                report=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+    except KeyboardInterrupt:
+        kept = f"what was finished is in {store}, and the same command goes on from there"
+        message = f"interrupted; {kept if os.path.exists(store) else 'nothing is stored yet'}"
+        raise KeyboardInterrupt(message) from None
+    with open_store(store) as opened:
+        summary = summarize(opened)
+    if as_json:
+        print_json({"store": str(store), "run": vars(outcome), **summary.as_dict()})
+        return
+    _print_summary(summary)
+    done = {
+        "trials": outcome.trials_run,
+        "steps": outcome.steps_run,
+        "trials by dear merits": outcome.dear_run,
+    }
+    if not any(done.values()):
+        print(f"nothing was missing: {store}")
+        return
+    what = ", ".join(f"{count} {name}" for name, count in done.items() if count)
+    whom = cluster or f"{outcome.workers} {'worker' if outcome.workers == 1 else 'workers'}"
+    print(f"{what} in {outcome.seconds:.1f} s by {whom}: {store}")
+
+
+@app.command()
+def show(
+    store: StorePath,
+    trial: Annotated[int | None, typer.Option(help="Draw, trace and score this trial again.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="With --trial: its picture (png, svg or pdf).")
+    ] = None,
+    dear: Annotated[bool, typer.Option("--dear", help="With --trial: by the dear merits too.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Show the yield that a store holds, merit by merit, or one of its trials.
+
+    A store holds its study's files; merits in Python among them are run again with a trial.
+    """
+    from tolerancing.analysis.summary import summarize
+    from tolerancing.store.store import open_store
+
+    if trial is None and (output is not None or dear):
+        raise InputError("--output and --dear go with --trial")
+    with open_store(store) as opened:
+        if trial is not None:
+            _show_trial(opened, trial, output, dear, as_json)
+            return
+        summary = summarize(opened)
+    if as_json:
+        print_json({"store": str(store), **summary.as_dict()})
+    else:
+        _print_summary(summary)
+
+
+def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
+    from tolerancing.analysis.trial import single_trial, write_trial_figure
+
+    trial = single_trial(store, number, dear=dear)
+    if output is not None:
+        write_trial_figure(trial, output)
+    if as_json:
+        print_json({"store": str(store.path), **trial.as_dict()})
+        return
+    _print_trial(trial)
+    if output is not None:
+        print(f"wrote {output}")
+
+
+@app.command()
+def report(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the report.")],
+    as_json: Json = False,
+) -> None:
+    """Write a store's report.
+
+    report.html needs nothing beside itself, report.pdf is the same on paper; trials.csv and steps.csv are for
+    other programs.
+    """
+    from tolerancing.report.report import write_report
+    from tolerancing.store.store import open_store
+
+    with open_store(store) as opened:
+        files = write_report(opened, output)
+    if as_json:
+        print_json({name: str(path) for name, path in vars(files).items()})
+    else:
+        print(f"wrote {', '.join(str(path) for path in vars(files).values())}")
+
+
+@app.command()
+def export(
+    store: StorePath,
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="File to write, .csv or .parquet.")],
+    steps: Annotated[bool, typer.Option("--steps", help="Sweeps, grids and the like, not trials.")] = False,
+) -> None:
+    """Write a store's trials as one table."""
+    from tolerancing.store.export import export_steps, export_store
+    from tolerancing.store.store import open_store
+
+    with open_store(store) as opened:
+        (export_steps if steps else export_store)(opened, output)
+    print(f"wrote {output}")
+
+
+app.command()(cli_tolerances.sensitivity)
+app.command()(cli_tolerances.inverse)
+app.command()(cli_tolerances.budget)
+
+
+def _print_trial(trial: SingleTrial) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    study, again = trial.study, trial.again
+    console = Console()
+    title = f"trial {trial.number} of {study.title or study.design}"
+    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("perturbation")
+    table.add_column("deviation", justify="right")
+    table.add_column("in std. dev.", justify="right")
+    for perturbation, value in zip(study.perturbations, again.values[0], strict=True):
+        shape = perturbation.distribution
+        share = (value - shape.centre) / shape.standard_deviation
+        table.add_row(perturbation.column, f"{value:+.5g} {perturbation.unit}".strip(), f"{share:+.2f}")
+    console.print(table)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("merit")
+    table.add_column("limit")
+    for heading in ("stored", "again", ""):
+        table.add_column(heading, justify="right")
+    for k, merit in enumerate(study.merits):
+        stored = "-" if trial.stored is None else f"{trial.stored.scores[0, k]:.6g}"
+        good = bool(merit.passed(again.scores[0, k]))
+        table.add_row(
+            merit.column, _limit(merit), stored, f"{again.scores[0, k]:.6g}", "good" if good else "bad"
+        )
+    for name, value in zip(study.extra_columns, again.extras[0], strict=True):
+        table.add_row(name, "", "", f"{value:.6g}", "")
+    for name, value in trial.dear.items():
+        table.add_row(name, "", "", f"{value:.6g}", "")
+    console.print(table)
+    if again.messages[0]:
+        print(visible(again.messages[0]))
+    if trial.same is None:
+        print("not in the store yet")
+    else:
+        print("the same as stored" if trial.same else "NOT the same as stored: another toolkit or machine")
+
+
+def _print_summary(summary: Summary) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    planned = summary.record.planned_trials
+    title = f"{summary.study.title or summary.study.design}: {summary.trials} of {planned} trials"
+    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("merit")
+    table.add_column("limit")
+    for heading in ("nominal", "median", "yield", "95 % interval"):
+        table.add_column(heading, justify="right")
+    for merit in summary.merits:
+        table.add_row(
+            merit.merit.column,
+            _limit(merit.merit),
+            _number(merit.nominal),
+            _number(merit.percentiles.get(50)),
+            *_yield_cells(merit.good),
+        )
+    table.add_section()
+    table.add_row("all limits", "", "", "", *_yield_cells(summary.good))
+    Console().print(table)
+    if summary.failed:
+        print(f"{summary.failed} trials could not be scored and count as bad")
+    if not summary.complete:
+        print(
+            f"not finished: {summary.trials} of {planned} trials, "
+            f"{summary.steps} of {summary.planned_steps} steps of sweeps and the like"
+        )
+
+
+def _limit(merit: Merit) -> str:
+    return f"{'>=' if merit.at_least is not None else '<='} {merit.limit:g} {merit.unit}".strip()
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _yield_cells(good: Yield | None) -> tuple[str, str]:
+    if good is None:
+        return "-", "-"
+    return f"{100.0 * good.share:.1f} %", f"{100.0 * good.low:.1f} - {100.0 * good.high:.1f} %"
+
+
+def main() -> None:
+    """Entry point of the command."""
+    from tolerancing.run.threads import one_blas_thread
+
+    one_blas_thread()
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""What every merit has: a score for each trial, and the limit that a good part keeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from lensdesign.lens.lens import Finite, Lens, Positive, Section
+from tolerancing.merits.context import Context
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.perturbations.parameters import Name, with_unit
+
+Array = NDArray[np.float64]
+Level = Literal["auto", "ray", "pupil", "wave"]
+
+
+class Merit(Section):
+    """One figure of merit and its limit.
+
+    Attributes
+    ----------
+    kind
+        Name in the registry of merits.
+    name
+        Lower-case letters, digits and underscores; the kind where left out.
+    at_least, at_most
+        The limit of a good part; one of the two.
+    wavelength_um
+        The lens's first wavelength where left out.
+    level
+        What it is made of: rays, the reconstruction pupil, or waves carried through the perturbed lens and
+        back through the nominal one; ``auto`` is the cheapest that a few trials show to agree with the
+        dearest.
+    predicted_by
+        Name of a cheaper merit that all trials are scored by; this one then scores those that the study's
+        `fidelity` chooses.
+    """
+
+    kind: str
+    name: Name = ""
+    at_least: Finite | None = None
+    at_most: Finite | None = None
+    wavelength_um: Positive | None = None
+    level: Level = "auto"
+    predicted_by: Name | None = None
+
+    kind_unit: ClassVar[str] = ""
+    levels: ClassVar[tuple[str, ...]] = ("pupil",)
+    trials_per_chunk: ClassVar[int] = 16
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Merit:
+        if (self.at_least is None) == (self.at_most is None):
+            given = "both are given" if self.at_least is not None else "the limit is missing"
+            raise ValueError(f"give one limit, at_least or at_most; {given}")
+        return self
+
+    @model_validator(mode="after")
+    def _known_level(self) -> Merit:
+        if self.level not in ("auto", *self.levels):
+            raise ValueError(f"level = {self.level!r}: allowed: {', '.join(('auto', *self.levels))}")
+        return self
+
+    @property
+    def used_level(self) -> str:
+        """The level, where ``auto`` leaves no choice or has been decided."""
+        return self.able_levels()[0] if self.level == "auto" else self.level
+
+    def able_levels(self) -> tuple[str, ...]:
+        """The levels that can score what is asked for, the cheapest first."""
+        return self.levels
+
+    @property
+    def file_name(self) -> str | None:
+        """A file beside the study that the merit needs."""
+        return None
+
+    def loaded(self, folder: Path) -> Self:
+        """The merit with what its file holds; relative to the study's folder."""
+        return self
+
+    def is_compensated(self, compensators: bool) -> bool:
+        """Whether refocusing, or the study's compensators if it has any, change the scores."""
+        return False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the scores."""
+        return self.kind_unit
+
+    @property
+    def label(self) -> str:
+        """What to call the merit."""
+        return self.name or self.kind
+
+    @property
+    def column(self) -> str:
+        """Name of the scores in tables, with the unit."""
+        return with_unit(self.label, self.unit)
+
+    @property
+    def limit(self) -> float:
+        """The limit, whichever way it works."""
+        value = self.at_least if self.at_least is not None else self.at_most
+        assert value is not None  # the validator saw to it
+        return value
+
+    @property
+    def limit_text(self) -> str:
+        """The limit in words."""
+        return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
+
+    @property
+    def meaning(self) -> str:
+        """What the merit is, in one sentence, and what it was asked for."""
+        own = [name for name in type(self).model_fields if name not in Merit.model_fields]
+        values = ", ".join(f"{name} = {getattr(self, name)}" for name in own if getattr(self, name) != ())
+        return f"{(type(self).__doc__ or '').splitlines()[0]} {f'({values})' if values else ''}".strip()
+
+    def margin(self, scores: Any) -> Array:
+        """How far scores lie on the good side of the limit; NaN where there is no score."""
+        distance = np.asarray(scores, float) - self.limit
+        return distance if self.at_least is not None else -distance
+
+    def passed(self, scores: Any) -> NDArray[np.bool_]:
+        """Which scores keep the limit; one that is missing does not."""
+        return self.margin(scores) >= 0.0
+
+    def check(self, lens: Lens) -> None:
+        """Refuse what does not fit this lens.
+
+        Raises
+        ------
+        ValueError
+            For a field point outside the lens's field of view.
+        """
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> Array:
+        """Score each trial of a batch.
+
+        Parameters
+        ----------
+        context
+            The nominal lens and what merits share.
+        batch
+            The trials' perturbations.
+
+        Returns
+        -------
+        ndarray, shape (trials,)
+            NaN for a trial that cannot be scored.
+
+        Raises
+        ------
+        TransferLensError
+            If a trial cannot be evaluated at all; whoever runs the batch then scores trials singly.
+        """
+        raise NotImplementedError
+
+    def uncompensated(self, context: Context, batch: PerturbationBatch) -> Array:
+        """As :meth:`scores`, without refocusing and compensators."""
+        return self.scores(context, batch)
+
+
+def check_field_point(lens: Lens, point: tuple[float, float], key: str) -> None:
+    """Refuse an object point outside the field of view, with a ValueError."""
+    height = float(np.hypot(*point))
+    if height > lens.half_field_mm * (1.0 + 1e-9):
+        raise ValueError(
+            f"{key} = {list(point)}: lies {height:g} mm from the axis; "
+            f"allowed: up to {lens.half_field_mm:g} mm, half the field_diameter_mm"
+        )

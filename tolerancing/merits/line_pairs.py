@@ -1,0 +1,109 @@
+"""Contrast of reconstructed line pairs, from the reconstruction pupil or from waves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from lensdesign.lens.lens import Positive
+from tolerancing.merits.context import Context
+from tolerancing.merits.pupil import Axis, Orientation, PupilMerit, worse
+from tolerancing.perturbations.batch import PerturbationBatch
+
+if TYPE_CHECKING:
+    from wavesim import ReconstructionPupil
+    from wavesim.pupil.patch_return import PerturbedPatch
+
+Array = NDArray[np.float64]
+
+BARS = 5
+
+NOISE_STREAM = 0x6E6F6973
+"""Keeps the noise of a trial apart from its deltas."""
+
+
+class LinePairContrast(PupilMerit):
+    """Contrast of the reconstructed line pairs; negative where bright and dark trade places.
+
+    Attributes
+    ----------
+    line_width_um
+        Width of a bar and of a gap.
+    orientation
+        Axis along which the bars follow each other, or the worse of both.
+    patch_um
+        At level ``wave``: side of the patch that is carried.
+    line
+        At level ``wave``: whether on a meridional line, with bars along y, in place of the plane.
+    electrons
+        At level ``wave``: electrons in the brightest pixel, whose noise an ideal retrieval passes on; no
+        noise where left out.
+    """
+
+    line_width_um: Positive
+    orientation: Orientation = "worse"
+    patch_um: Positive = 34.0
+    line: bool = False
+    electrons: Annotated[float, Field(ge=1.0, le=1e9)] | None = None
+
+    levels: ClassVar[tuple[str, ...]] = ("pupil", "wave")
+
+    @model_validator(mode="after")
+    def _waves(self) -> LinePairContrast:
+        if self.level == "pupil" and self.electrons is not None:
+            raise ValueError("electrons: noise needs waves; give level = 'wave', or leave it out")
+        if self.line and self.orientation == "x":
+            raise ValueError("orientation = 'x': a meridional line has bars along y")
+        length = (2 * BARS - 1) * self.line_width_um
+        if self.used_level == "wave" and length > self.patch_um:
+            raise ValueError(
+                f"patch_um = {self.patch_um:g}: {BARS} bars of {self.line_width_um:g} um take {length:g} um"
+            )
+        return self
+
+    def able_levels(self) -> tuple[str, ...]:
+        if self.electrons is not None or self.line:
+            return ("wave",)
+        if (2 * BARS - 1) * self.line_width_um > self.patch_um:
+            return ("pupil",)
+        return self.levels
+
+    def scores_at(
+        self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
+    ) -> Array:
+        if self.used_level == "pupil":
+            return super().scores_at(point, context, batch, compensated)
+        chain = context.patch_chain(point, self.wavelength_um, self.patch_um, self.line)
+        patches = context.patches(batch, chain, self.wavelength_um, compensated)
+        numbers = batch.numbers or (0,) * len(batch)
+        return np.array(
+            [
+                self._of_patch(patch, compensated and self.refocus, context.noise_seed, number)
+                for patch, number in zip(patches, numbers, strict=True)
+            ]
+        )
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import line_pair_contrast
+
+        return worse(lambda axis: line_pair_contrast(pupil, self.line_width_um, axis, BARS), self.orientation)
+
+    def _of_patch(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
+        from wavesim import chain_contrast
+
+        def contrast(axis: Axis) -> float:
+            stream = np.random.SeedSequence(seed, spawn_key=(number, NOISE_STREAM, int(axis == "y")))
+            return chain_contrast(
+                patch,
+                self.line_width_um,
+                axis,
+                BARS,
+                refocused=refocused,
+                electrons=self.electrons,
+                rng=None if self.electrons is None else np.random.default_rng(stream),
+            )
+
+        return contrast("y") if self.line else worse(contrast, self.orientation)

@@ -1,0 +1,171 @@
+"""Merits of the reconstruction pupil: what a perturbed lens does to a reconstruction by the nominal one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.lens.lens import Finite, Lens, Positive, tuples
+from tolerancing.merits.base import Merit, check_field_point
+from tolerancing.merits.context import Context, Points
+from tolerancing.perturbations.batch import PerturbationBatch
+
+if TYPE_CHECKING:
+    from wavesim import ReconstructionPupil
+
+Array = NDArray[np.float64]
+Axis = Literal["x", "y"]
+Orientation = Literal["x", "y", "worse"]
+Share = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
+class PupilMerit(Merit):
+    """A merit of the reconstruction pupil of one field point, or of the worst of several.
+
+    Attributes
+    ----------
+    field_mm
+        Object point (x, y).
+    field_points_mm
+        Several object points in its place; the worst of their scores counts.
+    refocus
+        Whether the reconstruction is refocused before it is judged. It is always registered sideways.
+    """
+
+    field_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    field_points_mm: tuple[tuple[Finite, Finite], ...] = ()
+    refocus: bool = True
+
+    _lists = field_validator("field_mm", mode="before")(tuples)
+
+    @field_validator("field_points_mm", mode="before")
+    @classmethod
+    def _points(cls, value: Any) -> Any:
+        return tuple(tuples(point) for point in value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _one_way(self) -> PupilMerit:
+        if self.field_points_mm and "field_mm" in self.model_fields_set:
+            raise ValueError("give field_mm or field_points_mm, not both")
+        return self
+
+    @property
+    def points(self) -> Points:
+        """The object points."""
+        return self.field_points_mm or (self.field_mm,)
+
+    def check(self, lens: Lens) -> None:
+        for point in self.points:
+            check_field_point(lens, point, "field_points_mm" if self.field_points_mm else "field_mm")
+
+    def is_compensated(self, compensators: bool) -> bool:
+        return self.refocus or compensators
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> Array:
+        return self.worst([self.scores_at(point, context, batch, True) for point in self.points])
+
+    def uncompensated(self, context: Context, batch: PerturbationBatch) -> Array:
+        return self.worst([self.scores_at(point, context, batch, False) for point in self.points])
+
+    def scores_at(
+        self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
+    ) -> Array:
+        """Scores at one object point, with or without refocusing and compensators."""
+        pupils = context.pupils(batch, point, self.wavelength_um, compensated and self.refocus, compensated)
+        return np.array([self.score(pupil) for pupil in pupils])
+
+    def worst(self, scores: list[Array]) -> Array:
+        """The worst of the object points' scores, by trial; NaN where one is missing."""
+        stacked = np.stack(scores)
+        return np.asarray(stacked.min(axis=0) if self.at_least is not None else stacked.max(axis=0))
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        """Score of one reconstruction pupil."""
+        raise NotImplementedError
+
+
+class Strehl(PupilMerit):
+    """Strehl ratio of the reconstruction's point spread."""
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import strehl
+
+        return float(strehl(pupil))
+
+
+class RmsWaves(PupilMerit):
+    """Root mean square of the reconstruction pupil's phase, in waves."""
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import rms_waves
+
+        return float(rms_waves(pupil))
+
+
+class ModulationTransfer(PupilMerit):
+    """Modulation transfer of the reconstruction at one frequency.
+
+    Attributes
+    ----------
+    frequency_lp_per_mm
+        Line pairs per mm in the object plane.
+    orientation
+        Axis of the modulation, or the worse of both.
+    """
+
+    frequency_lp_per_mm: Positive
+    orientation: Orientation = "worse"
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import mtf
+
+        return worse(lambda axis: float(mtf(pupil, [self.frequency_lp_per_mm], axis)[0]), self.orientation)
+
+
+class SmallestResolvedLine(PupilMerit):
+    """Width of the finest line pairs down to which all wider ones reach a contrast; infinite without any.
+
+    Attributes
+    ----------
+    contrast
+        That counts as resolved.
+    orientation
+        Axis along which the bars follow each other, or the worse of both.
+    """
+
+    contrast: Share = 0.2
+    orientation: Orientation = "worse"
+
+    kind_unit: ClassVar[str] = "um"
+
+    def score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import smallest_resolved_line_width_um
+
+        return -worse(
+            lambda axis: -smallest_resolved_line_width_um(pupil, axis, self.contrast), self.orientation
+        )
+
+
+class ImageShift(PupilMerit):
+    """Distance in the object plane by which the reconstruction stands beside its place."""
+
+    kind_unit: ClassVar[str] = "um"
+
+    def scores_at(
+        self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
+    ) -> Array:
+        from wavesim import refocus, remove_shift
+
+        register = refocus if compensated and self.refocus else remove_shift
+        pupils = context.raw_pupils(batch, point, self.wavelength_um, compensated)
+        return np.array([float(np.hypot(*register(pupil).shift_um)) for pupil in pupils])
+
+
+def worse(score: Callable[[Axis], float], orientation: Orientation) -> float:
+    """A score along one axis, or the lower of those along both."""
+    axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
+    return min(score(axis) for axis in axes)

@@ -1,0 +1,154 @@
+"""A merit of the user's own: one Python function in a file beside the study."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PrivateAttr, field_validator
+
+from lensdesign.errors import DesignError, InputError
+from lensdesign.lens.lens import Lens
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context
+from tolerancing.perturbations.batch import PerturbationBatch, Realisation
+
+if TYPE_CHECKING:
+    from tolerancing.merits.arrival import Arrival
+    from wavesim import ReconstructionPupil
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What a user's merit is given: one perturbed system.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    realisation : Realisation
+        Pose, surface perturbations, shifts of object and sensor, wavelength.
+    deltas : dict of str to float
+        Deviations from nominal by the perturbations' columns, in their units.
+    number : int or None
+        Of the trial; None in a sweep.
+    """
+
+    lens: Lens
+    realisation: Realisation
+    deltas: dict[str, float]
+    number: int | None
+    _context: Context
+    _batch: PerturbationBatch
+    _wavelength_um: float | None
+
+    def rays(self, *field_points_mm: tuple[float, float]) -> Arrival:
+        """Rays from object points through the stop to the sensor; arrays of shape (1, rays, ...)."""
+        return self._context.rays(self._batch, field_points_mm, self._wavelength_um)
+
+    def pupil(
+        self, field_mm: tuple[float, float] = (0.0, 0.0), *, refocus: bool = True
+    ) -> ReconstructionPupil:
+        """Reconstruction pupil of an object point, registered, and refocused unless told otherwise."""
+        (pupil,) = self._context.pupils(self._batch, field_mm, self._wavelength_um, refocus, True)
+        return pupil
+
+
+class PythonMerit(Merit):
+    """A function of the user's own.
+
+    Attributes
+    ----------
+    function
+        ``file.py:name``, the file relative to the study. It is called with a :class:`Trial` and returns a
+        number; whatever it raises, and NaN, is that trial's failure.
+    score_unit
+        Unit of the scores, for columns and reports.
+    """
+
+    function: str
+    score_unit: Annotated[str, Field(pattern=r"^[a-z%_]*$", max_length=20)] = ""
+
+    _source: str = PrivateAttr(default="")
+
+    @field_validator("function")
+    @classmethod
+    def _function(cls, value: str) -> str:
+        file, _, name = value.rpartition(":")
+        if not file.endswith(".py") or not name.isidentifier():
+            raise ValueError(f"{value!r}: must be file.py:name, a function in a file beside the study")
+        return value
+
+    @property
+    def unit(self) -> str:
+        return self.score_unit
+
+    @property
+    def file_name(self) -> str:
+        return self.function.rpartition(":")[0]
+
+    def loaded(self, folder: Path) -> Self:
+        from lensdesign.files.design import read_text
+
+        own = self.model_copy()
+        own._source = read_text(folder / self.file_name)
+        function_of(own._source, self.function)
+        return own
+
+    def scores(self, context: Context, batch: PerturbationBatch) -> NDArray[np.float64]:
+        function = function_of(self._source, self.function)
+        systems = context.realisations(batch, self.wavelength_um)
+        return np.array(
+            [
+                _number(function(self._trial(context, one, system)), self.function)
+                for one, system in zip(batch.single_trials(), systems, strict=True)
+            ]
+        )
+
+    def _trial(self, context: Context, one: PerturbationBatch, system: Realisation) -> Trial:
+        columns = [p.column for p in one.parameters]
+        return Trial(
+            lens=context.lens,
+            realisation=system,
+            deltas=dict(zip(columns, one.values[0].tolist(), strict=True)),
+            number=one.numbers[0] if one.numbers else None,
+            _context=context,
+            _batch=one,
+            _wavelength_um=self.wavelength_um,
+        )
+
+
+def _number(value: Any, function: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{function} returned {type(value).__name__}: must be a number") from None
+    if math.isnan(number):
+        raise InputError(f"{function} returned NaN")
+    return number
+
+
+@lru_cache(maxsize=32)
+def function_of(source: str, function: str) -> Any:
+    """The function in the text of a file.
+
+    Raises
+    ------
+    DesignError
+        If the text is no Python, fails when run, or has no such function.
+    """
+    file, _, name = function.rpartition(":")
+    namespace: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
+    try:
+        exec(compile(source, file, "exec"), namespace)
+    except Exception as error:
+        raise DesignError(f"{file}: cannot be run: {type(error).__name__}: {error}") from error
+    found = namespace.get(name)
+    if not callable(found):
+        raise DesignError(f"{file}: there is no function {name!r}")
+    return found

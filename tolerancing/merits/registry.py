@@ -1,0 +1,46 @@
+"""The registry of merits: a new merit is one class and one line here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lensdesign.files.design import validate
+from tolerancing.merits.base import Merit
+from tolerancing.merits.chain import ReconstructedContrast
+from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.pupil import (
+    ImageShift,
+    ModulationTransfer,
+    RmsWaves,
+    SmallestResolvedLine,
+    Strehl,
+)
+from tolerancing.merits.python import PythonMerit
+from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
+from tolerancing.perturbations.registry import pick
+
+MERITS: dict[str, type[Merit]] = {
+    "largest_spread_deg": LargestSpread,
+    "footprint_radius_mm": FootprintRadius,
+    "throughput": Throughput,
+    "strehl": Strehl,
+    "rms_waves": RmsWaves,
+    "line_pair_contrast": LinePairContrast,
+    "mtf": ModulationTransfer,
+    "smallest_resolved_line_um": SmallestResolvedLine,
+    "image_shift_um": ImageShift,
+    "reconstructed_contrast": ReconstructedContrast,
+    "python": PythonMerit,
+}
+"""Merits by the kind that a study file gives."""
+
+
+def merit_from_table(table: dict[str, Any], source: str) -> Merit:
+    """Read one ``[[merit]]`` table.
+
+    Raises
+    ------
+    DesignError
+        For each fault: which key and value, and what is allowed.
+    """
+    return validate(pick(MERITS, table, "kind", source), table, source)

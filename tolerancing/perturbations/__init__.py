@@ -1,0 +1,1 @@
+"""What can be wrong with a lens as made and mounted, and how likely."""

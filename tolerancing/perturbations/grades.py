@@ -1,0 +1,401 @@
+"""Starting tolerances: a study file to edit, from a design and a grade of workmanship.
+
+Grades ``commercial``, ``precision`` and ``high_precision`` are what manufacturers' tolerance charts usually
+list under these names. Grade ``iso10110`` takes what ISO 10110-11 (1996 edition, table 1) says of data that a
+drawing gives no tolerance for. Neither replaces the shop's own figures, or the standard's current edition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import tomli_w
+
+from lensdesign.analysis.matching import match
+from lensdesign.errors import InputError
+from lensdesign.fabrication.drawing.tolerances import GENERAL, DrawingTolerances
+from lensdesign.files.design import did_you_mean
+from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.lens.lens import Lens
+
+COMMENT_COLUMN = 42
+TRIALS, SEED = 1000, 20240601
+
+PUPIL_SAMPLES = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
+
+LARGEST_CONIC = 0.01
+LARGEST_RADIUS_PERCENT = 10.0
+
+
+@dataclass(frozen=True)
+class Grade:
+    """Tolerances of one grade; each is the largest deviation either way.
+
+    Attributes
+    ----------
+    radius_percent, thickness_mm, irregularity_pv_waves, wedge_deg
+        Of a glass part. Irregularity: of the surface, peak to valley, at 632.8 nm.
+    asphere_decenter_mm
+        Of a conic or aspheric surface against the part's axis.
+    index, abbe_percent
+        Of the glass.
+    lens_decenter_mm, lens_tilt_deg, distance_mm, sensor_tilt_deg
+        Of the mount. Distances: between parts, to the object, to the sensor.
+    """
+
+    radius_percent: float
+    thickness_mm: float
+    irregularity_pv_waves: float
+    wedge_deg: float
+    asphere_decenter_mm: float
+    index: float
+    abbe_percent: float
+    lens_decenter_mm: float
+    lens_tilt_deg: float
+    distance_mm: float
+    sensor_tilt_deg: float
+
+
+COMMERCIAL = Grade(0.2, 0.15, 1.0, 3.0 / 60.0, 0.05, 0.001, 0.8, 0.1, 0.2, 0.1, 0.5)
+PRECISION = Grade(0.1, 0.05, 0.25, 1.0 / 60.0, 0.02, 0.0005, 0.5, 0.05, 0.1, 0.05, 0.2)
+HIGH_PRECISION = Grade(0.025, 0.01, 0.1, 0.5 / 60.0, 0.005, 0.0002, 0.2, 0.01, 0.03, 0.02, 0.1)
+
+
+@dataclass(frozen=True)
+class GeneralTolerance:
+    """Table 1 of ISO 10110-11:1996 for one range of the part's largest dimension.
+
+    Attributes
+    ----------
+    up_to_mm
+        Largest dimension of the part.
+    thickness_mm
+        Of the part's thickness.
+    sagitta_fringes, irregularity_fringes
+        A and B of the form tolerance 3/A(B), in fringe spacings.
+    test_diameter_mm
+        Over which they hold, where the part is larger.
+    tilt_deg
+        Of the centring tolerance 4/.
+    """
+
+    up_to_mm: float
+    thickness_mm: float
+    sagitta_fringes: float
+    irregularity_fringes: float
+    test_diameter_mm: float
+    tilt_deg: float
+
+
+def _general(up_to_mm: float, row: DrawingTolerances) -> GeneralTolerance:
+    form = row.left
+    # The table states all of them.
+    assert row.thickness_mm is not None
+    assert form.radius_fringes is not None
+    assert form.irregularity_fringes is not None
+    assert form.centring_arcmin is not None
+    return GeneralTolerance(
+        up_to_mm=up_to_mm,
+        thickness_mm=row.thickness_mm,
+        sagitta_fringes=form.radius_fringes,
+        irregularity_fringes=form.irregularity_fringes,
+        test_diameter_mm=form.test_diameter_mm or up_to_mm,
+        tilt_deg=form.centring_arcmin / 60.0,
+    )
+
+
+ISO_10110_11 = tuple(_general(up_to_mm, row) for up_to_mm, row in GENERAL.items())
+
+FRINGE_UM = 0.54607 / 2.0
+"""Fringe spacing of ISO 10110-5: half a wavelength of the green mercury line."""
+
+GRADES: dict[str, Grade | None] = {
+    "commercial": COMMERCIAL,
+    "precision": PRECISION,
+    "high_precision": HIGH_PRECISION,
+    "iso10110": None,
+}
+"""Grades by name; the standard's is worked out for each part."""
+
+
+def starting_study(lens: Lens, design_name: str, grade: str) -> str:
+    """A study file to start from.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    design_name
+        Its design file, relative to where the study is to stand.
+    grade
+        One of `GRADES`.
+
+    Returns
+    -------
+    str
+        Text of a TOML file, with a comment on where each number comes from.
+
+    Raises
+    ------
+    InputError
+        If there is no such grade, or a part is larger than what the standard's table covers.
+    DesignError
+        If no ray passes the nominal lens.
+    """
+    if grade not in GRADES:
+        known = ", ".join(GRADES) + did_you_mean(grade, GRADES)
+        raise InputError(f"grade = {grade!r}: there is no such grade; allowed: {known}")
+    blocks = [_head(lens, design_name, grade), _mounting(lens, grade)]
+    blocks += [_surface(lens, number, grade) for number in range(len(lens.surfaces))]
+    blocks.append(_merits(lens))
+    return "\n".join(block for block in blocks if block).replace("\n\n\n", "\n\n").rstrip("\n") + "\n"
+
+
+def _head(lens: Lens, design_name: str, grade: str) -> str:
+    title = f"{lens.title or design_name}: {grade.replace('_', ' ')} grade"
+    lines = [
+        "# Starting tolerances, to be edited: check each against the shop that makes and mounts the lens.",
+        "# Deviations follow a normal distribution of which the limit, at two sigma, is the tolerance.",
+    ]
+    if grade == "iso10110":
+        lines += [
+            "# Parts: ISO 10110-11:1996, table 1, general tolerances by the largest dimension of the part.",
+            "# Later editions differ; check against the one that the drawing names. Of glass, of aspheres'",
+            "# decenter and of mounts it says nothing: for these stand the values of the commercial grade.",
+        ]
+    else:
+        lines += [
+            "# Parts, glass and mounts: values usual in manufacturers' tolerance charts for this grade."
+        ]
+    lines += [
+        tomli_w.dumps({"title": title, "design": design_name}).rstrip("\n"),
+        f"trials = {TRIALS}",
+        f"seed = {SEED}",
+        _commented("pivot_z_mm = 0.0", "the lens turns about its front vertex"),
+        "",
+        "[sampling]",
+        _commented(f"pupil_samples = {PUPIL_SAMPLES[grade]}", "enough for the waves that this grade brings"),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _mounting(lens: Lens, grade: str) -> str:
+    mount = GRADES[grade] or COMMERCIAL
+    across, tilt, along = mount.lens_decenter_mm, mount.lens_tilt_deg, mount.distance_mm
+    text = "# Mounting\n"
+    for axis in "xy":
+        text += _perturbation("lens", f"decenter_{axis}_mm", across, f"+-{across:g} mm in its mount")
+    for axis in "xy":
+        text += _perturbation("lens", f"tilt_{axis}_deg", tilt, f"+-{tilt:g} deg in its mount")
+    text += _perturbation("object", "working_distance_mm", along, f"+-{along:g} mm from object to lens")
+    text += _perturbation("sensor", "distance_mm", along, f"+-{along:g} mm from lens to sensor")
+    for axis in "xy":
+        angle = mount.sensor_tilt_deg
+        text += _perturbation("sensor", f"tilt_{axis}_deg", angle, f"+-{angle:g} deg")
+    return text
+
+
+def _surface(lens: Lens, number: int, grade: str) -> str:
+    """Perturbations of a surface and of what stands between it and the next."""
+    surface, target = lens.surfaces[number], f"surface {number + 1}"
+    made = _made(lens, number, grade)
+    text = _radius(lens, number, made) if surface.radius_mm is not None else ""
+    waves = made.grade.irregularity_pv_waves
+    if surface.semi_diameter_mm is not None:
+        text += _irregularity(target, waves, made.irregularity)
+    if surface.kind in ("conic", "even asphere"):
+        text += _asphere(lens, number, made)
+    if number - 1 in lens.glass_fronts:
+        for axis in "xy":
+            text += _perturbation(target, f"tilt_{axis}_deg", made.grade.wedge_deg, made.wedge)
+    if number < len(lens.surfaces) - 1:
+        text += _space_behind(lens, number, made)
+    return f"# Surface {number + 1}\n{text}" if text else ""
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A grade for one part, with what to say of its numbers."""
+
+    grade: Grade
+    radius: str
+    thickness: str
+    irregularity: str
+    wedge: str
+    sagitta_fringes: float | None = None
+
+
+def _made(lens: Lens, number: int, grade: str) -> _Made:
+    chosen = GRADES[grade]
+    if chosen is not None:
+        return _Made(
+            chosen,
+            radius=f"+-{chosen.radius_percent:g} %",
+            thickness=f"+-{chosen.thickness_mm:g} mm",
+            irregularity=f"surface, 0 to {chosen.irregularity_pv_waves:g} waves of 632.8 nm",
+            wedge=f"wedge, +-{60.0 * chosen.wedge_deg:g} arc minutes",
+        )
+    dimension = _largest_dimension_mm(lens, number)
+    row = next((row for row in ISO_10110_11 if dimension <= row.up_to_mm), None)
+    if row is None:
+        raise InputError(
+            f"grade = 'iso10110': surface {number + 1}: the part measures {dimension:.4g} mm; the table of "
+            f"ISO 10110-11 ends at {ISO_10110_11[-1].up_to_mm:g} mm; take another grade"
+        )
+    semi_diameter = lens.surfaces[number].semi_diameter_mm or 0.5 * dimension
+    form = f"3/{row.sagitta_fringes:g}({row.irregularity_fringes:g})"
+    values = vars(COMMERCIAL) | {
+        "thickness_mm": row.thickness_mm,
+        "irregularity_pv_waves": row.irregularity_fringes * FRINGE_UM / TEST_WAVELENGTH_UM,
+        "wedge_deg": row.tilt_deg,
+    }
+    tested = min(2.0 * semi_diameter, row.test_diameter_mm)
+    fringes = (
+        row.sagitta_fringes * FRINGE_UM / (0.5 * TEST_WAVELENGTH_UM) * (2.0 * semi_diameter / tested) ** 2
+    )
+    return _Made(
+        Grade(**values),
+        radius=f"{form} over {tested:.3g} mm: {row.sagitta_fringes:g} fringes of 546 nm",
+        thickness=f"+-{row.thickness_mm:g} mm for parts up to {row.up_to_mm:g} mm",
+        irregularity=f"surface, {form}: {row.irregularity_fringes:g} fringes of 546 nm",
+        wedge=f"4/{60.0 * row.tilt_deg:g}': surface tilt",
+        sagitta_fringes=fringes,
+    )
+
+
+def _radius(lens: Lens, number: int, made: _Made) -> str:
+    surface, target = lens.surfaces[number], f"surface {number + 1}"
+    radius, semi_diameter = surface.radius_mm, surface.semi_diameter_mm
+    assert radius is not None  # the caller saw to it
+    percent, fringes = made.grade.radius_percent, made.sagitta_fringes
+    if fringes is None:
+        return _perturbation(target, "radius_percent", percent, made.radius)
+    if semi_diameter is None:
+        comment = f"commercial: without a clear aperture {made.radius.split(':')[0]} says nothing"
+        return _perturbation(target, "radius_percent", percent, comment)
+    # One fringe of sag at the rim is half a wave, h^2 dR / (2 R^2).
+    equivalent = 100.0 * fringes * 1e-3 * TEST_WAVELENGTH_UM * abs(radius) / semi_diameter**2
+    if equivalent > LARGEST_RADIUS_PERCENT:
+        comment = f"cut; {made.radius} would be {equivalent:.3g} %"
+        return _perturbation(target, "radius_percent", LARGEST_RADIUS_PERCENT, comment)
+    return _perturbation(target, "radius_fringes", fringes, made.radius)
+
+
+def _irregularity(target: str, waves: float, comment: str) -> str:
+    half = _number(0.5 * waves)
+    return _table(
+        "perturbation",
+        ("target", target, ""),
+        ("parameter", "irregularity_pv_waves", comment),
+        ("distribution", "uniform", ""),
+        ("mean", half, ""),
+        ("half_width", half, ""),
+    )
+
+
+def _asphere(lens: Lens, number: int, made: _Made) -> str:
+    surface, target = lens.surfaces[number], f"surface {number + 1}"
+    text, across = "", made.grade.asphere_decenter_mm
+    if surface.radius_mm is not None:
+        conic, comment = LARGEST_CONIC, "a guess"
+        if surface.semi_diameter_mm is not None:
+            # Of sag h^4 dk / (8 R^3) a quarter is left, peak to valley, once power is taken out.
+            pv_mm = 1e-3 * TEST_WAVELENGTH_UM * made.grade.irregularity_pv_waves
+            allowed = 32.0 * pv_mm * abs(surface.radius_mm) ** 3 / surface.semi_diameter_mm**4
+            conic = min(allowed, LARGEST_CONIC)
+            comment = "as much as the irregularity allows" if conic == allowed else "a guess"
+        text += _perturbation(target, "conic", conic, comment)
+    for axis in "xy":
+        comment = f"+-{across:g} mm against the part's axis"
+        text += _perturbation(target, f"decenter_{axis}_mm", across, comment)
+    return text
+
+
+def _space_behind(lens: Lens, number: int, made: _Made) -> str:
+    target, grade = f"surface {number + 1}", made.grade
+    if number not in lens.glass_fronts:
+        along = grade.distance_mm
+        return _perturbation(target, "thickness_mm", along, f"+-{along:g} mm between parts, of the mount")
+    text = _perturbation(target, "thickness_mm", grade.thickness_mm, made.thickness)
+    text += _perturbation(target, "index", grade.index, f"+-{grade.index:g}, of the melt")
+    if isinstance(lens.surfaces[number].material, str):
+        abbe = grade.abbe_percent
+        text += _perturbation(target, "abbe_percent", abbe, f"+-{abbe:g} %, of the melt")
+    return text
+
+
+def _largest_dimension_mm(lens: Lens, number: int) -> float:
+    """Largest dimension of the glass part that a surface belongs to: its diameter, or its thickness."""
+    first = last = number
+    while first - 1 in lens.glass_fronts:
+        first -= 1
+    while last in lens.glass_fronts:
+        last += 1
+    part = range(first, last + 1)
+    elements = [lens.glass_fronts.index(i) for i in part[:-1]]
+    given = [lens.edges[e].semi_diameter_mm for e in elements] if lens.edges else []
+    radii = [r for r in (*given, *(lens.surfaces[i].semi_diameter_mm for i in part)) if r is not None]
+    semi_diameter = max(radii, default=lens.stop_semi_diameter_mm)
+    return max(2.0 * semi_diameter, float(lens.vertex_z_mm[last] - lens.vertex_z_mm[first]))
+
+
+def _merits(lens: Lens) -> str:
+    wavelength = lens.wavelengths_um[0]
+    limit = match(lens, wavelength)
+    off_axis = _number(0.7 * lens.half_field_mm)
+    text = "# What a good system does, after refocusing\n"
+    for name, times in (("fine", 1.5), ("coarse", 3.0)):
+        width = _number(times * limit.resolution_um)
+        comment = f"{times:g} x wavelength / (2 NA)"
+        for place, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
+            text += _table(
+                "merit",
+                ("name", f"{name}_contrast_{place}", ""),
+                ("kind", "line_pair_contrast", ""),
+                ("line_width_um", width, comment),
+                ("field_mm", field, "the axis" if place == "axis" else "0.7 of the half field"),
+                ("at_least", 0.5, ""),
+            )
+    text += _table("merit", ("kind", "rms_waves", ""), ("at_most", 0.25, "a quarter wave, root mean square"))
+    return text + _spread(lens, limit.spread_limit_deg)
+
+
+def _spread(lens: Lens, limit_deg: float) -> str:
+    from lensdesign.analysis.spread import largest_spread
+
+    nominal = largest_spread(lens).spread_deg
+    if limit_deg >= 90.0:
+        return "# No limit to the spread behind the lens: the pixels resolve every angle.\n"
+    room, comment = 1.02 * limit_deg, f"2 % above Eq. 2's {limit_deg:.4g} deg"
+    if 1.01 * nominal > room:
+        room, comment = 1.01 * nominal, f"1 % above the nominal lens; Eq. 2 asks for {limit_deg:.4g} deg"
+    return _table("merit", ("kind", "largest_spread_deg", ""), ("at_most", _number(room), comment))
+
+
+def _perturbation(target: str, parameter: str, tolerance: float, comment: str) -> str:
+    return _table(
+        "perturbation",
+        ("target", target, ""),
+        ("parameter", parameter, comment),
+        ("distribution", "truncated_normal", ""),
+        ("sigma", _number(0.5 * tolerance), ""),
+        ("limit", _number(tolerance), ""),
+    )
+
+
+def _table(key: str, *lines: tuple[str, str | float | list[float], str]) -> str:
+    """One table of an array of tables: keys, values and comments."""
+    text = [f"[[{key}]]"]
+    for name, value, comment in lines:
+        shown = f'"{value}"' if isinstance(value, str) else repr(value)
+        text.append(_commented(f"{name} = {shown}", comment))
+    return "\n".join(text) + "\n\n"
+
+
+def _commented(text: str, comment: str) -> str:
+    return f"{text:<{COMMENT_COLUMN - 1}} # {comment}" if comment else text
+
+
+def _number(value: float) -> float:
+    """A number as one would write it."""
+    return float(f"{value:.4g}")

@@ -1,0 +1,210 @@
+"""What is perturbed: parameters of the lens, its surfaces, the object, the sensor and the light."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, SerializeAsAny, field_validator, model_validator
+
+from lensdesign.errors import DesignError
+from lensdesign.files.design import unknown_key, validate
+from lensdesign.lens.lens import Lens, Section
+from lensdesign.lens.poses import SURFACE_DELTAS, Pose
+from tolerancing.perturbations.distributions import DISTRIBUTIONS, Distribution
+from tolerancing.perturbations.registry import pick
+
+RADIUS_PARAMETERS = ("radius_mm", "radius_percent", "radius_fringes")
+IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")
+GLASS_PARAMETERS = ("index", "abbe_percent")
+
+LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
+"""Of the whole lens: the values of a pose."""
+
+SURFACE_PARAMETERS = (*SURFACE_DELTAS, *RADIUS_PARAMETERS[1:], GLASS_PARAMETERS[1], *IRREGULARITIES)
+"""Of one surface; waves and fringes are those of 632.8 nm over the clear semi-diameter."""
+
+OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
+"""Of the object; a longer working distance takes it away from the lens."""
+
+PLANE_DISTANCE = re.compile(r"plane_distance_([1-9]\d?)_mm")
+
+SENSOR_PARAMETERS = (
+    "decenter_x_mm",
+    "decenter_y_mm",
+    "distance_mm",
+    "plane_distance_1_mm",
+    "plane_distance_2_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+)
+"""Of the sensor: in all planes, or how much farther from the lens one plane is."""
+
+LIGHT_PARAMETERS = ("wavelength_um",)
+"""Of the light, against the wavelength that the reconstruction takes."""
+
+FIXED_TARGETS = ("object", "sensor", "light")
+
+PARAMETERS = {
+    "lens": LENS_PARAMETERS,
+    "surface": SURFACE_PARAMETERS,
+    "object": OBJECT_PARAMETERS,
+    "sensor": SENSOR_PARAMETERS,
+    "light": LIGHT_PARAMETERS,
+}
+"""What can be perturbed, by the first word of the target."""
+
+UNITS = ("mm", "um", "deg", "percent", "fringes", "waves")
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
+
+
+class PerturbedParameter(Section):
+    """One parameter of the lens, or of one of its surfaces, that departs from nominal.
+
+    Attributes
+    ----------
+    name
+        Lower-case letters, digits and underscores; made of target and parameter where left out.
+    target
+        ``lens``, ``surface N`` with N counted from 1, ``object``, ``sensor`` or ``light``.
+    parameter
+        One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
+    """
+
+    name: Name = ""
+    target: str
+    parameter: str
+
+    @field_validator("target")
+    @classmethod
+    def _target(cls, value: str) -> str:
+        if value not in ("lens", *FIXED_TARGETS) and not re.fullmatch(r"surface [1-9]\d{0,3}", value):
+            raise ValueError(
+                f"{value!r} is no target; allowed: lens, surface N (N from 1), object, sensor, light"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _known(self) -> PerturbedParameter:
+        allowed = PARAMETERS[self.target.split()[0]]
+        if self.parameter not in allowed and not (
+            self.target == "sensor" and PLANE_DISTANCE.fullmatch(self.parameter)
+        ):
+            raise ValueError(
+                f"parameter = {self.parameter!r}: {self.target} has no such parameter; "
+                f"allowed: {', '.join(allowed)}"
+            )
+        return self
+
+    @property
+    def surface(self) -> int | None:
+        """Index of the surface, from 0; None for what is no surface."""
+        return int(self.target.split()[1]) - 1 if self.target.startswith("surface") else None
+
+    @property
+    def plane(self) -> int | None:
+        """Index of the sensor plane, from 0, whose distance it is; None for what is no single plane's."""
+        match = PLANE_DISTANCE.fullmatch(self.parameter) if self.target == "sensor" else None
+        return None if match is None else int(match[1]) - 1
+
+    @property
+    def quantity(self) -> str:
+        """The parameter in words, without its unit."""
+        return self.parameter.removesuffix(f"_{self.unit}").replace("_", " ")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the deltas; empty for a conic constant or an index."""
+        suffix = self.parameter.rpartition("_")[2]
+        return suffix if suffix in UNITS else ""
+
+    @property
+    def column(self) -> str:
+        """Name of the values in tables, with the unit."""
+        return with_unit(self.name or f"{self.target} {self.parameter}".replace(" ", "_"), self.unit)
+
+    def check(self, lens: Lens) -> None:
+        """Refuse a parameter that this lens does not have.
+
+        Raises
+        ------
+        ValueError
+            If there is no such surface or plane, or it has nothing of the kind.
+        """
+        if self.plane is not None and self.plane >= len(lens.sensor.plane_distances_mm):
+            count = len(lens.sensor.plane_distances_mm)
+            raise ValueError(f"parameter = {self.parameter!r}: the design has {count} sensor plane(s)")
+        if self.surface is None:
+            return
+        count = len(lens.surfaces)
+        if self.surface >= count:
+            allowed = ", ".join(["lens", *(f"surface {i + 1}" for i in range(count)), *FIXED_TARGETS])
+            raise ValueError(f"target = {self.target!r}: the design has no such surface; allowed: {allowed}")
+        self._check_surface(lens, self.surface)
+
+    def _check_surface(self, lens: Lens, number: int) -> None:
+        surface, key = lens.surfaces[number], f"parameter = {self.parameter!r}"
+        if self.parameter in RADIUS_PARAMETERS and surface.radius_mm is None:
+            raise ValueError(f"{key}: {self.target} is a plane and has no radius")
+        if self.parameter in ("radius_fringes", *IRREGULARITIES) and surface.semi_diameter_mm is None:
+            raise ValueError(f"{key}: {self.target} has no semi_diameter_mm over which to count it")
+        if number < len(lens.surfaces) - 1:
+            if self.parameter in GLASS_PARAMETERS and surface.material is None:
+                raise ValueError(f"{key}: {self.target} has air behind it, no glass")
+        elif self.parameter in ("thickness_mm", *GLASS_PARAMETERS):
+            raise ValueError(
+                f"{key}: {self.target} is the last surface; what stands behind it is the sensor's space"
+            )
+
+
+class Perturbation(PerturbedParameter):
+    """A parameter that scatters from part to part.
+
+    Attributes
+    ----------
+    group
+        Perturbations of one group move together: all take the same draw.
+    distribution
+        How it scatters.
+    """
+
+    group: Name | None = None
+    distribution: SerializeAsAny[Distribution]
+
+    @property
+    def file_name(self) -> str | None:
+        """A file beside the study that the distribution needs."""
+        return self.distribution.file_name
+
+    def loaded(self, folder: Path) -> Self:
+        """The perturbation with what its distribution's file holds; relative to the study's folder."""
+        return self.model_copy(update={"distribution": self.distribution.loaded(folder)})
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name that ends with its unit."""
+    return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
+
+
+def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
+    """Read one ``[[perturbation]]`` table; the keys of its distribution stand beside its own.
+
+    Raises
+    ------
+    DesignError
+        For each fault: which key and value, and what is allowed.
+    """
+    shape = pick(DISTRIBUTIONS, table, "distribution", source)
+    own = [name for name in Perturbation.model_fields if name != "distribution"]
+    allowed = [*own, "distribution", *shape.model_fields]
+    unknown = [key for key in table if key not in allowed]
+    if unknown:
+        lines = [f"{source}: {key}: {unknown_key(key, allowed)}" for key in unknown]
+        raise DesignError("\n".join(lines))
+    distribution = validate(shape, {k: v for k, v in table.items() if k in shape.model_fields}, source)
+    return validate(
+        Perturbation, {k: v for k, v in table.items() if k in own} | {"distribution": distribution}, source
+    )

@@ -1,0 +1,99 @@
+"""Style, labels and small parts of a tolerance report's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tolerancing.merits.base import Merit
+from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.report.blocks import plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+BLUE, ORANGE, GREEN, RED, GREY = "#2a6f97", "#e07a1f", "#4c956c", "#c1121f", "#6c757d"
+VIOLET, OCHRE = "#7b2d8b", "#b08900"
+SERIES = (BLUE, ORANGE, GREEN, VIOLET, OCHRE, GREY)
+INK, TICKS, EDGE, GRID, PAPER = "#343a40", "#495057", "#adb5bd", "#e9ecef", "#ffffff"
+
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "text.color": INK,
+    "axes.edgecolor": EDGE,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "xtick.color": TICKS,
+    "ytick.color": TICKS,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+}
+
+
+def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    """The report's style, with some changes, for figures drawn inside a ``with``."""
+    import matplotlib as mpl
+
+    parameters: Any = {**STYLE, **(changes or {})}
+    return mpl.rc_context(parameters)
+
+
+def styled_figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches, that no window system knows of."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
+
+
+def figure_text(text: str) -> str:
+    """Text as it stands, without mathematics and characters that cannot be drawn."""
+    return plain(text).replace("$", r"\$")
+
+
+def axis_label(parameter: PerturbedParameter) -> str:
+    """Name of a perturbation's axis, with its unit."""
+    return _labelled(parameter.column, parameter.unit)
+
+
+def merit_label(merit: Merit) -> str:
+    """Name of a merit's axis, with its unit."""
+    return _labelled(merit.column, merit.unit)
+
+
+def series_label(parameter: PerturbedParameter) -> str:
+    """What a sweep or a grid's axis varies, with its unit."""
+    name = f"{parameter.target} {parameter.quantity}"
+    return f"{name} ({parameter.unit})" if parameter.unit else name
+
+
+def contrast_label(merit: LinePairContrast) -> str:
+    """A line width, and whether it was refocused, in words."""
+    return f"{merit.line_width_um:g} µm lines, {'refocused' if merit.refocus else 'not refocused'}"
+
+
+def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -> None:
+    """A merit's limit as a line across the axes."""
+    draw = axis.axhline if horizontal else axis.axvline
+    text = figure_text(f"limit: {merit.limit_text}") if label else None
+    draw(merit.limit, color=RED, linewidth=1.1, label=text)
+
+
+def _labelled(column: str, unit: str) -> str:
+    name = column.removesuffix(f"_{unit}").replace("_", " ")
+    return figure_text(f"{name} ({unit})" if unit else name)

@@ -1,0 +1,184 @@
+"""Figures as SVG inside a page: colours that follow light and dark, points that know their trials."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+from tolerancing.report.blocks import Panel, plain
+from tolerancing.report.figures.style import (
+    BLUE,
+    EDGE,
+    GREEN,
+    GREY,
+    GRID,
+    INK,
+    OCHRE,
+    ORANGE,
+    PAPER,
+    RED,
+    TICKS,
+    VIOLET,
+)
+
+SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+
+COLORS = {
+    INK: "ink",
+    TICKS: "soft",
+    EDGE: "edge",
+    GRID: "grid",
+    PAPER: "paper",
+    BLUE: "blue",
+    ORANGE: "orange",
+    GREEN: "green",
+    RED: "red",
+    GREY: "soft",
+    VIOLET: "violet",
+    OCHRE: "ochre",
+    # Of the layout.
+    "#cfe3f1": "glass",
+    "#333333": "ink",
+    "#8a8a8a": "soft",
+    "#000000": "ink",
+    "#d55e00": "orange",
+    "#009e73": "green",
+    "#0072b2": "blue",
+}
+"""Names of the page's colours, by those that figures are drawn in."""
+
+PIXELS_PER_INCH = 96.0
+SMALLEST_SHARE = 0.72
+"""Of its natural size to which a figure shrinks before it scrolls."""
+
+_COLOR = re.compile(r"#[0-9a-fA-F]{6}\b")
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+_FONTS = re.compile(r"'DejaVu Sans'(?:, [^;\"]*)?")
+_REFERENCE = re.compile(r"url\(#([^)]+)\)|^#(.+)$")
+
+
+def svg_text(panel: Panel, prefix: str) -> str:
+    """A panel as an ``svg`` element.
+
+    Parameters
+    ----------
+    panel
+        The figure; markers of the collections that `points` names become circles with ``data-trial``.
+    prefix
+        What its ids begin with; another one for each figure of a page.
+    """
+    root = _drawn(panel)
+    names = {f"{{{SVG}}}{name}" for name in ("metadata", "style")}
+    for parent in list(root.iter()):
+        for child in [c for c in parent if c.tag in names]:
+            parent.remove(child)
+    for gid, trials in panel.points.items():
+        _number_points(root, gid, trials)
+    _rename(root, prefix)
+    for element in root.iter():
+        _restyle(element)
+    width, height = panel.figure.get_size_inches()
+    root.attrib.pop("version", None)
+    root.set("width", f"{width * PIXELS_PER_INCH:.0f}")
+    root.set("height", f"{height * PIXELS_PER_INCH:.0f}")
+    root.set("style", f"min-width:{SMALLEST_SHARE * min(width, 9.0) * PIXELS_PER_INCH:.0f}px")
+    root.set("role", "img")
+    root.set("aria-label", plain(panel.alt))
+    # Inside HTML an svg element needs no declaration of its namespace.
+    return ElementTree.tostring(root, encoding="unicode").replace(f' xmlns="{SVG}"', "", 1)
+
+
+def _drawn(panel: Panel) -> ElementTree.Element:
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    buffer = io.StringIO()
+    facecolor = panel.figure.get_facecolor()
+    with rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
+        panel.figure.patch.set_alpha(0.0)
+        FigureCanvasSVG(panel.figure).print_svg(buffer, metadata={"Date": None})
+        panel.figure.set_layout_engine("none")  # what was laid out stays so in the PDF
+        panel.figure.patch.set_alpha(None)
+        panel.figure.set_facecolor(facecolor)
+    ElementTree.register_namespace("", SVG)
+    ElementTree.register_namespace("xlink", XLINK)
+    return ElementTree.fromstring(buffer.getvalue())
+
+
+def _number_points(root: ElementTree.Element, gid: str, numbers: Sequence[int]) -> None:
+    """Replace a collection's markers by circles that name their trials."""
+    group = next(e for e in root.iter(f"{{{SVG}}}g") if e.get("id") == gid)
+    places = [
+        (u.get("x", "0"), u.get("y", "0")) for u in group.iter(f"{{{SVG}}}use") if u.get("x") is not None
+    ] or _inlined(group)
+    if len(places) != len(numbers):  # some lie outside of the figure; which ones is not told
+        return
+    clip = next((e.get("clip-path") for e in group.iter() if e.get("clip-path")), None)
+    for child in list(group):
+        group.remove(child)
+    if clip:
+        group.set("clip-path", clip)
+    group.set("class", "bad" if gid.endswith("bad") else "good")
+    for (x, y), number in zip(places, numbers, strict=True):
+        ElementTree.SubElement(
+            group,
+            f"{{{SVG}}}circle",
+            {"cx": f"{float(x):.1f}", "cy": f"{float(y):.1f}", "r": "1.5", "data-trial": str(number)},
+        )
+
+
+def _inlined(group: ElementTree.Element) -> list[tuple[str, str]]:
+    """Middles of markers that were drawn one by one, as few are."""
+    places = []
+    for path in group.iter(f"{{{SVG}}}path"):
+        numbers = [float(v) for v in re.findall(r"-?\d+(?:\.\d+)?", path.get("d", ""))]
+        x, y = numbers[0::2], numbers[1::2]
+        places.append((f"{0.5 * (min(x) + max(x))}", f"{0.5 * (min(y) + max(y))}"))
+    return places
+
+
+def _rename(root: ElementTree.Element, prefix: str) -> None:
+    """Give ids that are referred to a prefix, and drop the others."""
+    used: set[str] = set()
+    for element in root.iter():
+        for value in element.attrib.values():
+            used.update(a or b for a, b in _REFERENCE.findall(value))
+    for element in root.iter():
+        for name, value in list(element.attrib.items()):
+            if name == "id":
+                if value in used:
+                    element.set(name, prefix + value)
+                else:
+                    del element.attrib[name]
+            elif name == f"{{{XLINK}}}href":
+                del element.attrib[name]
+                element.set("href", f"#{prefix}{value[1:]}" if value.startswith("#") else value)
+            elif "url(#" in value:
+                element.set(name, value.replace("url(#", f"url(#{prefix}"))
+
+
+def _restyle(element: ElementTree.Element) -> None:
+    """Colours of the page, fewer digits, fonts that every system has something like."""
+    style = element.get("style")
+    if style:
+        style = _COLOR.sub(_variable, style)
+        element.set("style", _FONTS.sub("'DejaVu Sans', Verdana, sans-serif", style).replace("; ", ";"))
+    for name in ("d", "points", "x", "y", "transform"):
+        value = element.get(name)
+        if value is not None:
+            element.set(name, " ".join(_NUMBER.sub(_rounded, value).split()))
+    if element.text is not None and not element.text.strip():
+        element.text = None
+    if element.tail is not None and not element.tail.strip():
+        element.tail = None
+
+
+def _variable(match: re.Match[str]) -> str:
+    name = COLORS.get(match[0].lower())
+    return match[0] if name is None else f"var(--{name})"
+
+
+def _rounded(match: re.Match[str]) -> str:
+    return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")

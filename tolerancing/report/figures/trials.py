@@ -1,0 +1,243 @@
+"""Figures of trials: distributions, scatter plots, yield against tolerances, cheap against dear scores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tolerancing.analysis.summary import MeritSummary
+from tolerancing.merits.base import Merit
+from tolerancing.report.blocks import Panel
+from tolerancing.report.data import ReportData
+from tolerancing.report.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SERIES,
+    Array,
+    axis_label,
+    draw_limit,
+    merit_label,
+    styled,
+    styled_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Places = NDArray[np.intp]
+
+MOST_BINS, FEWEST_BINS = 60, 8
+
+
+def distribution_panel(
+    data: ReportData, summary: MeritSummary, column: int, uncompensated: Array | None = None
+) -> Panel:
+    """Histogram and cumulative distribution of one merit, with its limit, its nominal value and its trials.
+
+    Parameters
+    ----------
+    data
+        The report's.
+    summary, column
+        The merit, and its place among the study's merits.
+    uncompensated
+        Scores without refocusing and compensators, to draw in place of the merit's own.
+    """
+    scores = data.results.scores[:, column] if uncompensated is None else uncompensated
+    name = merit_label(summary.merit) + ("" if uncompensated is None else ", not compensated")
+    known = scores[np.isfinite(scores)]
+    points: dict[str, list[int]] = {}
+    with styled():
+        figure = styled_figure(4.7, 2.7)
+        axis = figure.subplots()
+        axis.set_title(name, loc="left")
+        if len(known):
+            _histogram(axis, summary, known, BLUE if uncompensated is None else GREEN)
+            points = _rug(axis, data, scores, summary.merit, f"rug-{column}")
+        else:
+            axis.text(0.5, 0.5, "no scores", ha="center", va="center", transform=axis.transAxes, color=GREY)
+    alt = f"Histogram and cumulative distribution of {name} over the trials, with the limit"
+    return Panel(figure, alt, points)
+
+
+def _histogram(axis: Axes, summary: MeritSummary, scores: Array, color: str) -> None:
+    merit = summary.merit
+    bins = int(np.clip(np.sqrt(len(scores)), FEWEST_BINS, MOST_BINS))
+    low, high = float(scores.min()), float(scores.max())
+    if high - low <= 1e-9 * max(abs(low), abs(high)):  # all alike
+        half = 5e-4 * (abs(high) or 1.0)
+        low, high = low - half, high + half
+    counts, edges = np.histogram(scores, bins=np.linspace(low, high, bins + 1))
+    axis.stairs(counts, edges, fill=True, color=color, alpha=0.55, label="trials")
+    low, high = min(edges[0], merit.limit), max(edges[-1], merit.limit)
+    pad = 0.03 * (high - low)
+    axis.set_xlim(low - pad, high + pad)
+    bad = (low - pad, merit.limit) if merit.at_least is not None else (merit.limit, high + pad)
+    axis.axvspan(*bad, color=RED, alpha=0.08, linewidth=0)
+    draw_limit(axis, merit, horizontal=False)
+    if summary.nominal is not None and np.isfinite(summary.nominal):
+        axis.axvline(summary.nominal, color=INK, linewidth=1.0, linestyle=":", label="nominal lens")
+    axis.set_ylabel("trials")
+    axis.set_ylim(-0.06 * axis.get_ylim()[1], 1.35 * axis.get_ylim()[1])
+    _cumulative(axis, scores)
+    axis.legend(loc="upper left", ncols=2, fontsize=7.0)
+
+
+def _cumulative(axis: Axes, scores: Array) -> None:
+    """Share of trials below a score; at most some hundred steps of it."""
+    shares = np.linspace(0.0, 1.0, min(len(scores), 200) + 1)[1:]
+    beside = axis.twinx()
+    beside.step(
+        np.quantile(scores, shares, method="inverted_cdf"), shares, color=ORANGE, where="post", lw=1.2
+    )
+    beside.set_ylim(-0.06, 1.35)
+    beside.set_yticks(np.linspace(0.0, 1.0, 6))
+    beside.set_ylabel("cumulative", color=ORANGE)
+    beside.grid(visible=False)
+
+
+def _rug(axis: Axes, data: ReportData, scores: Array, merit: Merit, gid: str) -> dict[str, list[int]]:
+    """Trials as points along the foot of a histogram."""
+    places = data.drawn[np.isfinite(scores[data.drawn])]
+    foot = np.full(len(scores), 0.02)
+    return _points(axis, data, scores, foot, places, merit.passed(scores), gid, axis.get_xaxis_transform())
+
+
+def _points(
+    axis: Axes,
+    data: ReportData,
+    x: Array,
+    y: Array,
+    places: Places,
+    passed: NDArray[np.bool_],
+    gid: str,
+    transform: Any = None,
+) -> dict[str, list[int]]:
+    """Trials as points, good and bad ones in their colours; trials by gid of the collections."""
+    drawn = {}
+    own: dict[str, Any] = {} if transform is None else {"transform": transform}
+    for kind, color, chosen in (("good", BLUE, passed[places]), ("bad", RED, ~passed[places])):
+        shown = places[chosen]
+        if len(shown):
+            name = f"{gid}-{kind}"
+            axis.scatter(x[shown], y[shown], s=5.0, color=color, alpha=0.65, linewidths=0.0, gid=name, **own)
+            drawn[name] = data.trial_numbers[shown].tolist()
+    return drawn
+
+
+def scatter_panels(data: ReportData, column: int, most: int) -> list[Panel]:
+    """One merit, by its place, against the perturbations that go most with it, the strongest first."""
+    correlation, study = data.correlation, data.study
+    order = np.argsort(-correlation.strength[column], kind="stable")[:most]
+    return [_scatter_panel(data, column, int(k), study.merits[column]) for k in order]
+
+
+def _scatter_panel(data: ReportData, column: int, k: int, merit: Merit) -> Panel:
+    scores, values = data.results.scores[:, column], data.results.values[:, k]
+    places = data.drawn[np.isfinite(scores[data.drawn])]
+    correlation, perturbation = data.correlation, data.study.perturbations[k]
+    with styled({"font.size": 7.5, "axes.titlesize": 7.5, "axes.titleweight": "normal"}):
+        figure = styled_figure(2.35, 1.95)
+        axis = figure.subplots()
+        points = _points(axis, data, values, scores, places, merit.passed(scores), f"scatter-{column}-{k}")
+        draw_limit(axis, merit, horizontal=True, label=False)
+        axis.locator_params(axis="x", nbins=4)
+        axis.set_xlabel(axis_label(perturbation))
+        axis.set_ylabel(merit_label(merit))
+        signed, magnitude = correlation.signed[column, k], correlation.magnitude[column, k]
+        axis.set_title(f"ρ {signed:+.2f}, of magnitude {magnitude:+.2f}".replace("-", "−"))
+    return Panel(figure, f"{merit.column} against {perturbation.column}, trial by trial", points)
+
+
+def scale_panel(
+    scales: Array, curves: Sequence[tuple[str, Array]], found: tuple[float, float, float] | None
+) -> Panel:
+    """Yield against a common factor of all tolerances.
+
+    Parameters
+    ----------
+    scales
+        The factors.
+    curves
+        Names, and yields at the factors; the last is that of all limits.
+    found
+        Yield of the trials, and the ends of its interval.
+    """
+    with styled():
+        figure = styled_figure(6.2, 3.1)
+        axis = figure.subplots()
+        for number, (name, shares) in enumerate(curves):
+            whole = number == len(curves) - 1
+            color = INK if whole else SERIES[number % len(SERIES)]
+            axis.plot(scales, 100.0 * shares, color=color, linewidth=2.0 if whole else 1.1, label=name)
+        if found is not None:
+            share, low, high = (100.0 * v for v in found)
+            axis.errorbar(
+                [1.0], [share], yerr=[[share - low], [high - share]], fmt="o", color=RED, ms=4.5, capsize=3.0,
+                label="trials, all limits",
+            )  # fmt: skip
+        axis.set_xlabel("common factor of all tolerances")
+        axis.set_ylabel("yield (%)")
+        axis.set_ylim(-3.0, 103.0)
+        figure.legend(loc="outside right upper")
+    return Panel(figure, "Yield against a common factor of all tolerances")
+
+
+def fidelity_panel(data: ReportData, cheap: Merit, dear: Merit, places: Places, scores: Array) -> Panel:
+    """Cheap against dear scores of the trials that have both.
+
+    Parameters
+    ----------
+    data
+        The report's.
+    cheap, dear
+        The merits.
+    places, scores
+        Places of the trials among the results, and their dear scores.
+    """
+    column = [m.label for m in data.study.merits].index(cheap.label)
+    x = data.results.scores[:, column]
+    y = np.full(len(x), np.nan)
+    y[places] = scores
+    both = places[np.isfinite(x[places]) & np.isfinite(y[places])]
+    with styled():
+        figure = styled_figure(3.6, 3.2)
+        axis = figure.subplots()
+        points = _points(axis, data, x, y, both, dear.passed(y), f"fidelity-{dear.label}")
+        if len(both):
+            ends = [min(x[both].min(), y[both].min()), max(x[both].max(), y[both].max())]
+            axis.plot(ends, ends, color=GREY, linewidth=0.8, linestyle="--", label="equal")
+        axis.axhline(dear.limit, color=RED, linewidth=0.9)
+        axis.axvline(cheap.limit, color=RED, linewidth=0.9)
+        axis.set_xlabel(merit_label(cheap))
+        axis.set_ylabel(merit_label(dear))
+        axis.legend(loc="upper left")
+    return Panel(figure, f"{dear.column} against {cheap.column}, trial by trial", points)
+
+
+def bars_panel(names: Sequence[str], changes: Array, merit: Merit) -> Panel:
+    """Changes of one merit at both ends of each tolerance, shape (perturbations, 2), as bars from nominal."""
+    with styled({"axes.grid.axis": "x"}):
+        figure = styled_figure(4.7, 0.9 + 0.24 * len(names))
+        axis = figure.subplots()
+        place = np.arange(len(names))
+        for offset, color, ends, label in (
+            (-0.19, ORANGE, changes[:, 0], "at −T"),
+            (0.19, BLUE, changes[:, 1], "at +T"),
+        ):
+            axis.barh(place + offset, np.nan_to_num(ends), height=0.36, color=color, label=label)
+        axis.axvline(0.0, color=INK, linewidth=0.8)
+        axis.set_yticks(place, [n.replace("_", " ") for n in names], fontsize=7.5)
+        axis.invert_yaxis()
+        axis.set_title(merit_label(merit), loc="left")
+        axis.set_xlabel("change from the nominal lens")
+        axis.locator_params(axis="x", nbins=5)
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2)
+    return Panel(figure, f"Change of {merit.column} at both ends of each tolerance")

@@ -1,0 +1,48 @@
+"""A report as one HTML page that needs nothing beside itself."""
+
+from __future__ import annotations
+
+import json
+import re
+
+from tolerancing.report.blocks import FigureBlock, Heading, Report, plain
+from tolerancing.report.figures.svg import svg_text
+
+
+def html_page(report: Report) -> str:
+    """The page's text."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=PackageLoader("tolerancing.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: plain(value) if type(value) is str else value,
+    )
+    sections = [b for b in report.blocks if isinstance(b, Heading) and b.level == 2]
+    names = {id(section): f"section-{number}" for number, section in enumerate(sections, start=1)}
+    figures: dict[int, list[Markup]] = {}
+    for number, block in enumerate(report.blocks):
+        if isinstance(block, FigureBlock):
+            figures[number] = [
+                Markup(svg_text(panel, f"f{number}p{k}-")) for k, panel in enumerate(block.panels)
+            ]
+    return environment.get_template("report.html.j2").render(
+        report=report,
+        sections=[(names[id(section)], section.text) for section in sections],
+        names=names,
+        identity=id,
+        figures=figures,
+        kind=lambda block: type(block).__name__,
+        trials=Markup(safe_json({str(trial): plain(text) for trial, text in report.trials.items()})),
+        percent=lambda share: f"{100.0 * share:.2f}",
+    )
+
+
+def safe_json(value: object) -> str:
+    """JSON that can stand inside a ``script`` element, whatever texts it holds."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+    return re.sub("[<>&\u2028\u2029]", lambda match: f"\\u{ord(match[0]):04x}", text)

@@ -1,0 +1,227 @@
+"""Section 9 of a report, and the pictures of single trials: plates of line pairs, curves, maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lensdesign.errors import TransferLensError
+from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.pupil import Axis, PupilMerit
+from tolerancing.report.blocks import (
+    Block,
+    Cell,
+    FigureBlock,
+    Heading,
+    Paragraph,
+    Table,
+    Warning,
+    cut,
+    number_text,
+    table,
+)
+from tolerancing.report.data import ReportData
+from tolerancing.report.figures.series import (
+    PLATE_COLUMNS,
+    grid_panels,
+    plate_panel,
+    slice_panels,
+    sweep_panels,
+)
+from tolerancing.study.evaluate import context_of, realise
+from tolerancing.study.results import Picture, StepResults
+from tolerancing.study.series import LinePairSection
+from tolerancing.study.slice_counts import SliceCounts
+from tolerancing.study.sweep import ParameterGrid, Sweep
+
+MOST_ROWS = 200
+"""Steps in a table; all stand in steps.csv."""
+
+MOST_FAILURES, MOST_OF_MESSAGE = 20, 240
+"""Steps without a score that say why, and characters of what they say."""
+
+WIDTH_IN_RESOLUTIONS = 1.5
+"""Lines drawn for a study without a contrast of its own, in units of wavelength / (2 NA)."""
+
+
+def series_section(data: ReportData) -> list[Block]:
+    """Everything that was varied by itself, in plates as in the paper's Fig. 7."""
+    study = data.study
+    parts = [
+        *(_sweep(data, sweep) for sweep in study.sweeps),
+        *(_grid(data, grid) for grid in study.grids),
+        *(_slices(data, counts) for counts in study.slice_counts),
+    ]
+    if not parts:
+        return [Heading("Sweeps, grids and slice counts"), Paragraph("The study asks for none.")]
+    return [
+        Heading("Sweeps, grids and slice counts (as in the paper's Fig. 7)"),
+        *(block for part in parts for block in part),
+    ]
+
+
+def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
+    from tolerancing.report.figures.style import series_label
+
+    steps = data.steps_of(sweep.label)
+    blocks: list[Block] = [Heading(f"Sweep {sweep.label}: {series_label(sweep)}", 3)]
+    if not steps:
+        return [*blocks, Paragraph("No step is finished.")]
+    blocks.append(Paragraph(line_pair_text(sweep), soft=True))
+    blocks.append(FigureBlock(tuple(sweep_panels(data.study, sweep, steps)), columns=2))
+    columns = [m.label for m in sweep.scored(data.study)]
+    blocks += _steps_table([sweep.parameter], columns, steps)
+    return [*blocks, *_plates(steps, lambda s: f"{s.coordinates[sweep.parameter]:g} {sweep.unit}".strip())]
+
+
+def line_pair_text(section: LinePairSection) -> str:
+    """What the line pairs of a sweep or grid are."""
+    if not section.line_widths_um:
+        return "All else nominal."
+    x, y = section.field_mm
+    axis = section.orientation
+    which = "the worse of both orientations" if axis == "worse" else f"bars following each other along {axis}"
+    return f"All else nominal. Line pairs at ({x:g}, {y:g}) mm in the object, {which}; refocused and not."
+
+
+def _grid(data: ReportData, grid: ParameterGrid) -> list[Block]:
+    steps = data.steps_of(grid.label)
+    blocks: list[Block] = [Heading(f"Grid {grid.label}: {grid.x.column} and {grid.y.column}", 3)]
+    if not steps:
+        return [*blocks, Paragraph("No step is finished.")]
+    blocks.append(Paragraph(f"{line_pair_text(grid)} Red: the limit.", soft=True))
+    blocks.append(FigureBlock(tuple(grid_panels(data.study, grid, steps)), columns=2))
+    columns = [m.label for m in grid.scored(data.study)]
+    return [*blocks, *_steps_table([grid.x.column, grid.y.column], columns, steps)]
+
+
+def _slices(data: ReportData, series: SliceCounts) -> list[Block]:
+    steps = data.steps_of(series.label)
+    blocks: list[Block] = [Heading(f"Slice counts {series.label} (Fig. 7a)", 3)]
+    if not steps:
+        return [*blocks, Paragraph("No step is finished.")]
+    note = (
+        f"Lines at a field height of {series.field_height_mm:g} mm, carried to the exit plane by the eikonal "
+        "engine and back by annular slices, refocused and registered; dashed: brought back by the eikonal "
+        "engine itself. Vertical compensation is the paper's, oblique follows the light's slope."
+    )
+    blocks.append(Paragraph(note, soft=True))
+    blocks.append(FigureBlock(tuple(slice_panels(series, steps)), columns=2))
+    columns = list(dict.fromkeys(label for s in steps for label in s.scores))
+    blocks += _steps_table(["compensation", "slices"], columns, steps)
+    return [
+        *blocks,
+        *_plates(steps, lambda s: f"{s.coordinates['compensation']}, {s.coordinates['slices']:g} slices"),
+    ]
+
+
+def _steps_table(
+    coordinates: Sequence[str], labels: Sequence[str], steps: Sequence[StepResults]
+) -> list[Table]:
+    rows: list[list[str]] = [
+        _where(step, coordinates) + [number_text(step.scores.get(label)) for label in labels]
+        for step in steps[:MOST_ROWS]
+    ]
+    more = len(steps) - MOST_ROWS
+    caption = f"{more} more steps stand in steps.csv." if more > 0 else ""
+    scored = table([*(f"<{c}" for c in coordinates), *labels], rows, caption)
+    failed: list[list[Cell | str]] = []
+    for step in [step for step in steps if step.message][:MOST_FAILURES]:
+        cause = Cell(cut(step.message, MOST_OF_MESSAGE), failed=True)
+        failed.append([*_where(step, coordinates), cause])
+    if not failed:
+        return [scored]
+    return [scored, table([*(f"<{c}" for c in coordinates), "<Not scored, because"], failed)]
+
+
+def _where(step: StepResults, coordinates: Sequence[str]) -> list[str]:
+    found = [step.coordinates.get(name, "–") for name in coordinates]
+    return [w if isinstance(w, str) else number_text(float(w)) for w in found]
+
+
+def _plates(steps: Sequence[StepResults], title: Callable[[StepResults], str]) -> list[Block]:
+    """Plates of the pictures: line widths and ways one way, steps the other, in the fewer rows."""
+    pictured = [s for s in steps if s.pictures]
+    kinds = sorted({(p.line_width_um, not p.refocused) for s in pictured for p in s.pictures})
+    names = [f"{width:g} µm, {'as it is' if plain else 'refocused'}" for width, plain in kinds]
+    blocks: list[Block] = []
+    for first in range(0, len(pictured), PLATE_COLUMNS):
+        shown = pictured[first : first + PLATE_COLUMNS]
+        found = [[_found(step, width, not plain) for step in shown] for width, plain in kinds]
+        where = [title(step) for step in shown]
+        rows, columns = names, where
+        if len(names) > len(where):
+            rows, columns, found = where, names, [list(line) for line in zip(*found, strict=True)]
+        plate = {
+            row: [(f"{c}: {number}", picture) for c, (number, picture) in zip(columns, line, strict=True)]
+            for row, line in zip(rows, found, strict=True)
+        }
+        panel = plate_panel(plate, f"Pictures of line pairs, {where[0]} to {where[-1]}")
+        blocks.append(FigureBlock((panel,), caption="Plate of line pairs with their contrast."))
+    return blocks
+
+
+def _found(step: StepResults, width_um: float, refocused: bool) -> tuple[str, Picture | None]:
+    """A step's contrast of one line width, and its picture."""
+    picture = next(
+        (p for p in step.pictures if (p.line_width_um, p.refocused) == (width_um, refocused)), None
+    )
+    name = f"contrast_{width_um:g}um".replace(".", "p")
+    contrast = step.scores.get(f"{name}_refocused" if refocused else name, step.scores.get(name, np.nan))
+    return (f"{contrast:.2f}" if np.isfinite(contrast) else "–"), picture
+
+
+def trial_pictures(data: ReportData, places: list[int]) -> list[Block]:
+    """Line pairs as they look in single trials, drawn anew from study and trial number."""
+    merit = next((m for m in data.study.merits if isinstance(m, LinePairContrast)), None) or next(
+        (m for m in data.study.all_merits if isinstance(m, PupilMerit)), None
+    )
+    if merit is None or not places:
+        return []
+    lens = data.lens
+    wavelength = merit.wavelength_um or lens.wavelengths_um[0]
+    width = (
+        merit.line_width_um
+        if isinstance(merit, LinePairContrast)
+        else WIDTH_IN_RESOLUTIONS * 0.5 * wavelength / lens.object.numerical_aperture
+    )
+    numbers = [int(data.trial_numbers[place]) for place in places]
+    try:
+        shown = _drawn(data, merit, numbers, width)
+    except TransferLensError as error:
+        return [Warning(f"The worst trials cannot be drawn: {error}")]
+    kinds = ["worst", "second worst", "third worst"][: len(places)] + ["median"] * (len(places) > 3)
+    titled: list[tuple[str, Picture | None]] = [
+        (f"{kind}: trial {number}\ncontrast {contrast:.2f}", picture)
+        for kind, number, (contrast, picture) in zip(kinds, numbers, shown, strict=True)
+    ]
+    text = (
+        f"{width:.4g} µm lines at ({merit.points[0][0]:g}, {merit.points[0][1]:g}) mm, "
+        f"{'refocused' if merit.refocus else 'not refocused'}, along the worse axis, by the reconstruction "
+        "pupil; drawn anew from the trials' numbers."
+    )
+    panel = plate_panel({"": titled}, f"Line pairs of trials {', '.join(map(str, numbers))}")
+    return [Heading("What they would show", 3), Paragraph(text, soft=True), FigureBlock((panel,))]
+
+
+def _drawn(
+    data: ReportData, merit: PupilMerit, trials: Sequence[int], width_um: float
+) -> list[tuple[float, Picture]]:
+    """Contrast and picture of each trial along its worse axis."""
+    from tolerancing.study.pictures import PICTURE_POINTS
+    from wavesim import line_pair_contrast, line_pair_image
+
+    context = context_of(data.lens, data.study)
+    batch = realise(data.study, trials)
+    pupils = context.pupils(batch, merit.points[0], merit.wavelength_um, merit.refocus, True)
+    wanted = merit.orientation if isinstance(merit, LinePairContrast) else "worse"
+    axes: tuple[Axis, ...] = ("x", "y") if wanted == "worse" else (wanted,)
+    found = []
+    for pupil in pupils:
+        contrast = {axis: line_pair_contrast(pupil, width_um, axis) for axis in axes}
+        axis = min(axes, key=contrast.__getitem__)
+        coordinates, intensity = line_pair_image(pupil, width_um, axis, points=PICTURE_POINTS)
+        picture = Picture(width_um, axis, merit.refocus, float(coordinates[-1]), intensity.astype(np.float32))
+        found.append((contrast[axis], picture))
+    return found

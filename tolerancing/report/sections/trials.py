@@ -1,0 +1,240 @@
+"""Sections 5 to 8 of a report: distributions, yield against tolerances, scatter plots, worst trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from tolerancing.analysis.correlation import MOST_TRIALS
+from tolerancing.analysis.response import Response, fit_response
+from tolerancing.analysis.summary import PERCENTILES
+from tolerancing.analysis.yields import yield_of
+from tolerancing.report.blocks import (
+    Block,
+    Cell,
+    FigureBlock,
+    Heading,
+    Paragraph,
+    cut,
+    joined,
+    number_text,
+    percent_text,
+    table,
+)
+from tolerancing.report.data import ReportData
+from tolerancing.report.figures.trials import Array, distribution_panel, scale_panel, scatter_panels
+
+WORST_TRIALS = 12
+MOST_SCATTERS = 8
+FIT_TRIALS = 5000
+"""Trials that the response model is fitted to and predicts."""
+
+SCALES = np.linspace(0.25, 2.0, 36)
+SMALLEST_R_SQUARED = 0.5
+
+
+def distribution_section(data: ReportData) -> list[Block]:
+    """Histograms with limits, and statistics."""
+    blocks: list[Block] = [Heading("Distributions")]
+    if not len(data.results):
+        return [*blocks, Paragraph("Left out: the store holds no trials.")]
+    pairs, singles = [], []
+    for k, row in enumerate(data.summary.merits):
+        own, without = distribution_panel(data, row, k), _uncompensated(data, row.merit.column)
+        if without is None:
+            singles.append(own)
+        else:
+            pairs += [own, distribution_panel(data, row, k, without)]
+    note = (
+        "Bars: trials; orange: share of trials below; points at the foot: single trials. The limit's bad "
+        f"side is shaded. {data.drawn_text}"
+    )
+    rows = []
+    for row in data.summary.merits:
+        column = row.merit.column
+        rows.append(
+            _statistics(column, row.scored, row.mean, row.standard_deviation, row.percentiles, row.good)
+        )
+        without = _uncompensated(data, column)
+        if without is not None:
+            known = without[np.isfinite(without)]
+            values = np.percentile(known, PERCENTILES).tolist() if len(known) else []
+            rows.append(
+                _statistics(
+                    f"{column}, not compensated",
+                    len(known),
+                    float(known.mean()) if len(known) else None,
+                    float(known.std(ddof=1)) if len(known) > 1 else None,
+                    dict(zip(PERCENTILES, values, strict=False)),
+                    yield_of(row.merit.passed(without)),
+                )
+            )
+    headings = ["<Merit", "Scored", "Mean", "Std.", *(f"{p} %" for p in PERCENTILES), "Yield"]
+    return [
+        *blocks,
+        Paragraph(note, soft=True),
+        *(FigureBlock(tuple(panels), columns=2) for panels in (pairs, singles) if panels),
+        table(headings, rows, "Percentiles over the trials with a score; the yield counts all trials."),
+    ]
+
+
+def _statistics(name, scored, mean, deviation, percentiles, good) -> list[str]:  # type: ignore[no-untyped-def]
+    return [
+        name,
+        f"{scored:,}",
+        number_text(mean),
+        number_text(deviation),
+        *(number_text(percentiles.get(p)) for p in PERCENTILES),
+        percent_text(good.share if good else None),
+    ]
+
+
+def _uncompensated(data: ReportData, column: str) -> Array | None:
+    """Scores without refocusing and compensators, where the study has them."""
+    names = list(data.study.extra_columns)
+    name = f"{column}_uncompensated"
+    return data.results.extras[:, names.index(name)] if name in names else None
+
+
+def scale_section(data: ReportData) -> list[Block]:
+    """Yield if all tolerances were tighter or looser by a common factor, by a model of the trials."""
+    blocks: list[Block] = [Heading("Yield against tolerance scale")]
+    models, faults = _models(data)
+    if not models:
+        return [*blocks, Paragraph(f"Left out: {joined(faults) or 'the store holds no trials'}.")]
+    values = data.results.values[_evenly(len(data.results))]
+    centre = np.array([p.distribution.centre for p in data.study.perturbations])
+    kept: dict[str, list[NDArray[np.bool_]]] = {label: [] for label in models}
+    merits = {m.label: m for m in data.study.merits}
+    for scale in SCALES:
+        scaled = centre + scale * (values - centre)
+        for label, model in models.items():
+            kept[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
+    curves = [(merits[label].column, np.mean(passed, axis=1)) for label, passed in kept.items()]
+    whole = len(models) == len(merits)
+    if whole:
+        curves.append(("all limits", np.mean(np.all(list(kept.values()), axis=0), axis=1)))
+    good = data.summary.good if whole else None
+    found = None if good is None else (good.share, good.low, good.high)
+    qualities = [
+        f"{merits[label].column} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
+    ]
+    text = (
+        "A model of the second order, fitted to the trials, tells the scores of the same lenses with all "
+        "deviations multiplied. Beyond 1 it is carried on past what it was fitted to; trials without a score "
+        f"are not in it. R² for trials left out of the fit: {joined(qualities)}."
+    )
+    if faults:
+        text += f" Left out: {joined(faults)}."
+    if whole and found is not None:
+        text += " The point is the yield of the trials themselves."
+    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves, found),))]
+
+
+def _evenly(count: int) -> slice:
+    return slice(None, None, max(1, -(-count // FIT_TRIALS)))
+
+
+def _models(data: ReportData) -> tuple[dict[str, Response], list[str]]:
+    """Models by merit, and why others are left out."""
+    models: dict[str, Response] = {}
+    faults: list[str] = []
+    chosen = _evenly(len(data.results))
+    if not len(data.results):
+        return models, faults
+    for k, merit in enumerate(data.study.merits):
+        try:
+            model = fit_response(data.results.values[chosen], data.results.scores[chosen, k : k + 1])
+        except InputError:
+            faults.append(f"{merit.column}, which has too few scores for a model")
+            continue
+        quality = float(model.cross_validated_r_squared[0])
+        if quality >= SMALLEST_R_SQUARED:
+            models[merit.label] = model
+        else:
+            faults.append(f"{merit.column}, whose model explains too little (R² {quality:.2f})")
+    return models, faults
+
+
+def scatter_section(data: ReportData) -> list[Block]:
+    """Each merit against the perturbations that go most with it."""
+    blocks: list[Block] = [Heading("Merits against perturbations")]
+    if not len(data.results):
+        return [*blocks, Paragraph("Left out: the store holds no trials.")]
+    note = (
+        f"For each merit the {min(MOST_SCATTERS, len(data.study.perturbations))} perturbations that go most "
+        "with it, the strongest first; red points miss the limit (red line). ρ is Spearman's rank "
+        "correlation with the deviation, and with its magnitude, which shows what harms both ways. "
+        f"{_ranked_text(len(data.results))}{data.drawn_text}"
+    )
+    blocks.append(Paragraph(note.strip(), soft=True))
+    for k, merit in enumerate(data.study.merits):
+        blocks.append(Heading(merit.column, 3))
+        blocks.append(FigureBlock(tuple(scatter_panels(data, k, MOST_SCATTERS)), columns=4))
+    return blocks
+
+
+def _ranked_text(count: int) -> str:
+    if count <= MOST_TRIALS:
+        return ""
+    return f"Ranks: of at most {MOST_TRIALS:,} trials, evenly spaced among all. "
+
+
+def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], list[Block]]) -> list[Block]:
+    """The trials farthest on the bad side, with pictures of what they would show.
+
+    Parameters
+    ----------
+    data
+        The report's.
+    pictures
+        Draws trials, by their places.
+    """
+    blocks: list[Block] = [Heading("Worst trials")]
+    if not len(data.results):
+        return [*blocks, Paragraph("Left out: the store holds no trials.")]
+    rows: list[list[Cell | str]] = []
+    for place in data.by_badness[:WORST_TRIALS].tolist():
+        scores = data.results.scores[place]
+        causes, message = data.causes(place), data.results.messages[place]
+        rows.append(
+            [
+                str(data.trial_numbers[place]),
+                *(
+                    Cell(number_text(v), failed=not bool(m.passed(v)))
+                    for m, v in zip(data.study.merits, scores, strict=True)
+                ),
+                Cell(cut(f"{causes}. Not scored: {message}"), failed=True) if message else causes,
+            ]
+        )
+    caption = (
+        "Farthest on the bad side of any limit, in standard deviations of that merit; trials that could not "
+        "be scored come first. Deviations in standard deviations σ of their distribution."
+    )
+    headings = ["<Trial", *(m.column for m in data.study.merits), "<Largest deviations"]
+    blocks += [table(headings, rows, caption), *_failures(data), *pictures(data, pictured_trials(data))]
+    return blocks
+
+
+def pictured_trials(data: ReportData) -> list[int]:
+    """Places of the three worst trials that have scores, and of the median one."""
+    scored = [i for i in data.by_badness.tolist() if np.isfinite(data.badness[i])]
+    chosen = scored[:3]
+    if len(scored) > 3:
+        chosen.append(scored[len(scored) // 2])
+    return chosen
+
+
+def _failures(data: ReportData) -> list[Block]:
+    counts: dict[str, int] = {}
+    for message in data.results.messages:
+        if message:
+            counts[message] = counts.get(message, 0) + 1
+    if not counts:
+        return []
+    most = sorted(counts.items(), key=lambda item: -item[1])[:WORST_TRIALS]
+    rows = [[message, f"{count:,}"] for message, count in most]
+    return [Heading("Why trials could not be scored", 3), table(["<Message", "Trials"], rows)]

@@ -1,0 +1,1 @@
+"""Trials by worker processes and clusters, into a store."""

@@ -1,0 +1,137 @@
+"""Who does a run's tasks: this process, a pool of processes, or a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from itertools import islice
+from typing import TYPE_CHECKING
+
+from lensdesign.errors import TransferLensError
+from tolerancing.run.tasks import Task, perform
+from tolerancing.run.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from tolerancing.study.files import LoadedStudy
+    from tolerancing.study.results import Results
+
+Done = list[tuple[Task, "Results"]]
+Batches = Generator[Done, None, None]
+Perform = Callable[[Iterable[Task]], Batches]
+
+TASKS_IN_FLIGHT = 3
+"""Tasks handed out for each worker: one it does, and some so that it need not wait."""
+
+
+class RunError(TransferLensError):
+    """A run that had to stop; its store holds what was finished."""
+
+
+@contextmanager
+def this_process(loaded: LoadedStudy) -> Iterator[Perform]:
+    """Do tasks one after the other, here."""
+    from tolerancing.study.evaluate import context_of
+
+    context = context_of(loaded.lens, loaded.study)
+
+    def batches(tasks: Iterable[Task]) -> Batches:
+        for task in tasks:
+            yield [(task, perform(context, loaded.study, task))]
+
+    yield batches
+
+
+@contextmanager
+def local_pool(loaded: LoadedStudy, processes: int) -> Iterator[Perform]:
+    """Do tasks in processes of this machine; they end at once when the run is broken off."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import active_children, get_context
+
+    from tolerancing.run.workers import start_local, work_local
+
+    one_blas_thread()
+    others = set(active_children())
+    pool = ProcessPoolExecutor(
+        processes, mp_context=get_context("spawn"), initializer=start_local, initargs=(loaded,)
+    )
+
+    def batches(tasks: Iterable[Task]) -> Batches:
+        return in_flight(lambda task: pool.submit(work_local, task), tasks, lambda: processes)
+
+    try:
+        yield batches
+    except BaseException:
+        for worker in set(active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def in_flight(
+    submit: Callable[[Task], Future[Results]], tasks: Iterable[Task], workers: Callable[[], int]
+) -> Batches:
+    """Results of tasks as they come, a few tasks for each worker handed out at a time.
+
+    Raises
+    ------
+    RunError, InputError
+        If a worker dies or cannot do its task; what others have finished is handed over first.
+    """
+    from concurrent.futures import FIRST_COMPLETED, wait
+
+    waiting, pending = iter(tasks), dict[Future["Results"], Task]()
+    while True:
+        room = TASKS_IN_FLIGHT * max(workers(), 1) - len(pending)
+        for task in islice(waiting, max(room, 0)):
+            pending[_submitted(submit, task)] = task
+        if not pending:
+            return
+        finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+        failed = [future for future in finished if future.cancelled() or future.exception() is not None]
+        good = [(pending.pop(future), future.result()) for future in finished if future not in failed]
+        if good:
+            yield good
+        if failed:
+            result(failed[0])
+
+
+def _submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[Results]:
+    """A task handed out; a pool that is broken tells so by the task's future, after what it has finished."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    try:
+        return submit(task)
+    except BrokenProcessPool as error:
+        future: Future[Results] = Future()
+        future.set_exception(error)
+        return future
+
+
+def result(future: Future[Results]) -> Results:
+    """What a task came to.
+
+    Raises
+    ------
+    RunError
+        If its worker died, or whatever handed it out is gone.
+    """
+    from concurrent.futures import CancelledError
+    from concurrent.futures.process import BrokenProcessPool
+
+    kept = "what was finished is in the store, and the same command goes on from there"
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise RunError(
+            f"a worker process died (out of memory, perhaps); {kept}: fewer --workers need less memory"
+        ) from error
+    except CancelledError as error:
+        raise RunError(f"the cluster's scheduler is gone; {kept}") from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":
+            raise RunError(
+                f"a task ended several workers of the cluster (out of memory, perhaps); {kept}"
+            ) from error
+        raise

@@ -1,0 +1,224 @@
+"""Runs of a study: steps of its series, its trials, and its dear merits, into a store."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+
+from lensdesign.common.clusters import toolkit_version
+from lensdesign.errors import InputError
+from tolerancing.run.choosing import dear_counts
+from tolerancing.run.executors import Perform, RunError, local_pool, this_process
+from tolerancing.run.tasks import Task, chunk_size, missing_dear, missing_steps, missing_trials
+from tolerancing.store.store import Store, create_store, open_store
+from tolerancing.study.evaluate import context_of, nominal_scores
+from tolerancing.study.files import LoadedStudy
+from tolerancing.study.levels import decide_levels, with_levels
+from tolerancing.study.study import MOST_TRIALS
+
+__all__ = ["RunError", "RunOutcome", "run_study"]
+
+Report = Callable[[int, int], None]
+
+MANY_WORKERS = 32
+"""As many are taken to be in a cluster, for the size of tasks."""
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    trials_run, steps_run, dear_run
+        Trials, steps of series, and trials for the dear merits that were scored now, not found in the store.
+    workers
+        Number of processes that did it; 0 where a cluster did.
+    seconds
+        Time taken.
+    """
+
+    trials_run: int
+    steps_run: int
+    dear_run: int
+    workers: int
+    seconds: float
+
+
+@dataclass
+class _Tally:
+    """What is done, and what there is to do."""
+
+    report: Report | None
+    lacking: dict[str, int]
+    done: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("steps", "trials", "dear"), 0))
+
+    def add(self, task: Task) -> None:
+        """Count a task."""
+        self.done["dear" if task.chosen else "trials" if task.trials else "steps"] += task.size
+
+    def tell(self) -> None:
+        """Report."""
+        if self.report is not None:
+            total = sum(max(n, self.done[part]) for part, n in self.lacking.items())
+            self.report(sum(self.done.values()), total)
+
+
+def run_study(
+    loaded: LoadedStudy,
+    store_path: str | os.PathLike[str],
+    *,
+    workers: int | None = None,
+    trials: int | None = None,
+    fresh: bool = False,
+    cluster: str | None = None,
+    report: Report | None = None,
+) -> RunOutcome:
+    """Score what the store still lacks of a study.
+
+    The rows of the store are the same whatever number of workers made them, in however many runs, whatever
+    ended those. A run that is killed loses what its workers were at. Several runs may share one store, and
+    the work. Worker processes start by importing the main module, so a script that calls this needs the usual
+    ``if __name__ == "__main__":``.
+
+    Parameters
+    ----------
+    loaded
+        The study, with its lens.
+    store_path
+        The store; made if it is not there, gone on with if it holds the same study.
+    workers
+        Number of processes; as many as there are processors where left out. One works in this process.
+    trials
+        Number of trials that the store is to hold in the end; the study's where left out.
+    fresh
+        Start over: replace a store that is there.
+    cluster
+        Address of a Dask scheduler whose workers are to do it, in place of processes of this machine.
+    report
+        Called with the amounts done and to do after each batch.
+
+    Raises
+    ------
+    InputError
+        If the store cannot be used, holds another study, or is in use where it is to be replaced; if the
+        nominal lens cannot be scored; if the cluster cannot be used.
+    RunError
+        If a worker process dies, or the cluster goes away.
+    """
+    start = time.perf_counter()
+    planned = loaded.study.trials if trials is None else trials
+    _check_counts(planned, workers, cluster)
+    store, is_new = _ready_store(Path(store_path), loaded, planned, fresh)
+    with store:
+        levels = {merit.label: merit.level for merit in store.merits()}
+        loaded = replace(loaded, study=with_levels(loaded.study, levels))
+        lacking = _lacking(loaded, store, planned)
+        processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+        size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
+        tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
+        processes = min(processes, max(1, tasks))
+        tally = _Tally(report, lacking)
+        if tasks:
+            store.start_writing()
+            with _workers(loaded, levels, processes, cluster) as perform:
+                trial_tasks = missing_trials(store, planned, size, in_order=is_new)
+                _score(loaded, store, perform, tally, trial_tasks, planned)
+            store.finish_writing()
+    done = tally.done
+    return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
+
+
+def _check_counts(planned: int, workers: int | None, cluster: str | None) -> None:
+    if not 1 <= planned <= MOST_TRIALS:
+        raise InputError(f"trials = {planned}: must be at least 1 and at most {MOST_TRIALS}")
+    if workers is not None and workers < 1:
+        raise InputError(f"workers = {workers}: must be at least 1")
+    if workers is not None and cluster is not None:
+        raise InputError(f"workers = {workers}: a cluster has its own workers; give one or the other")
+
+
+def _workers(
+    loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None
+) -> AbstractContextManager[Perform]:
+    if address is not None:
+        from tolerancing.run.cluster import cluster_workers
+
+        return cluster_workers(loaded, levels, address)
+    return this_process(loaded) if processes == 1 else local_pool(loaded, processes)
+
+
+def _score(
+    loaded: LoadedStudy, store: Store, perform: Perform, tally: _Tally, trials: Iterable[Task], planned: int
+) -> None:
+    """Fill the store: steps and trials, then what these choose for the dear merits."""
+    study = loaded.study
+    _store_results(store, perform, chain(missing_steps(study, store), trials), tally)
+    if study.dear_merits:
+        _store_results(store, perform, missing_dear(study, store, planned), tally)
+
+
+def _store_results(store: Store, perform: Perform, tasks: Iterable[Task], tally: _Tally) -> None:
+    with closing(perform(tasks)) as batches:
+        for batch in batches:
+            store.add(*(results for _, results in batch))
+            for task, _ in batch:
+                tally.add(task)
+            tally.tell()
+
+
+def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
+    """How many steps, trials and dear trials a store lacks."""
+    study = loaded.study
+    trials = planned - store.trial_count(planned)
+    steps = sum(len(series) for series in study.series) - len(store.finished_steps())
+    if trials or not study.dear_merits:
+        dear = sum(dear_counts(study, planned))
+    else:
+        dear = sum(1 for _ in missing_dear(study, store, planned))
+    return {"steps": steps, "trials": trials, "dear": dear}
+
+
+def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> tuple[Store, bool]:
+    """The store that holds this study and knows what is planned, and whether it was made just now."""
+    if os.path.exists(path):
+        open_store(path).close()  # what is no store of ours is never replaced
+        if not fresh:
+            return _continued(path, loaded, planned), False
+    levels = decide_levels(loaded.lens, loaded.study)
+    study = with_levels(loaded.study, levels)
+    nominal = nominal_scores(context_of(loaded.lens, study), study)
+    if create_store(path, loaded, nominal, planned, levels=levels, replace=fresh):
+        return open_store(path), True
+    return _continued(path, loaded, planned), False
+
+
+def _continued(path: Path, loaded: LoadedStudy, planned: int) -> Store:
+    """A store that is there, if it holds the same study."""
+    store = open_store(path)
+    try:
+        _refuse_other_study(store, loaded)
+        store.plan(planned)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def _refuse_other_study(store: Store, loaded: LoadedStudy) -> None:
+    record = store.record()
+    if record.fingerprint != loaded.fingerprint:
+        raise InputError(
+            f"{store.path} holds another study, or this one before its files were changed; give another "
+            "store, or --fresh to replace it (more trials alone: --trials N)"
+        )
+    if record.toolkit_version != toolkit_version():
+        raise InputError(
+            f"{store.path} was begun with version {record.toolkit_version} of the toolkit, this is "
+            f"{toolkit_version()}: rows of both need not agree; give another store, or --fresh to replace it"
+        )

@@ -1,0 +1,104 @@
+"""What a run hands to its workers: some trials, a step of a series, or a trial for the dear merits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tolerancing.study.evaluate import score_dear, score_step, score_trials
+from tolerancing.study.results import RANDOM, WORST, Results
+
+if TYPE_CHECKING:
+    from tolerancing.merits.context import Context
+    from tolerancing.store.store import Store
+    from tolerancing.study.study import Study
+
+TASKS_PER_WORKER = 4
+"""At least so many, where there are enough trials, lest some workers wait for the last one."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a worker does at a time.
+
+    Attributes
+    ----------
+    trials
+        Numbers of the trials; empty for a step.
+    chosen
+        Why each was chosen, for the dear merits; empty for the others.
+    series, step
+        Index of the series, and number of the step.
+    """
+
+    trials: tuple[int, ...] = ()
+    chosen: tuple[str, ...] = ()
+    series: int = 0
+    step: int = 0
+
+    @property
+    def size(self) -> int:
+        """How much it counts in a progress bar."""
+        return len(self.trials) or 1
+
+
+def perform(context: Context, study: Study, task: Task) -> Results:
+    """Do one task."""
+    if task.chosen:
+        return score_dear(context, study, task.trials, task.chosen)
+    if task.trials:
+        return score_trials(context, study, task.trials)
+    return score_step(context, study, task.series, task.step)
+
+
+def chunk_size(study: Study, trials: int, workers: int) -> int:
+    """How many trials make a task: as many as the merits like, but some tasks for each worker."""
+    most = min(1 if m.used_level == "wave" else m.trials_per_chunk for m in study.merits)
+    return max(min(most, trials // (TASKS_PER_WORKER * workers)), 1)
+
+
+def missing_steps(study: Study, store: Store) -> Iterator[Task]:
+    """Steps that a store still lacks."""
+    for k, series in enumerate(study.series):
+        for step in range(len(series)):
+            if store.lacks_step(series.label, step):
+                yield Task(series=k, step=step)
+
+
+def missing_trials(store: Store, planned: int, size: int, in_order: bool) -> Iterator[Task]:
+    """Trials that a store still lacks, in chunks.
+
+    Each chunk is looked up when its turn comes, so that what another run has stored meanwhile is left out.
+
+    Parameters
+    ----------
+    store
+        Where to look.
+    planned
+        How many trials there are to be.
+    size
+        Of a chunk.
+    in_order
+        Whether to go through them in order. Runs that share a store do not, lest they all do the same.
+    """
+    starts = np.arange(0, planned, size)
+    if not in_order:
+        np.random.default_rng().shuffle(starts)
+    for start in starts.tolist():
+        lacking = store.lacking(range(start, min(start + size, planned)))
+        if lacking:
+            yield Task(trials=lacking)
+
+
+def missing_dear(study: Study, store: Store, planned: int) -> Iterator[Task]:
+    """Dear scores that a store with all its trials still lacks, trial by trial, the worst first."""
+    from tolerancing.run.choosing import chosen_trials, predictor
+
+    chosen = chosen_trials(study, store.scores(predictor(study).label, planned))
+    for trials, why in ((chosen.worst, WORST), (chosen.random, RANDOM)):
+        for trial in trials.tolist():
+            if store.lacks_dear(trial):
+                yield Task(trials=(trial,), chosen=(why,))

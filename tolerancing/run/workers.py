@@ -1,0 +1,139 @@
+"""What runs in the worker processes of a run, on this machine or in a cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from lensdesign.common.clusters import toolkit_version
+from lensdesign.errors import InputError
+from tolerancing.run.tasks import Task, perform
+
+if TYPE_CHECKING:
+    from tolerancing.merits.context import Context
+    from tolerancing.study.files import LoadedStudy
+    from tolerancing.study.results import Results
+    from tolerancing.study.study import Study
+
+_own: tuple[Context, Study] | None = None
+
+
+def start_local(loaded: LoadedStudy) -> None:
+    """Get a process of a local pool ready."""
+    from tolerancing.study.evaluate import context_of
+
+    # An interrupt goes to the whole group; only the process that holds the store may act on it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    global _own
+    _own = (context_of(loaded.lens, loaded.study), loaded.study)
+
+
+def _end_with_parent() -> None:
+    """A run that is killed cannot end its workers; they would wait for tasks for ever."""
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def work_local(task: Task) -> Results:
+    """Do a task in a process of a local pool."""
+    assert _own is not None  # the initializer saw to it
+    return perform(*_own, task)
+
+
+@dataclass(frozen=True)
+class StudyParcel:
+    """A study as it travels to a cluster, whose machines need not have its files.
+
+    Attributes
+    ----------
+    toolkit_version
+        Of the toolkit that sent it.
+    name, files, fingerprint
+        Of the :class:`LoadedStudy`.
+    levels
+        The merits' levels by their labels.
+    """
+
+    toolkit_version: str
+    name: str
+    files: Mapping[str, bytes]
+    fingerprint: str
+    levels: Mapping[str, str]
+
+
+_unpacked: dict[str, tuple[LoadedStudy, TemporaryDirectory[str]]] = {}
+_unpacking = threading.Lock()
+_by_thread = threading.local()
+
+
+def deliver(parcel: StudyParcel) -> StudyParcel:
+    """Keep a parcel in the cluster, from where each worker fetches it once."""
+    return parcel
+
+
+def work_in_cluster(parcel: StudyParcel, task: Task) -> Results:
+    """Do a task in a worker of a cluster.
+
+    Raises
+    ------
+    InputError
+        If the worker's toolkit is of another version, or reads other numbers from the same files.
+    """
+    key = f"{parcel.fingerprint} {sorted(parcel.levels.items())}"
+    # Threads of one worker may not share what a context keeps.
+    contexts: dict[str, tuple[Context, Study]] = _by_thread.__dict__
+    if key not in contexts:
+        from tolerancing.study.evaluate import context_of
+
+        with _unpacking:
+            loaded = _unpack(parcel, key)
+        contexts[key] = (context_of(loaded.lens, loaded.study), loaded.study)
+    context, study = contexts[key]
+    return perform(context, study, task)
+
+
+def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
+    """The study, its files in a folder of this process."""
+    if key not in _unpacked:
+        from threadpoolctl import threadpool_limits
+
+        from tolerancing.study.files import load_from_files
+        from tolerancing.study.levels import with_levels
+
+        _check_version(parcel.toolkit_version)
+        threadpool_limits(limits=1, user_api="blas")
+        folder = TemporaryDirectory(prefix="tolerancing-")
+        loaded = load_from_files(parcel.name, parcel.files, Path(folder.name))
+        if loaded.fingerprint != parcel.fingerprint:
+            folder.cleanup()
+            raise InputError(
+                f"worker on {_host()}: its glass data give other refractive indices than those here"
+            )
+        _unpacked[key] = (replace(loaded, study=with_levels(loaded.study, parcel.levels)), folder)
+    return _unpacked[key][0]
+
+
+def _check_version(wanted: str) -> None:
+    if toolkit_version() != wanted:
+        raise InputError(
+            f"worker on {_host()} has version {toolkit_version()} of the toolkit, this is {wanted}: install "
+            "the same version there"
+        )
+
+
+def _host() -> str:
+    import socket
+
+    return f"{socket.gethostname()} (process {os.getpid()})"

@@ -1,0 +1,1 @@
+"""Where trials are kept: one SQLite file that survives being killed."""

@@ -1,0 +1,176 @@
+"""Tables of a store, and what its rows about the study and its merits say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tolerancing.merits.base import Merit
+    from tolerancing.study.study import Study
+
+APPLICATION_ID = 0x544C5354
+"""Marks a SQLite file as one of ours ("TLST")."""
+
+SCHEMA_VERSION = 2
+
+ENGINES = {"ray": "rays", "pupil": "point characteristic", "wave": "eikonal patch"}
+"""What scores come from, by a merit's level."""
+
+SCHEMA = """
+CREATE TABLE study (
+    schema_version INTEGER NOT NULL,
+    toolkit_version TEXT NOT NULL,
+    name TEXT NOT NULL,
+    fingerprint TEXT NOT NULL,
+    seed TEXT NOT NULL,
+    planned_trials INTEGER NOT NULL,
+    created TEXT NOT NULL
+);
+CREATE TABLE file (name TEXT PRIMARY KEY, content BLOB NOT NULL);
+CREATE TABLE merit (
+    label TEXT PRIMARY KEY,
+    "column" TEXT NOT NULL,
+    level TEXT NOT NULL,
+    engine TEXT NOT NULL,
+    at_least REAL,
+    at_most REAL,
+    nominal REAL
+);
+CREATE TABLE step (
+    series TEXT NOT NULL,
+    step INTEGER NOT NULL,
+    coordinates TEXT NOT NULL,
+    merit TEXT NOT NULL,
+    score REAL,
+    message TEXT NOT NULL,
+    seconds REAL NOT NULL,
+    PRIMARY KEY (series, step, merit)
+);
+CREATE TABLE picture (
+    series TEXT NOT NULL,
+    step INTEGER NOT NULL,
+    line_width_um REAL NOT NULL,
+    refocused INTEGER NOT NULL,
+    orientation TEXT NOT NULL,
+    half_width_um REAL NOT NULL,
+    points INTEGER NOT NULL,
+    intensity_float32 BLOB NOT NULL,
+    PRIMARY KEY (series, step, line_width_um, refocused)
+);
+"""
+
+
+@dataclass(frozen=True)
+class StudyRecord:
+    """The store's one row about its study.
+
+    Attributes
+    ----------
+    schema_version
+        Of the store.
+    toolkit_version
+        Of the toolkit that made it.
+    name
+        Of the study file among the store's files.
+    fingerprint
+        Of all that scores depend on.
+    seed
+        The study's, as text.
+    planned_trials
+        How many trials there are to be.
+    created
+        When the store was made (UTC).
+    """
+
+    schema_version: int
+    toolkit_version: str
+    name: str
+    fingerprint: str
+    seed: str
+    planned_trials: int
+    created: str
+
+
+@dataclass(frozen=True)
+class MeritRecord:
+    """The store's row about one merit.
+
+    Attributes
+    ----------
+    label, column
+        What the merit and its scores are called.
+    level, engine
+        What it is made of, decided where the study says ``auto``.
+    at_least, at_most
+        Its limit.
+    nominal
+        Score of the nominal lens.
+    """
+
+    label: str
+    column: str
+    level: str
+    engine: str
+    at_least: float | None
+    at_most: float | None
+    nominal: float | None
+
+
+def engine_of(merit: Merit) -> str:
+    """What a merit's scores come from: its own word for it, or that of its level."""
+    return str(getattr(merit, "engine", "") or ENGINES[merit.used_level])
+
+
+def merit_record(merit: Merit, nominal: float | None) -> MeritRecord:
+    """What the store says about a merit whose level is decided."""
+    return MeritRecord(
+        label=merit.label,
+        column=merit.column,
+        level=merit.used_level,
+        engine=engine_of(merit),
+        at_least=merit.at_least,
+        at_most=merit.at_most,
+        nominal=nominal,
+    )
+
+
+def number_columns(study: Study) -> tuple[str, ...]:
+    """Columns of a trial's numbers: perturbations, merits, and what goes with them."""
+    return (
+        *(p.column for p in study.perturbations),
+        *(m.column for m in study.merits),
+        *study.extra_columns,
+    )
+
+
+def study_tables(study: Study) -> str:
+    """SQL that makes the tables of trials, and the view that joins all that is known of each."""
+    dear = [m.column for m in study.dear_merits]
+    return (
+        "CREATE TABLE trial (trial INTEGER PRIMARY KEY, status TEXT NOT NULL, message TEXT NOT NULL, "
+        f"{_reals(number_columns(study))}passed INTEGER NOT NULL, seconds REAL NOT NULL, "
+        "finished REAL NOT NULL);\n"
+        "CREATE TABLE dear (trial INTEGER PRIMARY KEY, chosen TEXT NOT NULL, "
+        f"{_reals(dear)}message TEXT NOT NULL, seconds REAL NOT NULL, finished REAL NOT NULL);\n"
+        f"CREATE VIEW trial_record AS SELECT trial.*, {_dear_parts(dear)}"
+        f"{''.join(_engine_part(merit) for merit in study.all_merits)}"
+        "study.seed AS seed, study.toolkit_version AS toolkit_version, "
+        "strftime('%Y-%m-%dT%H:%M:%SZ', trial.finished, 'unixepoch') AS finished_utc "
+        "FROM trial CROSS JOIN study LEFT JOIN dear ON dear.trial = trial.trial;\n"
+    )
+
+
+def _reals(columns: Iterable[str]) -> str:
+    return "".join(f'"{column}" REAL, ' for column in columns)
+
+
+def _dear_parts(columns: list[str]) -> str:
+    own = "".join(f'dear."{column}", ' for column in columns)
+    return f"dear.chosen AS chosen, {own}dear.message AS dear_message, dear.seconds AS dear_seconds, "
+
+
+def _engine_part(merit: Merit) -> str:
+    query = f"SELECT engine FROM merit WHERE label = '{merit.label}'"
+    return f'({query}) AS "{merit.label}_engine", '

@@ -1,0 +1,323 @@
+"""The store of a study: one SQLite file that holds its files, trials, steps and pictures.
+
+A store appears under its name only when its tables and its study are in it, and every batch goes in as one
+transaction, so whatever interrupts a run leaves a store that opens and holds whole batches. Rows are only
+ever added: one that is there stays as it is, whoever computes it again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import DesignError
+from tolerancing.store.creation import create_store
+from tolerancing.store.file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
+from tolerancing.store.rows import dear_rows, insert, picture_rows, step_rows, trial_rows
+from tolerancing.store.schema import MeritRecord, StudyRecord, number_columns
+from tolerancing.study.files import LoadedStudy, load_from_files
+from tolerancing.study.results import DearResults, Picture, Results, StepResults, TrialResults
+from tolerancing.study.study import MOST_TRIALS, Study
+
+__all__ = ["Store", "StudyRecord", "create_store", "open_store"]
+
+Numbers = NDArray[np.int64]
+
+ROWS_AT_ONCE = 20_000
+"""Rows that are turned into arrays, or written by an export, at a time."""
+
+
+def open_store(path: Path) -> Store:
+    """Open a store that is there.
+
+    Raises
+    ------
+    InputError
+        If there is none, or the file is something else, or of another version; it is not touched.
+    """
+    path = Path(path)
+    check_is_store(path)
+    return Store(path)
+
+
+class Store:
+    """An open store; use it as a context manager.
+
+    Parameters
+    ----------
+    path
+        A file that :func:`create_store` made; go through :func:`open_store`, which makes sure.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._folder: TemporaryDirectory[str] | None = None
+        self._connection = connect(path)
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    @cached_property
+    def loaded(self) -> LoadedStudy:
+        """The study and the lens from the store's own files, the merits' levels as they were decided."""
+        from tolerancing.study.levels import with_levels
+
+        files = dict(self._rows("SELECT name, content FROM file"))
+        self._folder = TemporaryDirectory(prefix="tolerancing-")
+        with undamaged(self.path):
+            try:
+                loaded = load_from_files(self.record().name, files, Path(self._folder.name))
+            except DesignError as error:
+                raise ValueError(str(error)) from error
+        levels = {merit.label: merit.level for merit in self.merits()}
+        return replace(loaded, study=with_levels(loaded.study, levels))
+
+    @property
+    def study(self) -> Study:
+        """The study whose results these are."""
+        return self.loaded.study
+
+    def record(self) -> StudyRecord:
+        """The study's particulars."""
+        rows = self._rows("SELECT * FROM study")
+        with undamaged(self.path):
+            (row,) = rows
+            return StudyRecord(*row)
+
+    def merits(self) -> list[MeritRecord]:
+        """What the store knows of each merit."""
+        with undamaged(self.path):
+            return [MeritRecord(*row) for row in self._rows("SELECT * FROM merit ORDER BY rowid")]
+
+    def nominal(self) -> dict[str, float]:
+        """Scores of the nominal lens, by merit."""
+        return {m.label: np.nan if m.nominal is None else m.nominal for m in self.merits()}
+
+    def start_writing(self) -> None:
+        """Get ready for a run.
+
+        Raises
+        ------
+        InputError
+            If the store cannot be written.
+        """
+        with reported(self.path, "write"):
+            start_writing(self._connection)
+        with self._transaction():  # tells now, not after the first results, that nothing can be written
+            self._connection.execute("UPDATE study SET planned_trials = planned_trials")
+
+    def finish_writing(self) -> None:
+        """Make the store one file again, unless others still use it."""
+        with reported(self.path, "write"):
+            put_log_away(self._connection)
+
+    def plan(self, trials: int) -> None:
+        """Note how many trials there are to be in the end; never fewer than there are."""
+        held = int(self._rows("SELECT coalesce(max(trial), -1) + 1 FROM trial")[0][0])
+        if self.record().planned_trials == max(trials, held):
+            return
+        with self._transaction():
+            self._connection.execute("UPDATE study SET planned_trials = ?", (max(trials, held),))
+
+    def add(self, *batches: Results) -> None:
+        """Store some batches, all or none; rows that are there stay as they are.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written; it then holds what it held before.
+        """
+        with self._transaction():
+            for results in batches:
+                if isinstance(results, TrialResults):
+                    insert(self._connection, "trial", trial_rows(results))
+                elif isinstance(results, DearResults):
+                    insert(self._connection, "dear", dear_rows(results))
+                else:
+                    insert(self._connection, "step", step_rows(results))
+                    insert(self._connection, "picture", picture_rows(results))
+
+    def trial_count(self, below: int = MOST_TRIALS) -> int:
+        """Number of trials that the store holds, of those with lower numbers."""
+        return int(self._rows("SELECT count(*) FROM trial WHERE trial < ?", below)[0][0])
+
+    def finished_trials(self) -> Numbers:
+        """Numbers of the trials that the store holds, in order."""
+        return self._numbers("SELECT trial FROM trial ORDER BY trial")
+
+    def finished_dear(self) -> Numbers:
+        """Numbers of the trials that have dear scores, in order."""
+        return self._numbers("SELECT trial FROM dear ORDER BY trial")
+
+    def lacking(self, trials: range) -> tuple[int, ...]:
+        """Those of some trials that the store does not hold."""
+        query = f"SELECT trial FROM trial WHERE trial BETWEEN {trials[0]} AND {trials[-1]}"
+        held = {row[0] for row in self._rows(query)}
+        return tuple(trial for trial in trials if trial not in held)
+
+    def lacks_dear(self, trial: int) -> bool:
+        """Whether a trial has no dear scores."""
+        return not self._rows(f"SELECT 1 FROM dear WHERE trial = {trial}")
+
+    def lacks_step(self, series: str, step: int) -> bool:
+        """Whether a step of a series is not there."""
+        return not self._rows("SELECT 1 FROM step WHERE series = ? AND step = ? LIMIT 1", series, step)
+
+    def finished_steps(self) -> set[tuple[str, int]]:
+        """Series and steps that the store holds."""
+        return set(self._rows("SELECT DISTINCT series, step FROM step"))
+
+    def trials(self, only: int | None = None) -> TrialResults:
+        """All trials in order, or the one of a number; none if it is not there."""
+        perturbations, merits = len(self.study.perturbations), len(self.study.merits)
+        columns = number_columns(self.study)
+        names = "".join(f'"{column}", ' for column in columns)
+        which = "" if only is None else f"AND trial = {int(only)}"
+        with self._snapshot():
+            count = self.trial_count() if only is None else None
+            rows = self._array(
+                f"SELECT trial, {names}passed, seconds FROM trial WHERE 1 {which} ORDER BY trial", count
+            )
+            told = dict(self._rows(f"SELECT trial, message FROM trial WHERE message != '' {which}"))
+        width = len(columns) + 3
+        with undamaged(self.path):
+            rows = rows.reshape(len(rows), width)
+            numbers = rows[:, 0].astype(np.int64)
+        values, scores, extras = np.split(
+            rows[:, 1 : 1 + len(columns)], [perturbations, perturbations + merits], axis=1
+        )
+        return TrialResults(
+            trials=numbers,
+            values=values,
+            scores=scores,
+            extras=extras,
+            messages=tuple(told.get(trial, "") for trial in numbers.tolist()),
+            passed=rows[:, -2] != 0.0,
+            seconds=rows[:, -1],
+        )
+
+    def scores(self, label: str, trials: int) -> NDArray[np.float64]:
+        """Scores of the first trials by one merit, shape (trials,); NaN where there is none."""
+        (column,) = [m.column for m in self.study.merits if m.label == label]
+        rows = self._array(f'SELECT trial, "{column}" FROM trial WHERE trial < {trials}').reshape(-1, 2)
+        scores = np.full(trials, np.nan)
+        scores[rows[:, 0].astype(np.int64)] = rows[:, 1]
+        return scores
+
+    def dear(self) -> DearResults:
+        """All dear scores, by trials in order."""
+        merits = self.study.dear_merits
+        names = "".join(f', "{merit.column}"' for merit in merits)
+        rows = self._rows(f"SELECT trial, chosen, message, seconds{names} FROM dear ORDER BY trial")
+        with undamaged(self.path):
+            scores = np.array([row[4:] for row in rows], float).reshape(len(rows), len(merits))
+            seconds = np.array([row[3] for row in rows], float)
+        return DearResults(
+            trials=tuple(row[0] for row in rows),
+            chosen=tuple(row[1] for row in rows),
+            scores=scores,
+            messages=tuple(row[2] for row in rows),
+            seconds=seconds,
+        )
+
+    def steps(self) -> list[StepResults]:
+        """All steps, series by series in order, with their pictures."""
+        pictures = self._pictures()
+        found: dict[tuple[str, int], StepResults] = {}
+        for series, step, coordinates, merit, score, message, seconds in self._rows(
+            "SELECT * FROM step ORDER BY series, step, rowid"
+        ):
+            key = (series, step)
+            if key not in found:
+                with undamaged(self.path):
+                    where = json.loads(coordinates)
+                found[key] = StepResults(
+                    series, step, where, {}, message, tuple(pictures.get(key, ())), seconds
+                )
+            found[key].scores[merit] = np.nan if score is None else score
+        return list(found.values())
+
+    def _pictures(self) -> dict[tuple[str, int], list[Picture]]:
+        pictures: dict[tuple[str, int], list[Picture]] = {}
+        for series, step, width, refocused, orientation, half_width, points, data in self._rows(
+            "SELECT * FROM picture ORDER BY line_width_um, refocused"
+        ):
+            with undamaged(self.path):
+                intensity = np.frombuffer(data, dtype="<f4").reshape(points, points)
+            picture = Picture(width, orientation, bool(refocused), half_width, intensity)
+            pictures.setdefault((series, step), []).append(picture)
+        return pictures
+
+    def blocks(self, query: str) -> Iterator[list[Any]]:
+        """Rows of a query, some at a time, all from one moment."""
+        with self._snapshot(), reported(self.path, "read"), undamaged(self.path):
+            cursor = self._connection.execute(query)
+            while rows := cursor.fetchmany(ROWS_AT_ONCE):
+                yield rows
+
+    def _numbers(self, query: str) -> Numbers:
+        return self._array(query).astype(np.int64).reshape(-1)
+
+    def _array(self, query: str, count: int | None = None) -> NDArray[np.float64]:
+        """Rows of numbers, NaN where there is none; in no more memory than they take, if counted before."""
+        with undamaged(self.path):
+            blocks = (np.array(rows, float) for rows in self.blocks(query))
+            if count is None:
+                return np.concatenate([*blocks] or [np.empty((0, 0))])
+            filled, whole = 0, np.empty((0, 0))
+            for block in blocks:
+                whole = whole if filled else np.empty((count, block.shape[1]))
+                whole[filled : filled + len(block)] = block
+                filled += len(block)
+            return whole
+
+    def _rows(self, query: str, *values: Any) -> list[Any]:
+        with reported(self.path, "read"), undamaged(self.path):
+            return self._connection.execute(query, values).fetchall()
+
+    @contextmanager
+    def _snapshot(self) -> Iterator[None]:
+        """Let several queries see one and the same moment."""
+        if self._connection.in_transaction:
+            yield
+            return
+        with reported(self.path, "read"), undamaged(self.path):
+            self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            if self._connection.in_transaction:
+                self._connection.execute("COMMIT")
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with reported(self.path, "write"):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise

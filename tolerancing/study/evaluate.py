@@ -1,0 +1,164 @@
+"""Scores of trials and of steps: what a worker does, with failures as data."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import TransferLensError
+from lensdesign.lens.lens import Lens
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context
+from tolerancing.merits.pupil import PupilMerit
+from tolerancing.perturbations.batch import PerturbationBatch, batch_of
+from tolerancing.perturbations.draws import probabilities
+from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.study import Study
+
+Array = NDArray[np.float64]
+
+
+def context_of(lens: Lens, study: Study) -> Context:
+    """What the merits of a study share."""
+    points = dict.fromkeys(
+        (point, merit.wavelength_um)
+        for merit in study.all_merits
+        if isinstance(merit, PupilMerit)
+        for point in merit.points
+    )
+    compensators = study.compensators
+    compensated = tuple(points) or (((0.0, 0.0), None),)
+    return Context(lens, study.sampling, compensators, compensated, study.pivot_z_mm, study.seed)
+
+
+def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
+    """Draw the deltas of given trials.
+
+    A trial's values depend on nothing but the study and its number: on the perturbations, their order, the
+    seed, the way of drawing and, but for random draws, the number of trials that the study asks for.
+
+    Parameters
+    ----------
+    study
+        What scatters, and how.
+    trials
+        Numbers of the trials, from 0.
+    """
+    perturbations = study.perturbations
+    drawn = probabilities(study.draws, study.seed, trials, len(perturbations), study.trials)
+    dependent = study.dependence.apply(drawn)
+    values = np.column_stack([p.distribution.quantile(dependent[:, k]) for k, p in enumerate(perturbations)])
+    return batch_of(perturbations, values, study.pivot_z_mm, study.seed, trials)
+
+
+def score_trials(context: Context, study: Study, trials: Sequence[int]) -> TrialResults:
+    """Draw and score some trials of a study; one that fails says why and spoils no other."""
+    start = time.perf_counter()
+    batch = realise(study, trials)
+    scores, messages = score_batch(study.merits, context, batch)
+    extras = np.column_stack(
+        [_tolerant(merit.uncompensated, context, batch) for merit in study.compensated]
+        + ([_compensator_values(context, batch)] if study.compensators else [])
+        or [np.empty((len(batch), 0))]
+    )
+    kept = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
+    seconds = np.full(len(batch), (time.perf_counter() - start) / len(batch))
+    return TrialResults(tuple(trials), batch.values, scores, extras, messages, np.all(kept, axis=0), seconds)
+
+
+def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]) -> DearResults:
+    """Score some trials by the dear merits."""
+    batch = realise(study, trials)
+    rows = []
+    for one in batch.single_trials():
+        start = time.perf_counter()
+        scores, (message,) = score_batch(study.dear_merits, context, one)
+        rows.append((scores[0], message, time.perf_counter() - start))
+    return DearResults(
+        trials=tuple(trials),
+        chosen=tuple(chosen),
+        scores=np.array([row[0] for row in rows]),
+        messages=tuple(row[1] for row in rows),
+        seconds=np.array([row[2] for row in rows]),
+    )
+
+
+def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
+    """Score one step of one of a study's series."""
+    return study.series[series].score(context, study, step)
+
+
+def nominal_scores(context: Context, study: Study) -> dict[str, float]:
+    """Scores of the nominal lens, by merit.
+
+    Raises
+    ------
+    TransferLensError
+        If the nominal lens itself cannot be scored.
+    """
+    count = len(study.perturbations)
+    batch = batch_of(study.perturbations, np.zeros((1, count)), study.pivot_z_mm, study.seed)
+    merits = {m.label: m for m in study.all_merits}
+    merits |= {m.label: m for part in (*study.sweeps, *study.grids) for m in part.line_pairs()}
+    scores = {label: float(merit.scores(context, batch)[0]) for label, merit in merits.items()}
+    return {merit.label: scores[merit.label] for merit in study.all_merits}
+
+
+def score_batch(
+    merits: Sequence[Merit], context: Context, batch: PerturbationBatch
+) -> tuple[Array, tuple[str, ...]]:
+    """Scores, shape (trials, merits), and for each trial why a score is missing.
+
+    Whatever goes wrong with one trial of the batch, the others are scored.
+    """
+    try:
+        scores = np.column_stack([merit.scores(context, batch) for merit in merits])
+    except Exception:
+        if len(batch) == 1:
+            return _score_singly(merits, context, batch)
+        parts = [score_batch(merits, context, single) for single in batch.single_trials()]
+        return np.concatenate([part[0] for part in parts]), tuple(part[1][0] for part in parts)
+    return scores, tuple(_missing(merits, row) for row in scores)
+
+
+def _score_singly(
+    merits: Sequence[Merit], context: Context, batch: PerturbationBatch
+) -> tuple[Array, tuple[str, ...]]:
+    """Score what can be scored of one trial, merit by merit."""
+    scores, faults = np.full((1, len(merits)), np.nan), []
+    for k, merit in enumerate(merits):
+        try:
+            scores[0, k] = merit.scores(context, batch)[0]
+        except TransferLensError as error:
+            faults.append(f"{merit.label}: {error}")
+        except Exception as error:
+            faults.append(f"{merit.label}: {type(error).__name__}: {error}")
+    return scores, ("; ".join(dict.fromkeys(faults)) or _missing(merits, scores[0]),)
+
+
+def _missing(merits: Sequence[Merit], scores: Array) -> str:
+    lost = [merit.label for merit, score in zip(merits, scores, strict=True) if np.isnan(score)]
+    return f"{', '.join(lost)}: no ray arrives" if lost else ""
+
+
+def _tolerant(score: object, context: Context, batch: PerturbationBatch) -> Array:
+    """Scores trial by trial where a batch fails; NaN where a trial does."""
+    assert callable(score)
+    try:
+        return np.asarray(score(context, batch), float)
+    except Exception:
+        if len(batch) == 1:
+            return np.array([np.nan])
+        return np.concatenate([_tolerant(score, context, one) for one in batch.single_trials()])
+
+
+def _compensator_values(context: Context, batch: PerturbationBatch) -> Array:
+    try:
+        return context.compensator_values(batch)
+    except TransferLensError:
+        if len(batch) == 1:
+            return np.full((1, len(context.compensators)), np.nan)
+        return np.concatenate([_compensator_values(context, one) for one in batch.single_trials()])

@@ -1,0 +1,221 @@
+"""Study files (TOML): reading them, with the design and the other files that they name."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol, Self, TypeVar
+
+from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.errors import DesignError, InputError
+from lensdesign.files.design import load_design, read_toml, validate
+from lensdesign.lens.lens import Lens, Section
+from tolerancing.merits.compensators import Compensator
+from tolerancing.merits.registry import merit_from_table
+from tolerancing.perturbations.dependence import Correlation
+from tolerancing.perturbations.parameters import perturbation_from_table
+from tolerancing.study.slice_counts import SliceCounts
+from tolerancing.study.study import Study
+from tolerancing.study.sweep import ParameterGrid, Sweep
+
+
+class _Item(Protocol):
+    def loaded(self, folder: Path) -> Self: ...
+
+
+Item = TypeVar("Item", bound=_Item)
+
+
+class Checked(Protocol):
+    """Whatever can tell that it does not fit a lens."""
+
+    def check(self, lens: Lens) -> None:
+        """Refuse it, with a ValueError."""
+
+
+@dataclass(frozen=True)
+class LoadedStudy:
+    """A study together with its lens and the files that both came from.
+
+    Attributes
+    ----------
+    study, lens
+        What the files say.
+    name : str
+        Of the study file among `files`.
+    files : mapping of str to bytes
+        All files that scores depend on, by paths relative to one folder: study, design, glass catalogues,
+        measured surfaces, measured deviations, merits in Python.
+    """
+
+    study: Study
+    lens: Lens
+    name: str
+    files: Mapping[str, bytes]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of all that scores depend on: the files, and the lens's refractive indices."""
+        digest = hashlib.sha256(self.name.encode())
+        for name, content in sorted(self.files.items()):
+            digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
+        indices = [self.lens.indices(w).tolist() for w in self.lens.wavelengths_um]
+        digest.update(repr(indices).encode())
+        return digest.hexdigest()
+
+    @property
+    def study_text(self) -> str:
+        """The study file."""
+        return self.files[self.name].decode("utf-8")
+
+    @property
+    def design_text(self) -> str:
+        """The design file."""
+        return self.files[relative(PurePosixPath(self.name).parent / self.study.design)].decode("utf-8")
+
+
+def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
+    """Read a study file, its design, and what both name.
+
+    Parameters
+    ----------
+    path
+        A TOML file.
+
+    Raises
+    ------
+    DesignError
+        If a file cannot be read or does not describe a study of its design; the message names file,
+        key, value and what is allowed.
+    """
+    path = Path(path)
+    study = study_from_tables(read_toml(path), str(path))
+    study = _with_files(study, path)
+    design = path.parent / study.design
+    lens = load_design(design)
+    check_against(study, lens, str(path))
+    return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
+
+
+def _with_files(study: Study, path: Path) -> Study:
+    """The study with what its distributions' and merits' own files hold."""
+    faults, folder = [], path.parent
+
+    def loaded(items: Iterable[Item], key: str) -> tuple[Item, ...]:
+        found = []
+        for number, item in enumerate(items, start=1):
+            try:
+                found.append(item.loaded(folder))
+            except InputError as error:
+                faults.append(f"{path}: {key} {number}: {error}")
+        return tuple(found)
+
+    perturbations = loaded(study.perturbations, "perturbation")
+    merits = loaded(study.all_merits, "merit")
+    if faults:
+        raise DesignError("\n".join(faults))
+    return study.model_copy(update={"perturbations": perturbations, "all_merits": merits})
+
+
+def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, dict[str, bytes]]:
+    """The study's name, and all files by their paths from the folder that holds them all."""
+    named = [p.file_name for p in study.perturbations] + [m.file_name for m in study.all_merits]
+    figures = [s.figure.file for s in lens.surfaces if s.figure is not None and s.figure.file is not None]
+    paths = [path, design, *lens.glass_catalogs, *figures, *(path.parent / n for n in named if n is not None)]
+    absolute = {p: Path(os.path.abspath(p)) for p in paths}
+    root = Path(os.path.commonpath([p.parent for p in absolute.values()]))
+    files = {}
+    for own in absolute.values():
+        files[own.relative_to(root).as_posix()] = read_input(own, TABLE_BYTES, DesignError)
+    return absolute[path].relative_to(root).as_posix(), files
+
+
+def relative(path: PurePosixPath) -> str:
+    """A path without steps back."""
+    return os.path.normpath(path.as_posix())
+
+
+def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> LoadedStudy:
+    """A study from the files that :class:`LoadedStudy` holds.
+
+    Parameters
+    ----------
+    name, files
+        As of :class:`LoadedStudy`.
+    folder
+        An empty folder into which they are written, and which the lens needs as long as it is used.
+
+    Raises
+    ------
+    DesignError
+        As :func:`load_study`; also if a path leads out of the folder.
+    """
+    root = folder.resolve()
+    for own, content in files.items():
+        target = (root / own).resolve()
+        if not target.is_relative_to(root):
+            raise DesignError(f"file {own!r}: leads out of the study's folder")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+    try:
+        return load_study(root / name)
+    except DesignError as error:
+        raise DesignError(str(error).replace(f"{root}{os.sep}", "")) from None
+
+
+def study_from_tables(data: dict[str, Any], source: str) -> Study:
+    """A study from the tables of its file, all faults in one DesignError."""
+    faults: list[str] = []
+    data = dict(data)
+    readers: dict[str, Callable[[dict[str, Any], str], Section]] = {
+        "perturbation": perturbation_from_table,
+        "merit": merit_from_table,
+        "sweep": lambda table, where: validate(Sweep, table, where),
+        "grid": lambda table, where: validate(ParameterGrid, table, where),
+        "slice_count": lambda table, where: validate(SliceCounts, table, where),
+        "correlation": lambda table, where: validate(Correlation, table, where),
+        "compensator": lambda table, where: validate(Compensator, table, where),
+    }
+    for key, reader in readers.items():
+        tables = data.get(key, [])
+        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+            raise DesignError(f"{source}: {key}: must be tables, each headed [[{key}]]")
+        items = []
+        for number, table in enumerate(tables, start=1):
+            try:
+                items.append(reader(table, f"{source}: {key} {number}"))
+            except DesignError as error:
+                faults.append(str(error))
+        if key in data:
+            data[key] = tuple(items)
+    if faults:
+        raise DesignError("\n".join(faults))
+    return validate(Study, data, source)
+
+
+def check_against(study: Study, lens: Lens, source: str) -> None:
+    """Refuse what this lens does not have, with all faults in one DesignError."""
+    faults = [
+        *_faults(study.perturbations, "perturbation", lens),
+        *_faults(study.all_merits, "merit", lens),
+        *_faults(study.compensators, "compensator", lens),
+        *_faults(study.sweeps, "sweep", lens),
+        *_faults(study.grids, "grid", lens),
+        *_faults(study.slice_counts, "slice_count", lens),
+    ]
+    if faults:
+        raise DesignError("\n".join(f"{source}: {fault}" for fault in faults))
+
+
+def _faults(items: Iterable[Checked], key: str, lens: Lens) -> list[str]:
+    faults = []
+    for number, item in enumerate(items, start=1):
+        try:
+            item.check(lens)
+        except ValueError as error:
+            faults.append(f"{key} {number}: {error}")
+    return faults

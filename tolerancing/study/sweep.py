@@ -1,0 +1,123 @@
+"""Sweeps of one parameter, as in the paper's Figs. 7(b) and 7(c), and grids of two."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.lens.lens import Finite, Lens, tuples
+from tolerancing.perturbations.batch import batch_of
+from tolerancing.perturbations.parameters import Name, PerturbedParameter
+from tolerancing.study.series import Coordinates, LinePairSection, Series, refuse_twice, score_batch_step
+
+if TYPE_CHECKING:
+    from tolerancing.merits.context import Context
+    from tolerancing.study.results import StepResults
+    from tolerancing.study.study import Study
+
+
+class Sweep(PerturbedParameter, LinePairSection, Series):
+    """One parameter taken through some values while all else stays nominal.
+
+    Attributes
+    ----------
+    values
+        Deltas from nominal, in the parameter's unit.
+    picture_values
+        Those of the values at which to keep pictures of the line pairs.
+    """
+
+    values: Annotated[tuple[Finite, ...], Field(min_length=1)]
+    picture_values: tuple[Finite, ...] = ()
+
+    _lists = field_validator("values", "picture_values", mode="before")(tuples)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Sweep:
+        strangers = [v for v in self.picture_values if v not in self.values]
+        if strangers:
+            raise ValueError(
+                f"picture_values = {strangers}: allowed are those of values, {list(self.values)}"
+            )
+        if self.picture_values and not self.line_widths_um:
+            raise ValueError("picture_values: pictures are of line pairs; give line_widths_um")
+        refuse_twice(self, "values")
+        return self
+
+    @property
+    def label(self) -> str:
+        return self.name or f"{self.target} {self.parameter}".replace(" ", "_")
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def check(self, lens: Lens) -> None:
+        PerturbedParameter.check(self, lens)
+        LinePairSection.check(self, lens)
+
+    def coordinates(self, step: int) -> Coordinates:
+        return {self.parameter: self.values[step]}
+
+    def score(self, context: Context, study: Study, step: int) -> StepResults:
+        value = self.values[step]
+        batch = batch_of((self,), np.array([[value]]), study.pivot_z_mm, study.seed)
+        pictured = self if value in self.picture_values else None
+        return score_batch_step(context, self, step, self.scored(study), batch, pictured)
+
+
+class GridAxis(PerturbedParameter):
+    """One of the two parameters of a grid, and its values."""
+
+    values: Annotated[tuple[Finite, ...], Field(min_length=1)]
+
+    _lists = field_validator("values", mode="before")(tuples)
+
+    @model_validator(mode="after")
+    def _distinct(self) -> GridAxis:
+        refuse_twice(self, "values")
+        return self
+
+
+class ParameterGrid(LinePairSection, Series):
+    """Two parameters taken through all pairs of their values while all else stays nominal.
+
+    Attributes
+    ----------
+    name
+        What to call the grid.
+    x, y
+        The parameters.
+    """
+
+    name: Name
+    x: GridAxis
+    y: GridAxis
+
+    @model_validator(mode="after")
+    def _two(self) -> ParameterGrid:
+        if self.x.column == self.y.column:
+            raise ValueError(f"x and y are both {self.x.column}; give two parameters, or names")
+        return self
+
+    @property
+    def label(self) -> str:
+        return self.name
+
+    def __len__(self) -> int:
+        return len(self.x.values) * len(self.y.values)
+
+    def check(self, lens: Lens) -> None:
+        for axis in (self.x, self.y):
+            axis.check(lens)
+        super().check(lens)
+
+    def coordinates(self, step: int) -> Coordinates:
+        row, column = divmod(step, len(self.x.values))
+        return {self.x.column: self.x.values[column], self.y.column: self.y.values[row]}
+
+    def score(self, context: Context, study: Study, step: int) -> StepResults:
+        values = np.array([list(self.coordinates(step).values())], float)
+        batch = batch_of((self.x, self.y), values, study.pivot_z_mm, study.seed)
+        return score_batch_step(context, self, step, self.scored(study), batch)

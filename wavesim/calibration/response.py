@@ -1,0 +1,177 @@
+"""What is left of recorded amplitudes behind a mounted lens, and how it changes as the mounting does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from wavesim.calibration.mounting import WORKING_DISTANCE, Mounting, gradient, motion, plane_of
+from wavesim.fields.field import Field
+from wavesim.fields.free_space import axial_wavenumber_per_mm
+from wavesim.reconstruction.recording_model import RecordingModel
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+RealArray = NDArray[np.floating[Any]]
+
+DARK = 1e-6
+"""Share of the mean intensity that keeps roots of dark pixels smooth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Amplitudes of all planes as one vector, as shares of the length of the recorded one.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (pixels,)
+        Recorded less modelled.
+    changes : ndarray, shape (parameters, pixels)
+        Of the modelled, for a unit of each parameter; the object stays as it is.
+    """
+
+    residual: RealArray
+    changes: RealArray
+
+    @property
+    def misfit(self) -> float:
+        """Length of the residual."""
+        return float(np.linalg.norm(self.residual))
+
+    @property
+    def gradient(self) -> NDArray[np.float64]:
+        """Of half the squared misfit."""
+        return -np.asarray(self.changes @ self.residual, float)
+
+    @property
+    def curvature(self) -> NDArray[np.float64]:
+        """Second derivatives of half the squared misfit, as far as the model is linear (Gauss-Newton)."""
+        return np.asarray(self.changes @ self.changes.T, float)
+
+
+def mounting_response(
+    model: RecordingModel,
+    transmission: ComplexArray,
+    mounting: Mounting,
+    parameters: Sequence[str],
+    *,
+    blur_pixels: float = 0.0,
+    fits_scale: bool = False,
+) -> Response:
+    """Compare recorded amplitudes with those of an object behind a mounted lens.
+
+    Parameters
+    ----------
+    model
+        Of the mounted lens.
+    transmission
+        Of the object, on the model's object grid.
+    mounting
+        Of the model's lens.
+    parameters
+        For which derivatives are wanted.
+    blur_pixels
+        Standard deviation of a Gaussian that smooths all intensities.
+    fits_scale
+        Whether recorded amplitudes are known but for a factor.
+    """
+    lit = model.illumination.with_values(transmission * model.illumination.values)
+    behind = model.engine.forward(lit)
+    spectrum = scipy.fft.fftn(behind.values, workers=-1)
+    lens_changes = {
+        name: scipy.fft.fftn(_change_behind(model, lit, behind, mounting, name), workers=-1)
+        for name in parameters
+        if plane_of(name) is None
+    }
+    along_z = 1j * axial_wavenumber_per_mm(
+        behind.grid.shape, behind.grid.pitch_mm, behind.wavelength_um, behind.index
+    )[0].astype(model.illumination.values.real.dtype)
+    recorded, seen, slopes = [], [], []
+    for number, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):
+        root = 1.0 if weight is None else np.sqrt(weight)
+        measure = _Plane(model, spectrum * model.ways[number], plane.known, blur_pixels)
+        recorded.append(np.ravel(root * measure.root(plane.amplitude**2)))
+        seen.append(np.ravel(root * measure.amplitude))
+        parts = []
+        for name in parameters:
+            moved = plane_of(name)
+            if moved is None:
+                parts.append(np.ravel(root * measure.slope(lens_changes[name] * model.ways[number])))
+            elif moved == number:
+                parts.append(np.ravel(root * measure.slope(along_z * measure.spectrum)))
+            else:
+                parts.append(np.zeros(measure.amplitude.size, measure.amplitude.dtype))
+        slopes.append(np.stack(parts) if parts else np.zeros((0, measure.amplitude.size), np.float32))
+    return _response(
+        np.concatenate(recorded),
+        np.concatenate(seen),
+        np.concatenate(slopes, axis=1),
+        None if fits_scale else model.scale,
+    )
+
+
+def _response(recorded: RealArray, seen: RealArray, changes: RealArray, scale: float | None) -> Response:
+    """Relative to the recorded; where the scale is to be fitted, what it can do is taken out."""
+    size = float(np.linalg.norm(recorded))
+    if scale is None:
+        along = seen / np.linalg.norm(seen)
+        scale = float(np.dot(seen, recorded)) / float(np.dot(seen, seen))
+        changes = changes - np.outer(changes @ along, along)
+    return Response((recorded - scale * seen) / size, (scale / size) * changes)
+
+
+def _change_behind(
+    model: RecordingModel, lit: Field, behind: Field, mounting: Mounting, name: str
+) -> ComplexArray:
+    """Change of the field on the exit grid for a unit of a parameter of lens or object."""
+    if name == WORKING_DISTANCE:
+        farther = gradient(lit)[2]
+        return np.asarray(model.engine.forward(lit.with_values(farther)).values)
+    with_sources = motion(lit, mounting, name)
+    change = motion(behind, mounting, name)
+    change -= model.engine.forward(lit.with_values(with_sources)).values
+    return change
+
+
+class _Plane:
+    """Amplitudes on a recorded plane, and their changes."""
+
+    def __init__(
+        self,
+        model: RecordingModel,
+        spectrum: ComplexArray,
+        known: NDArray[np.bool_] | None,
+        blur_pixels: float,
+    ) -> None:
+        self.pixels, self.spectrum, self.known, self.blur_pixels = model.pixels, spectrum, known, blur_pixels
+        self.field = self._fine(spectrum)
+        self.amplitude = self.root(self._means(self.field.real**2 + self.field.imag**2))
+
+    def root(self, intensity: RealArray) -> RealArray:
+        """Amplitude of blurred known intensities."""
+        smooth = self._blurred(intensity)
+        return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + DARK * smooth.mean()))
+
+    def slope(self, change_spectrum: ComplexArray) -> RealArray:
+        """Change of the amplitude with that of the field."""
+        change = self._fine(change_spectrum)
+        of_intensity = self._means(self.field.real * change.real + self.field.imag * change.imag, signed=True)
+        return np.asarray(self._blurred(of_intensity) / self.amplitude)
+
+    def _fine(self, spectrum: ComplexArray) -> ComplexArray:
+        if self.pixels is None:
+            return np.asarray(scipy.fft.ifftn(spectrum, workers=-1))
+        return self.pixels.densely(spectrum)
+
+    def _means(self, intensity: RealArray, signed: bool = False) -> RealArray:
+        return intensity if self.pixels is None else self.pixels.means(intensity, signed=signed)
+
+    def _blurred(self, intensity: RealArray) -> RealArray:
+        if self.known is not None:
+            intensity = intensity * self.known
+        return gaussian_filter(intensity, self.blur_pixels) if self.blur_pixels else intensity

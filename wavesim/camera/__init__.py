@@ -1,0 +1,1 @@
+"""The sensor behind the lens: its pixels, exposures, frames and their files."""

@@ -1,0 +1,231 @@
+"""Frames of one object on several planes: read together, and refused or told of where they do not do.
+
+Several frames of one plane, exposures of different length or repeats, become one intensity.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.camera.exposures import (
+    SaturationWarning,
+    clipped_in_all,
+    electrons_of,
+    fixed_variance,
+    merged_intensity,
+)
+from wavesim.camera.frames import Frame, read_frame
+from wavesim.reconstruction.from_field import Recorded, recorded_intensity
+from wavesim.runtime.threads import row_blocks
+
+SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02
+"""Share of a plane's pixels that may be clipped in all of its frames: from the first on it is told, beyond
+the second refused."""
+
+LEAST_SIGNAL = 6.0
+"""Standard deviations of a dark pixel by which the brightest exceeds the dark count, or there is no light."""
+
+SAME_PITCH = 1e-3
+"""Relative difference up to which pixel pitches are the same."""
+
+OTHER_PICTURE, SURE = 0.05, 6.0
+"""Mean square difference of two frames of one plane, less what is noise, over the mean square intensity, from
+which on they are different pictures; and the standard deviations of that noise by which it must show."""
+
+COMPARED = 4_000_000
+"""Pixels, about, that two frames of one plane are compared in: of larger ones, some rows."""
+
+
+@dataclass(frozen=True)
+class PlaneFrames:
+    """What the frames of one plane say of how they were recorded.
+
+    Attributes
+    ----------
+    distance_mm : float
+        From the exit vertex.
+    exposures : tuple of float
+        Of its frames, increasing.
+    saturated_share : float
+        Part of the pixels that are clipped in all of them.
+    """
+
+    distance_mm: float
+    exposures: tuple[float, ...]
+    saturated_share: float
+
+
+def read_frames(paths: Sequence[Path], given: Sequence[Mapping[str, Any]]) -> tuple[Frame, ...]:
+    """Frames in the order of their planes, those of one plane by exposure, checked to belong together.
+
+    Parameters
+    ----------
+    paths
+        TIFF files.
+    given
+        For each, the settings that stand in for what it does not say.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or is named twice, two frames differ in size, pitch or wavelength, those of
+        one plane show different pictures, a frame is empty, or a plane is saturated in all of its frames.
+
+    Warns
+    -----
+    SaturationWarning
+        If a few pixels are clipped in all frames of a plane.
+    """
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
+            raise InputError(f"{path}: is named twice: a frame counts once")
+    frames = [read_frame(path, **settings) for path, settings in zip(paths, given, strict=True)]
+    _refuse_unlike(paths, frames)
+    order = sorted(
+        zip(paths, frames, strict=True),
+        key=lambda one: (one[1].settings.plane_distance_mm, one[1].settings.exposure),
+    )
+    for _, group in groupby(order, key=lambda one: one[1].settings.plane_distance_mm):
+        plane = list(group)
+        for shorter, longer in pairwise(plane):
+            _refuse_other_picture(shorter, longer)
+        _check_saturation(plane)
+    return tuple(frame for _, frame in order)
+
+
+def _refuse_unlike(paths: Sequence[Path], frames: Sequence[Frame]) -> None:
+    """Refuse frames of different sensors or light, and such without light."""
+    first = frames[0]
+    for path, frame in zip(paths, frames, strict=True):
+        here, there = frame.counts.shape[::-1], first.counts.shape[::-1]
+        if here != there:
+            raise InputError(
+                f"{path}: {here[0]} x {here[1]} pixels; {paths[0]} has {there[0]} x {there[1]}: frames that "
+                "are used together must have the same size"
+            )
+        for name in ("pixel_pitch_um", "wavelength_um"):
+            one, other = getattr(frame.settings, name), getattr(first.settings, name)
+            if not math.isclose(one, other, rel_tol=1e-6):
+                raise InputError(
+                    f"{path}: {name} = {one:g}; that of {paths[0]} is {other:g}: must be the same"
+                )
+        brightest, settings = int(frame.counts.max()), frame.settings
+        dark = math.sqrt(fixed_variance(frame)) / settings.gain_electrons_per_count
+        if brightest < settings.offset_counts + LEAST_SIGNAL * dark:
+            raise InputError(
+                f"{path}: is empty: no pixel exceeds {brightest} counts, and dark ones have "
+                f"{settings.offset_counts:g}"
+            )
+
+
+def _refuse_other_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame]) -> None:
+    """Refuse frames that state one plane and cannot be exposures of one intensity.
+
+    Compared are pixels that neither clips, in electrons of the shorter exposure.
+    """
+    (path, short), (other, long) = shorter, longer
+    ratio = long.settings.exposure / short.settings.exposure
+    excess = scatter = size = 0.0
+    every = 1 + short.counts.size // COMPARED
+    for block in row_blocks(len(short.counts)):
+        rows = slice(block.start, block.stop, every)
+        known = ~(short.saturated[rows] | long.saturated[rows])
+        one, two = electrons_of(short, rows)[known], electrons_of(long, rows)[known] / ratio
+        noise = np.maximum(two, 0.0) * (1.0 + 1.0 / ratio)
+        noise += fixed_variance(short) + fixed_variance(long) / ratio**2
+        excess += float(np.sum((one - two) ** 2 - noise))
+        scatter += float(np.sum(2.0 * noise**2 + noise))
+        size += float(np.sum(np.maximum(np.abs(one), np.abs(two)) ** 2))
+    if excess > SURE * math.sqrt(scatter) and excess > OTHER_PICTURE * size:
+        raise InputError(
+            f"{path} and {other}: both state plane_distance_mm = {short.settings.plane_distance_mm:g}, but "
+            "show different intensities: frames of one plane must be exposures of the same light, of which "
+            "each states its exposure"
+        )
+
+
+def _check_saturation(plane: Sequence[tuple[Path, Frame]]) -> None:
+    frames = [frame for _, frame in plane]
+    share = float(np.mean(clipped_in_all(frames)))
+    clipped = frames[0].settings.clipped_counts
+    named = ", ".join(str(path) for path, _ in plane)
+    where = "" if len(plane) == 1 else " in each of these frames of one plane"
+    said = f"{named}: {100.0 * share:.2g} % of the pixels are saturated{where}, at {clipped} counts or more"
+    if share > SATURATED_REFUSED:
+        raise InputError(f"{said}; at most {100.0 * SATURATED_REFUSED:g} % may be: expose less")
+    if share > SATURATED_TOLD:
+        warnings.warn(f"{said}; they are left out: expose less", SaturationWarning, stacklevel=3)
+
+
+def refuse_other_pitch(frames: Sequence[Frame], lens: Lens) -> None:
+    """Refuse frames whose pixels are not those of the design's sensor.
+
+    Raises
+    ------
+    InputError
+        If the pitch differs, or a frame has more pixels than the sensor.
+    """
+    pitch, own = frames[0].settings.pixel_pitch_um, lens.sensor.pixel_pitch_um
+    if not math.isclose(pitch, own, rel_tol=SAME_PITCH):
+        raise InputError(
+            f"frames have pixel_pitch_um = {pitch:g}, the design's sensor {own:g}: give the design of this "
+            "sensor, or the frames' true pitch"
+        )
+    rows, columns = frames[0].counts.shape
+    across, down = lens.sensor.pixels
+    if columns > across or rows > down:
+        raise InputError(
+            f"frames have {columns} x {rows} pixels, the design's sensor {across} x {down}: these are not "
+            "its frames"
+        )
+
+
+def frames_by_plane(frames: Sequence[Frame]) -> list[tuple[Frame, ...]]:
+    """Frames of one plane together, in the order of the planes' distances."""
+
+    def distance(frame: Frame) -> float:
+        return frame.settings.plane_distance_mm
+
+    return [tuple(group) for _, group in groupby(sorted(frames, key=distance), key=distance)]
+
+
+def planes_of_frames(frames: Sequence[Frame]) -> tuple[PlaneFrames, ...]:
+    """What is told of each plane beside its intensity, in the order of the planes' distances."""
+    return tuple(
+        PlaneFrames(
+            plane[0].settings.plane_distance_mm,
+            tuple(sorted(frame.settings.exposure for frame in plane)),
+            float(np.mean(clipped_in_all(plane))),
+        )
+        for plane in frames_by_plane(frames)
+    )
+
+
+def recorded_planes(frames: Sequence[Frame]) -> list[Recorded]:
+    """Amplitudes and what noise leaves of them, at distances from the nearest plane; in single precision.
+
+    Frames of one plane become one intensity, each pixel of which takes from every frame what it tells
+    (:func:`wavesim.camera.exposures.merged_intensity`).
+    """
+    by_plane = frames_by_plane(frames)
+    first = by_plane[0][0].settings.plane_distance_mm
+    return [_recorded(plane, plane[0].settings.plane_distance_mm - first) for plane in by_plane]
+
+
+def _recorded(plane: Sequence[Frame], distance_mm: float) -> Recorded:
+    shape = plane[0].counts.shape
+    amplitude, sigma = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for rows in row_blocks(len(amplitude)):
+        part = recorded_intensity(distance_mm, *merged_intensity(plane, rows))
+        amplitude[rows], sigma[rows] = part.amplitude, part.sigma
+    return Recorded(distance_mm, amplitude, sigma)

@@ -1,0 +1,308 @@
+"""From light behind the object to frames: through the lens, onto the pixels, plane by plane.
+
+Where an engine carries light to any plane alike, it does so for each, true to where the stage and the sensor
+stand, and the plane is made in bands of rows: the light of a whole field on a plane need not fit into memory,
+and what a run that was cut off has done is not done again. Other engines carry light to the first plane, and
+free space from there.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable, MutableMapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Sensor
+from wavesim.camera.exposures import Electronics, Seed, plane_seeds
+from wavesim.camera.frames import Array, Frame
+from wavesim.camera.pixel_light import PixelLight
+from wavesim.camera.sensor import frames_of_light, record_exposures, sensor_grid, tell_footprint
+from wavesim.camera.windows import OVERSAMPLING
+from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.kept import KeptTiles
+from wavesim.evaluation.metrics import spectrum_support
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.spectrum import BlockSpectrum
+from wavesim.fields.windowed import propagate_to
+from wavesim.reconstruction.resumable import key_of
+from wavesim.runtime.memory import BASE_BYTES, Need
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.engine import Engine, Scene
+
+BAND_ROWS = 1024
+"""Of a plane's samples, made at one time."""
+
+PARTS = ".parts"
+"""Folder within the results' in which finished parts of an unfinished run lie."""
+
+MADE_BYTES = 49
+"""For each sample of the object, while it and its light are made. Measured."""
+
+Progress = Callable[[str, int, int], None]
+"""Told what is done, how many parts of it are, and of how many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Imaged:
+    """Frames, and how they came about.
+
+    Attributes
+    ----------
+    engine : Engine
+        That carried the light to the first plane.
+    frames : tuple of Frame
+        As recorded: plane by plane, and of each plane its exposures.
+    share_beyond_pixels : float
+        Share of the light's energy on the first plane at frequencies beyond those that pixels resolve.
+    """
+
+    engine: Engine
+    frames: tuple[Frame, ...]
+    share_beyond_pixels: float
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How the sensor records.
+
+    Attributes
+    ----------
+    plane_distances_mm : tuple of float
+        From the exit vertex, as the stage states them, increasing.
+    electronics : Electronics
+        Full well, noise and quantisation.
+    seed : int or None
+        Of the noise; None for none.
+    brightest_share
+        Of full well, in the brightest pixel of a frame with an exposure of 1.
+    stage_errors_mm : tuple of float
+        How much farther from the lens each plane is than stated.
+    shift_um : (x, y)
+        By how much the sensor moves from one plane to the next.
+    exposures : tuple of float
+        Of the frames of each plane, in units of the one that puts `brightest_share` into the brightest pixel.
+    """
+
+    plane_distances_mm: tuple[float, ...]
+    electronics: Electronics
+    seed: int | None = 0
+    brightest_share: float = 0.8
+    stage_errors_mm: tuple[float, ...] = ()
+    shift_um: tuple[float, float] = (0.0, 0.0)
+    exposures: tuple[float, ...] = (1.0,)
+
+    def error_mm(self, number: int) -> float:
+        """How much farther from the lens a plane is than stated."""
+        return self.stage_errors_mm[number] if self.stage_errors_mm else 0.0
+
+    def place_um(self, number: int) -> tuple[float, float]:
+        """Where the sensor's middle is on a plane (x, y)."""
+        return number * self.shift_um[0], number * self.shift_um[1]
+
+
+def image_patch(
+    engine: Engine,
+    behind_object: Field,
+    sensor: Sensor,
+    windows: Sequence[Sensor],
+    recording: Recording,
+    make: Callable[[Scene], Engine] | None = None,
+    progress: Progress | None = None,
+    *,
+    folder: Path | None = None,
+    scratch: Scratch | None = None,
+) -> Imaged:
+    """Carry light from behind the object to the sensor, and record it on every plane.
+
+    Parameters
+    ----------
+    engine
+        From the patch to the first plane's window (:func:`exit_scene`).
+    behind_object
+        Illumination times transmission.
+    sensor
+        Whose pixels record.
+    windows
+        For each plane, a window that holds all light (:func:`light_window`).
+    recording
+        Planes, noise and errors.
+    make
+        Makes engines for other planes, where that is better than free space; needed with such an engine.
+    progress
+        Told what is done.
+    folder
+        Where finished parts of a whole field are kept (in a folder `PARTS`) until :func:`drop_parts`, so that
+        a run which was cut off goes on; left out, they stay in memory.
+    scratch
+        Where large arrays lie.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If a setting is not usable, samples cannot hold the light on its way, or the folder's disk is full.
+    """
+    if engine.any_plane and make is None:
+        raise InputError(f"make: engine {engine.name} needs one for each plane")
+    tell = progress or (lambda what, done, count: None)
+    scene = engine.scene
+    first, frames, share = None, list[Frame](), 0.0
+    if not engine.any_plane:
+        tell("through the lens", 0, len(windows))
+        first = engine.forward(behind_object)
+        limit = 500.0 / sensor.pixel_pitch_um
+        share = spectrum_support(first.values, first.grid.pitch_mm, limit).share_beyond
+    for number, seed in enumerate(plane_seeds(recording.seed, len(windows))):
+        if first is not None:
+            tell(f"plane {number + 1}", number, len(windows))
+            frames += _from_first(first, number, seed, sensor, windows, recording)
+            continue
+        here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
+        assert make is not None
+        own = engine if here.exit_grid == scene.exit_grid else make(here)
+        assert isinstance(own, TwoLevelTiles)
+        light = PixelLight(sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch)
+        intensity, beyond = _light_in_bands(
+            own,
+            behind_object,
+            sensor,
+            light,
+            _parts(folder, number, own, behind_object),
+            lambda *told, n=number: tell(f"plane {n + 1}", *told),
+        )
+        share = beyond if number == 0 else share
+        frames += frames_of_light(
+            intensity,
+            sensor,
+            recording.plane_distances_mm[number],
+            behind_object.wavelength_um,
+            recording.electronics,
+            seed,
+            recording.exposures,
+            recording.brightest_share,
+        )
+    return Imaged(engine, tuple(frames), share)
+
+
+def drop_parts(folder: Path) -> None:
+    """Remove what was kept of a run whose results are written."""
+    shutil.rmtree(folder / PARTS, ignore_errors=True)
+
+
+def _from_first(
+    first: Field,
+    number: int,
+    seed: Seed | None,
+    sensor: Sensor,
+    windows: Sequence[Sensor],
+    recording: Recording,
+) -> tuple[Frame, ...]:
+    """Frames of one plane, its light carried there from the first one through free space."""
+    planes = recording.plane_distances_mm
+    grid = sensor_grid(windows[number], first.grid.z_mm + planes[number] - planes[0], OVERSAMPLING)
+    return record_exposures(
+        first if grid == first.grid else propagate_to(first, grid),
+        sensor,
+        planes[number],
+        recording.electronics,
+        seed,
+        recording.exposures,
+        brightest_share=recording.brightest_share,
+        oversampling=OVERSAMPLING,
+        stage_error_mm=recording.error_mm(number),
+        shift_um=recording.place_um(number),
+    )
+
+
+def _plane_grid(scene: Scene, number: int, windows: Sequence[Sensor], recording: Recording) -> Grid:
+    """Samples of a plane where the stage and the sensor truly stand."""
+    planes = recording.plane_distances_mm
+    z_mm = scene.exit_grid.z_mm + planes[number] - planes[0] + recording.error_mm(number)
+    x_um, y_um = recording.place_um(number)
+    grid = sensor_grid(windows[number], z_mm, OVERSAMPLING)
+    return replace(grid, centre_mm=(1e-3 * x_um, 1e-3 * y_um))
+
+
+def _light_in_bands(
+    engine: TwoLevelTiles,
+    behind_object: Field,
+    sensor: Sensor,
+    light: PixelLight,
+    sums: MutableMapping[int, NDArray],
+    tell: Callable[[int, int], None],
+) -> tuple[Array, float]:
+    """A whole field's light on the pixels of one plane, and its share beyond what they resolve."""
+    grid = engine.scene.exit_grid
+    own = replace(sensor_grid(sensor, grid.z_mm, OVERSAMPLING), centre_mm=grid.centre_mm)
+    part = own.samples_among(grid)
+    assert part is not None  # windows are as wide as the sensor at least
+    rows, columns = part
+    spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
+    steps = len(engine.groups) + math.ceil(grid.shape[0] / BAND_ROWS)
+    engine.report = lambda done, _: tell(done, steps)
+    try:
+        bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
+        for step, (band, values) in enumerate(bands, start=len(engine.groups) + 1):
+            tell(step, steps)
+            total += float(np.vdot(values, values).real)
+            spectrum.add(values)
+            start, stop = max(band.start, rows.start), min(band.stop, rows.stop)
+            if start < stop:
+                inside = values[start - band.start : stop - band.start, columns]
+                light.add(slice(start - rows.start, stop - rows.start), inside)
+    finally:
+        engine.report = None
+    tell_footprint(light.caught, total, sensor)
+    return light.means(), spectrum.share_beyond(500.0 / sensor.pixel_pitch_um)
+
+
+def _parts(
+    folder: Path | None, number: int, engine: TwoLevelTiles, field: Field
+) -> MutableMapping[int, NDArray[Any]]:
+    """Where super-tiles' fields of one plane are kept."""
+    if folder is None:
+        return {}
+    lit = sha256(np.ascontiguousarray(field.values).data.cast("B")).hexdigest()
+    kept = KeptTiles(folder / PARTS / f"plane_{number + 1}", key_of(engine.key(), lit))
+    try:
+        kept.refuse_no_room(engine.sums_bytes)
+    except InputError:
+        if not kept:
+            kept.drop()
+        raise
+    return kept
+
+
+def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording) -> Need:
+    """What :func:`image_patch` and the writing of its frames and object take.
+
+    Parameters
+    ----------
+    engine
+        For the first plane.
+    sensor, windows, recording
+        As of :func:`image_patch`.
+    """
+    across, down = sensor.pixels
+    pixels, object_samples = across * down, engine.scene.object_grid.size
+    widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
+    # Transmission, what lies behind the object, and a picture of it.
+    fixed = max(24 * object_samples + engine.cost().peak_bytes, MADE_BYTES * object_samples) + BASE_BYTES
+    counts = 2 * pixels * len(windows) * len(recording.exposures)
+    if not isinstance(engine, TwoLevelTiles):
+        # The first plane's field, another one's, and free space between them.
+        planes = 16 * widest * (1 if len(windows) == 1 else 4)
+        most = fixed + counts + planes
+        return Need(most, most)
+    row = max(window.pixels[0] for window in windows) * OVERSAMPLING
+    band = 4 * 8 * min(BAND_ROWS, down * OVERSAMPLING) * row
+    light = 4 * pixels * OVERSAMPLING
+    least = fixed + counts + band + 8 * pixels
+    return Need(least + light, least, engine.sums_bytes * len(windows))

@@ -1,0 +1,5 @@
+"""`python -m wavesim.cli`."""
+
+from wavesim.cli.commands import main
+
+main()

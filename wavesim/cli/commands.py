@@ -1,0 +1,195 @@
+"""The command `wavesim`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import load_design
+from lensdesign.lens.poses import Pose
+from wavesim.cli.calibrate import calibrate
+from wavesim.cli.compare import compare
+from wavesim.cli.engine_options import numbers
+from wavesim.cli.image import image
+from wavesim.cli.oracle import oracle
+from wavesim.cli.reconstruct import reconstruct
+from wavesim.cli.resolve import choose, resolve
+from wavesim.cli.view import view
+
+app = make_app("Waves through spatial information transfer lenses.")
+app.command()(oracle)
+app.command()(resolve)
+app.command()(choose)
+app.command()(compare)
+app.command()(image)
+app.command()(reconstruct)
+app.command()(calibrate)
+app.command()(view)
+
+MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
+
+
+@app.command()
+def pupil(
+    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
+    field_mm: Annotated[str, typer.Option(help="Object point: x,y.")] = "0,0",
+    wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
+    plane_distance_mm: Annotated[float, typer.Option(help="From the exit vertex to the plane.")] = 3.0,
+    decenter_x_mm: Annotated[float, typer.Option(help="Shift of the lens along x.")] = 0.0,
+    decenter_y_mm: Annotated[float, typer.Option(help="Shift of the lens along y.")] = 0.0,
+    despace_mm: Annotated[float, typer.Option(help="Shift of the lens towards the sensor.")] = 0.0,
+    tilt_x_deg: Annotated[float, typer.Option(help="Rotation of the lens about x.")] = 0.0,
+    tilt_y_deg: Annotated[float, typer.Option(help="Rotation of the lens about y.")] = 0.0,
+    pivot_z_mm: Annotated[float, typer.Option(help="Centre of rotation, from the front vertex.")] = 0.0,
+    linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
+    refocus: Annotated[bool, typer.Option(help="Whether to refocus digitally.")] = True,
+    samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write.")] = None,
+) -> None:
+    """Score the reconstruction through a displaced lens.
+
+    The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
+    the reconstruction pupil, and with it contrast and MTF.
+    """
+    from wavesim.pupil.pupil import refocus as to_best_focus
+    from wavesim.pupil.pupil import remove_shift
+    from wavesim.rays.characteristic import PupilSampler
+
+    field = numbers(field_mm, "--field-mm", 2)
+    widths = numbers(linewidths_um, "--linewidths-um")
+    pose = Pose(decenter_x_mm, decenter_y_mm, despace_mm, tilt_x_deg, tilt_y_deg, pivot_z_mm)
+    if output is not None:
+        _refuse_format(output)
+    lens = load_design(design)
+    if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
+        raise InputError(
+            f"--field-mm = {field_mm!r}: lies {math.hypot(*field):g} mm from the axis; allowed: up to "
+            f"{lens.half_field_mm:g} mm, half the design's field_diameter_mm"
+        )
+    sampler = PupilSampler(lens, field, wavelength_um, plane_distance_mm, samples)
+    registered = (to_best_focus if refocus else remove_shift)(sampler.pupil(pose))
+    summary = {
+        "design": lens.title or design.stem,
+        "field_mm": list(field),
+        "wavelength_um": sampler.grid.wavelength_um,
+        "plane_distance_mm": plane_distance_mm,
+        "samples": samples,
+        "refocused": refocus,
+    } | _figures(registered, widths)
+    if output is not None:
+        _write_picture(registered.pupil, widths, _title(summary), output)
+        summary["picture"] = str(output)
+    if as_json:
+        print_json(summary)
+    else:
+        _print_tables(summary)
+
+
+def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
+    """Everything measured on one registered pupil, ready for JSON."""
+    import numpy as np
+
+    from wavesim.pupil.line_pairs import line_pair_contrast, smallest_resolved_line_width_um
+    from wavesim.pupil.pupil import mtf, rms_waves, strehl
+
+    pupil = registered.pupil
+    smallest_x = smallest_resolved_line_width_um(pupil, "x")
+    smallest_y = smallest_resolved_line_width_um(pupil, "y")
+    cut_off = 2e3 * pupil.grid.half_width / pupil.wavelength_um
+    frequencies = cut_off * np.array(MTF_SHARES_OF_CUT_OFF)
+    transfer_x, transfer_y = mtf(pupil, frequencies, "x"), mtf(pupil, frequencies, "y")
+    return {
+        "throughput": pupil.throughput,
+        "rms_waves": rms_waves(pupil),
+        "strehl": strehl(pupil),
+        "refocus_um": registered.refocus_um,
+        "shift_um": registered.shift_um.tolist(),
+        "line_pairs": [
+            {
+                "line_width_um": width,
+                "contrast_x": line_pair_contrast(pupil, width, "x"),
+                "contrast_y": line_pair_contrast(pupil, width, "y"),
+            }
+            for width in widths_um
+        ],
+        "smallest_resolved_line_width_x_um": smallest_x if np.isfinite(smallest_x) else None,
+        "smallest_resolved_line_width_y_um": smallest_y if np.isfinite(smallest_y) else None,
+        "mtf": [
+            {"frequency_lp_per_mm": float(f), "modulation_x": float(x), "modulation_y": float(y)}
+            for f, x, y in zip(frequencies, transfer_x, transfer_y, strict=True)
+        ],
+    }
+
+
+def _refuse_format(path: Path) -> None:
+    allowed = (".png", ".pdf", ".svg")
+    if path.suffix.lower() not in allowed:
+        raise InputError(f"--output = {str(path)!r}: the file name must end in one of {', '.join(allowed)}")
+
+
+def _write_picture(pupil: Any, widths_um: list[float], title: str, path: Path) -> None:
+    from wavesim.pictures.pupils import pupil_figure
+
+    figure = pupil_figure(pupil, widths_um, title)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _title(summary: dict[str, Any]) -> str:
+    x, y = summary["field_mm"]
+    focus = f"refocused by {_shown(summary['refocus_um'])} um" if summary["refocused"] else "not refocused"
+    return f"{summary['design']}: field ({x:g}, {y:g}) mm, {summary['wavelength_um']:g} um, {focus}"
+
+
+def _shown(value_um: float) -> str:
+    """Three decimals, and no minus sign before a zero."""
+    return f"{round(value_um, 3) + 0.0:.3f}"
+
+
+def _print_tables(summary: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    def table(*columns: str) -> Table:
+        result = Table(box=None, pad_edge=False)
+        for column in columns:
+            result.add_column(column, justify="right")
+        return result
+
+    console = Console(highlight=False, markup=False)
+    x, y = summary["shift_um"]
+    console.print(visible(_title(summary)), soft_wrap=True)
+    console.print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
+    console.print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
+    pairs = table("line width (um)", "contrast, lines across x", "across y")
+    for row in summary["line_pairs"]:
+        pairs.add_row(f"{row['line_width_um']:g}", f"{row['contrast_x']:.3f}", f"{row['contrast_y']:.3f}")
+    smallest = [summary[f"smallest_resolved_line_width_{axis}_um"] for axis in "xy"]
+    pairs.add_row("smallest resolved", *("none" if s is None else f"{s:.3f} um" for s in smallest))
+    console.print()
+    console.print(pairs)
+    transfer = table("frequency (lp/mm)", "modulation, across x", "across y")
+    for row in summary["mtf"]:
+        transfer.add_row(
+            f"{row['frequency_lp_per_mm']:.0f}", f"{row['modulation_x']:.3f}", f"{row['modulation_y']:.3f}"
+        )
+    console.print()
+    console.print(transfer)
+    if "picture" in summary:
+        console.print(f"\npicture written to {summary['picture']}")
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""The command `wavesim compare`: error against cost of all engines, and where each fails."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.console import message_console, print_json
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import load_design
+
+MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
+"""Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
+
+
+def compare(
+    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    radius_mm: Annotated[float, typer.Option(help="Of the exact cylinder.")] = 0.2,
+    patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
+    field_mm: Annotated[float, typer.Option(help="Height of its middle, along y.")] = 0.0,
+    scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
+    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 60.0,
+    maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Chart error against seconds and memory of every engine, and map where each fails.
+
+    On an exact cylinder and on a meridional patch of the lens. There the wave propagation method with fine
+    steps stands for the truth.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from lensdesign.lens.scaling import scaled
+    from wavesim.evaluation.engines import compare as measure
+    from wavesim.evaluation.engines import exact_case, lens_case, variants, write_csv
+    from wavesim.pictures.comparisons import comparison_figure
+
+    lens = scaled(load_design(design), scale)
+    if output.exists() and not output.is_dir():
+        raise InputError(f"--output = {str(output)!r}: is no folder")
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {output}: {error.strerror}") from None
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=message_console(), transient=True) as bar:
+        task = bar.add_task("exact solution and true field", total=None)
+        size = "" if scale == 1.0 else f", scaled by {scale:g}"
+        cases = {
+            f"exact cylinder, radius {radius_mm:g} mm": exact_case(radius_mm),
+            f"{lens.title or design.stem}{size}, patch of {patch_mm:g} mm at {field_mm:g} mm": lens_case(
+                lens, patch_mm, field_mm
+            ),
+        }
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what[:72])
+
+        rows = measure(cases, variants(), show, most_seconds)
+        write_csv(output / "comparison.csv", [vars(row) for row in rows])
+        _save(comparison_figure(rows, "Error against cost"), output / "comparison.png")
+        written = [output / "comparison.png", output / "comparison.csv"]
+        if maps:
+            written += _maps(lens, output, bar, task)
+    if as_json:
+        measured = [{name: _plain(value) for name, value in vars(row).items()} for row in rows]
+        print_json({"measured": measured, "written": [str(path) for path in written]})
+        return
+    _print_front(rows)
+    for path in written:
+        typer.echo(f"wrote {path}")
+
+
+def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
+    from lensdesign.lens.scaling import scaled
+    from wavesim.evaluation.engines import write_csv
+    from wavesim.evaluation.failures import failure_maps, map_rows
+    from wavesim.pictures.comparisons import failure_figure
+
+    twin = scaled(lens, MAP_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
+    bar.update(task, total=None, description="failure maps")
+    found, written = [], []
+    for one in failure_maps(twin, MAP_PATCH_MM):
+        bar.update(task, description=f"failure maps: {one.method}")
+        found.append(one)
+        path = output / f"failure_{one.name}.csv"
+        write_csv(path, map_rows(one))
+        written.append(path)
+    picture = output / "failure_maps.png"
+    _save(failure_figure(found, "Where methods fail, and where their guards speak"), picture)
+    return [picture, *written]
+
+
+def _plain(value: Any) -> Any:
+    """JSON knows no infinity, and nothing that is not a number."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _save(figure: Any, path: Path) -> None:
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def _print_front(rows: list[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    for scene in dict.fromkeys(row.scene for row in rows):
+        table = Table(box=None, pad_edge=False, title=visible(f"{scene}: the front"), title_justify="left")
+        table.add_column("engine")
+        table.add_column("setting")
+        for column in ("relative error", "seconds", "set-up (s)", "memory (MB)"):
+            table.add_column(column, justify="right")
+        front = [row for row in rows if row.scene == scene and row.fastest]
+        for row in sorted(front, key=lambda r: r.seconds):
+            table.add_row(
+                row.family,
+                row.setting,
+                f"{row.relative_error:.2g}",
+                f"{row.seconds:.2g}",
+                f"{row.setup_seconds:.2g}",
+                f"{row.peak_mb:.3g}",
+            )
+        console.print(table)
+        console.print()

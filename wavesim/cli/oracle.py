@@ -1,0 +1,113 @@
+"""The command `wavesim oracle`: an engine held against an exact solution."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.console import print_json
+from wavesim.cli.engine_options import (
+    Compensation,
+    Interface,
+    PitchUm,
+    Slices,
+    Spacing,
+    StepUm,
+    TileWidthMm,
+    engine_settings,
+    print_warnings,
+    settings_text,
+)
+
+
+def oracle(
+    engine: Annotated[str, typer.Option(help="eikonal, slices, wpm, thin-lens or no-lens.")],
+    oracle: Annotated[
+        str, typer.Option(help="cylinder, sphere, stigmatic, plate, tilted-plate, plane or beam.")
+    ] = "cylinder",
+    radius_mm: Annotated[float | None, typer.Option(help="Of cylinder or sphere.")] = None,
+    semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens.")] = None,
+    incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,
+    slices: Slices = None,
+    compensation: Compensation = None,
+    spacing: Spacing = None,
+    tile_width_mm: TileWidthMm = None,
+    interface: Interface = None,
+    step_um: StepUm = None,
+    pitch_um: PitchUm = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Hold an engine against an exact solution.
+
+    The error is the L2 norm of the difference of both exit fields over that of the exact one; neither phase
+    nor amplitude is fitted. What is left out stays at the oracle's and the engine's own choice.
+    """
+    from wavesim.oracles.registry import run_oracle
+
+    of_oracle = {"semi_diameter_mm": semi_diameter_mm, "incidence_deg": incidence_deg}
+    result = run_oracle(
+        engine,
+        oracle,
+        radius_mm,
+        {name: value for name, value in of_oracle.items() if value is not None},
+        **engine_settings(
+            slices=slices,
+            compensation=compensation,
+            spacing=spacing,
+            tile_width_mm=tile_width_mm,
+            interface=interface,
+            step_um=step_um,
+            pitch_um=pitch_um,
+        ),
+    )
+    print_warnings(result.warnings)
+    if as_json:
+        print_json(_summary(result))
+    else:
+        _print_table(result)
+
+
+def _summary(result: Any) -> dict[str, Any]:
+    return {
+        "engine": result.engine,
+        "oracle": result.oracle,
+        "radius_mm": result.radius_mm,
+        "relative_error": result.relative_error,
+        "uncertainty": result.uncertainty,
+        "seconds": result.seconds,
+        "setup_seconds": result.setup_seconds,
+        "peak_mb": result.peak_mb,
+        "predicted": {
+            "seconds": result.predicted.seconds,
+            "setup_seconds": result.predicted.setup_seconds,
+            "peak_mb": 1e-6 * result.predicted.peak_bytes,
+        },
+        "settings": result.settings,
+        "warnings": list(result.warnings),
+    }
+
+
+def _print_table(result: Any) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    of_radius = "" if result.radius_mm is None else f", radius {result.radius_mm:g} mm"
+    console.print(f"{result.engine} on the exact {result.oracle}{of_radius}", soft_wrap=True)
+    console.print(
+        f"relative error {result.relative_error:.3g} (the exact field's own: {result.uncertainty:.1g})",
+        soft_wrap=True,
+    )
+    console.print()
+    cost = Table(box=None, pad_edge=False)
+    cost.add_column("")
+    for column in ("measured", "predicted"):
+        cost.add_column(column, justify="right")
+    predicted = result.predicted
+    cost.add_row("seconds", f"{result.seconds:.3g}", f"{predicted.seconds:.3g}")
+    cost.add_row("seconds of set-up", f"{result.setup_seconds:.3g}", f"{predicted.setup_seconds:.3g}")
+    cost.add_row("peak memory (MB)", f"{result.peak_mb:.3g}", f"{1e-6 * predicted.peak_bytes:.3g}")
+    console.print(cost)
+    if result.settings:
+        console.print(f"\nsettings: {settings_text(result.settings)}", soft_wrap=True)

@@ -1,0 +1,317 @@
+"""The commands `wavesim resolve` and `wavesim choose`."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.console import print_json, progress_bar
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import load_design
+from wavesim.cli.engine_options import (
+    Compensation,
+    Interface,
+    PitchUm,
+    Slices,
+    Spacing,
+    StepUm,
+    TileWidthMm,
+    engine_settings,
+    numbers,
+    print_warnings,
+    settings_text,
+)
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
+WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def resolve(
+    design: Design,
+    linewidths_um: Annotated[str, typer.Option(help="Widths, separated by commas.")] = "1.55,0.775,0.532",
+    field_mm: Annotated[str, typer.Option(help="Field heights along y, separated by commas.")] = "0",
+    engine: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What brings the lines back; to compare several, repeat it: eikonal, "
+            "slices:slices=30,compensation=oblique.",
+            show_default="slices",
+        ),
+    ] = None,
+    reference: Annotated[str, typer.Option(help="What carries them to the exit plane.")] = "eikonal",
+    slices: Slices = None,
+    compensation: Compensation = None,
+    spacing: Spacing = None,
+    tile_width_mm: TileWidthMm = None,
+    interface: Interface = None,
+    step_um: StepUm = None,
+    pitch_um: PitchUm = None,
+    bars: Annotated[int, typer.Option(help="Bars of each width, at least 5.")] = 5,
+    plane_distance_mm: PlaneDistanceMm = 2.0,
+    wavelength_um: WavelengthUm = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Contrast against line width (png, svg, pdf).")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what engines leave of lines that a better one has carried through the lens.
+
+    Bars on a dark ground, on a meridional line at each field point, are carried to the exit plane by the
+    reference engine and brought back by each one named, then refocused and registered: what is left of their
+    contrast is what that engine's model of the lens allows.
+    """
+    if output is not None and output.suffix.lower() not in PICTURES:
+        raise InputError(
+            f"--output = {str(output)!r}: the file name must end in one of {', '.join(PICTURES)}"
+        )
+    lens = load_design(design)
+    widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
+    settings = engine_settings(
+        slices=slices,
+        compensation=compensation,
+        spacing=spacing,
+        tile_width_mm=tile_width_mm,
+        interface=interface,
+        step_um=step_um,
+        pitch_um=pitch_um,
+    )
+    engines = _engines(engine or ["slices"], settings)
+    common = {
+        "reference": reference,
+        "wavelength_um": wavelength_um,
+        "plane_distance_mm": plane_distance_mm,
+        "bars": bars,
+    }
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        tests = _tests(lens, widths, heights, engines, common)
+    print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
+    title = lens.title or design.stem
+    if output is not None:
+        _write_resolved(tests, title, output)
+    if as_json:
+        summaries = [_resolve_summary(results, widths, title) for results in tests]
+        print_json(summaries[0] if len(tests) == 1 else {"design": title, "engines": summaries})
+        return
+    for results in tests:
+        _print_resolved(results)
+    if output is not None:
+        typer.echo(f"wrote {output}")
+
+
+def _tests(
+    lens: Any,
+    widths: list[float],
+    heights: list[float],
+    engines: list[tuple[str, dict[str, Any]]],
+    common: dict[str, Any],
+) -> list[list[Any]]:
+    """For each engine, its results at all field heights; with a bar."""
+    from wavesim.evaluation.resolving import resolve as resolving_test
+
+    tests: list[list[Any]] = []
+    with progress_bar() as bar:
+        task = bar.add_task("", total=len(engines) * len(heights))
+        for name, settings in engines:
+            tests.append([])
+            for height in heights:
+                bar.update(task, description=f"{name}, field {height:g} mm")
+                tests[-1].append(resolving_test(lens, widths, height, name, **common, **settings))
+                bar.advance(task)
+    return tests
+
+
+def _engines(named: list[str], settings: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Names and settings of the engines; settings stand in options of their own, or behind the name."""
+    if len(named) > 1 and settings:
+        raise InputError(
+            f"settings of one engine ({', '.join(settings)}) beside several --engine: write them behind its "
+            "name, such as slices:slices=30,compensation=oblique"
+        )
+    return [_engine(text, settings) for text in named]
+
+
+def _engine(text: str, settings: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    name, *rest = text.split(":", 1)
+    found = dict(settings)
+    for part in rest[0].split(",") if rest else ():
+        setting, equals, value = (piece.strip() for piece in part.partition("="))
+        if not (setting and equals and value):
+            raise InputError(
+                f"--engine = {text!r}: must be a name, or a name, a colon, and setting=value separated by "
+                "commas"
+            )
+        found[setting] = _plain_value(value)
+    return name, found
+
+
+def _plain_value(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _write_resolved(tests: list[list[Any]], title: str, path: Path) -> None:
+    from wavesim.pictures.resolving import resolving_figure
+
+    figure = resolving_figure([result for results in tests for result in results], title)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=140)
+
+
+def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dict[str, Any]:
+    def table(name: str) -> list[list[float]]:
+        return [[getattr(line, name) for line in result.lines] for result in results]
+
+    return {
+        "design": title,
+        "engine": results[0].engine,
+        "reference": results[0].reference,
+        "settings": [result.settings for result in results],
+        "field_mm": [result.field_mm for result in results],
+        "linewidths_um": widths,
+        "contrast": table("contrast"),
+        "weakest_contrast": table("weakest_contrast"),
+        "contrast_as_is": table("contrast_as_is"),
+        "contrast_of_reference": table("contrast_of_reference"),
+        "smallest_resolved_um": [result.smallest_resolved_um() for result in results],
+        "refocus_um": table("refocus_um"),
+        "shift_um": table("shift_um"),
+        "exit_correlation": table("exit_correlation"),
+    }
+
+
+def _print_resolved(results: list[Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    first = results[0]
+    settings = settings_text(first.settings)
+    console.print(f"lines carried by {first.reference}, brought back by {first.engine}", soft_wrap=True)
+    if settings:
+        console.print(settings, soft_wrap=True)
+    console.print()
+    table = Table(box=None, pad_edge=False)
+    for column in (
+        "field\n(mm)",
+        "line\n(um)",
+        "contrast",
+        "weakest",
+        "as is",
+        f"{first.reference}",
+        "refocus\n(um)",
+        "shift\n(um)",
+        "exit\ncorrelation",
+    ):
+        table.add_column(column, justify="right")
+    for result in results:
+        for line in result.lines:
+            table.add_row(
+                f"{result.field_mm:g}",
+                f"{line.line_width_um:g}",
+                f"{line.contrast:.3f}",
+                f"{line.weakest_contrast:.3f}",
+                f"{line.contrast_as_is:.3f}",
+                f"{line.contrast_of_reference:.3f}",
+                f"{line.refocus_um:.2f}",
+                f"{line.shift_um:.3f}",
+                f"{line.exit_correlation:.4f}",
+            )
+    console.print(table)
+    for result in results:
+        smallest = result.smallest_resolved_um()
+        said = "no line is resolved" if smallest is None else f"resolved down to {smallest:g} um"
+        console.print(f"field {result.field_mm:g} mm: {said}", soft_wrap=True)
+    console.print()
+
+
+def choose(
+    design: Design,
+    error: Annotated[float, typer.Option(help="Relative L2 error of the exit field that is allowed.")] = 0.1,
+    field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
+    patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.1,
+    plane_distance_mm: PlaneDistanceMm = 2.0,
+    meridional: Annotated[bool, typer.Option(help="A line in place of a plane.")] = False,
+    runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
+    memory_gb: Annotated[float, typer.Option(help="Memory that may be used.")] = 16.0,
+    hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
+    wavelength_um: WavelengthUm = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict error, time and memory of every engine, and name the cheapest that holds."""
+    from wavesim.engines.choosing import choose as choose_engine
+    from wavesim.scene.patches import patch_scene
+
+    scene = patch_scene(
+        load_design(design),
+        patch_mm,
+        field_mm,
+        plane_distance_mm=plane_distance_mm,
+        wavelength_um=wavelength_um,
+        meridional=meridional,
+    )
+    choice = choose_engine(scene, error, 1e9 * memory_gb, 3600.0 * hours, runs)
+    if as_json:
+        print_json(_choice_summary(choice, runs))
+    else:
+        _print_choice(choice, runs)
+
+
+def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
+    import math
+
+    def plain(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    return {
+        "engine": choice.chosen.engine,
+        "settings": choice.chosen.settings,
+        "reason": choice.reason,
+        "runs": runs,
+        "predictions": [
+            {
+                "engine": p.engine,
+                "settings": p.settings,
+                "relative_error": plain(p.relative_error),
+                "seconds": plain(p.seconds),
+                "setup_seconds": p.setup_seconds,
+                "peak_mb": 1e-6 * p.peak_bytes,
+                "neglected": p.neglected,
+                "refused": p.refused or None,
+            }
+            for p in choice.predictions
+        ],
+    }
+
+
+def _print_choice(choice: Any, runs: int) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, markup=False)
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    table.add_column("engine", no_wrap=True)
+    for column in ("error, at most", f"seconds, {runs} run(s)", "memory (MB)"):
+        table.add_column(column, justify="right")
+    for p in choice.predictions:
+        mark = "*" if p is choice.chosen else ""
+        if p.refused:
+            table.add_row(mark, p.label, "refused", "", "")
+        else:
+            figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
+            table.add_row(mark, p.label, *figures)
+    console.print(table)
+    console.print()
+    for sentence in choice.reason.split(". "):
+        console.print(sentence.removesuffix("."), soft_wrap=True)

@@ -1,0 +1,192 @@
+"""The command `wavesim view`: a whole field or frame as one page for a browser that zooms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lensdesign.common.console import print_json
+from lensdesign.errors import InputError
+
+RESULTS = {"reconstruction.npz": "", "object.npz": "true"}
+"""Fields that a folder may hold, and what their layers are called."""
+
+SUMMARIES = ("reconstruction.json", "image.json")
+"""Of which the title is taken."""
+
+CAMERA = {
+    "plane_distance_mm": 0.0,
+    "wavelength_um": 1.0,
+    "exposure": 1.0,
+    "bits": 16,
+    "offset_counts": 0.0,
+    "gain_electrons_per_count": 1.0,
+}
+"""Settings with which a frame's electrons are its counts."""
+
+
+def view(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT",
+            help="Folder of `wavesim reconstruct` or `image`, a field (.npz), or a frame (.tif).",
+        ),
+    ],
+    region_mm: Annotated[
+        str | None, typer.Option(help="x,y,width,height: its centre and sides; left out, all.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
+    ] = None,
+    pixel_pitch_um: Annotated[
+        float | None, typer.Option(help="Of a camera's own frame, whose counts are shown.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Page to write, .html; left out, beside RESULT."),
+    ] = None,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Look at a whole field or frame in a browser: one page that zooms, and loads nothing.
+
+    A folder's layers are amplitude and phase of the reconstruction, the true object, and the frames. A region
+    is one of the object (the frames of a folder are left out then), or of the frame that RESULT names.
+    """
+    from wavesim.cli.engine_options import numbers
+    from wavesim.pictures.page import write_zoom_page
+
+    region = None if region_mm is None else numbers(region_mm, "--region-mm", 4)
+    folder = result.is_dir()
+    path = output or (result / "view.html" if folder else result.with_suffix(".html"))
+    if path.suffix.lower() != ".html":
+        raise InputError(f"--output = {str(path)!r}: the file name must end in .html")
+    layers = _layers(result, truth, region, pixel_pitch_um)
+    title, figures = _said(result)
+    made = write_zoom_page(layers, path, title, figures)
+    if as_json:
+        print_json({"file": str(path)} | made.as_dict())
+    else:
+        typer.echo(f"wrote {path}: {', '.join(made.layers)}, {made.tiles} tiles, {1e-6 * made.bytes:.2g} MB")
+    _tell_left_out(made, layers, region)
+    if open_:
+        import webbrowser
+
+        if not webbrowser.open(path.resolve().as_uri()):
+            typer.echo(f"no browser was found to open {path}", err=True)
+
+
+def _layers(
+    result: Path, truth: Path | None, region: list[float] | None, pixel_pitch_um: float | None
+) -> list[Any]:
+    """Layers of what a path names; those of a field before the frames."""
+    if not result.is_dir() and result.suffix.lower() in (".tif", ".tiff"):
+        if truth is not None:
+            raise InputError(f"--truth: means nothing with the frame {result}")
+        return [_frame(result, region, pixel_pitch_um)]
+    if pixel_pitch_um is not None:
+        raise InputError(f"--pixel-pitch-um: means nothing with {result}, which is no frame (.tif)")
+    if not result.is_dir():
+        found, frames = {result: ""}, []
+        if result.suffix.lower() != ".npz":
+            raise InputError(f"{result}: must be a folder, a field (.npz) or a frame (.tif)")
+    else:
+        found = {result / name: said for name, said in RESULTS.items() if (result / name).exists()}
+        frames = sorted(result.glob("frame_*.tif"), key=lambda path: (len(path.name), path.name))
+        if not found and not frames:
+            raise InputError(f"{result}: holds none of {', '.join(RESULTS)}, frame_1.tif")
+        if len(found) == 1:
+            found = dict.fromkeys(found, "")
+    layers = [layer for path, name in found.items() for layer in _field(path, name, region)]
+    if truth is not None:
+        place = truth / "object.npz" if truth.is_dir() else truth
+        layers += [] if place in found else _field(place, "true", region)
+    if region is None or not layers:
+        layers += [_frame(path, region, None) for path in frames]
+    return layers
+
+
+def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
+    from wavesim.pictures.field_files import read_centre_um, read_field
+    from wavesim.pictures.layers import cut_out, field_layers
+
+    values, pitch_um = read_field(path)
+    centre_um = read_centre_um(path)
+    if region is not None:
+        values, centre_um = cut_out(values, pitch_um, region, f"{path}: --region-mm", centre_um)
+    return field_layers(values, pitch_um, centre_um, name)
+
+
+def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None) -> Any:
+    from dataclasses import replace
+
+    from wavesim.camera.frames import read_frame
+    from wavesim.pictures.layers import cut_out, frame_layer
+
+    if pixel_pitch_um is not None:
+        frame = read_frame(path, pixel_pitch_um=pixel_pitch_um, **CAMERA)
+    else:
+        try:
+            frame = read_frame(path)
+        except InputError as error:
+            if "to be given" not in str(error):
+                raise
+            raise InputError(
+                f"{path} does not say how it was recorded; give --pixel-pitch-um to see its counts"
+            ) from None
+    settings, centre_um = frame.settings, (0.0, 0.0)
+    if region is not None:
+        counts, centre_um = cut_out(frame.counts, settings.pixel_pitch_um, region, f"{path}: --region-mm")
+        frame = replace(frame, counts=counts)
+    if pixel_pitch_um is not None:
+        return replace(frame_layer(frame, path.name, centre_um), unit="counts")
+    return frame_layer(frame, f"{path.name}, {settings.plane_distance_mm:g} mm", centre_um)
+
+
+def _said(result: Path) -> tuple[str, list[tuple[str, str]]]:
+    """Title and figures of the page."""
+    summary = _summary(result) if result.is_dir() else {}
+    design, name = summary.get("design"), result.resolve().name
+    title = f"{name}: {design}" if isinstance(design, str) else name
+    told = {name: summary.get(name) for name in ("method", "kind", "iterations")}
+    return title, [(name, str(what)) for name, what in told.items() if isinstance(what, str | int)]
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    import json
+
+    from lensdesign.common.input_files import TOML_BYTES, read_input
+
+    for name in SUMMARIES:
+        path = folder / name
+        if path.exists():
+            try:
+                summary = json.loads(read_input(path, TOML_BYTES))
+            except (ValueError, RecursionError) as error:
+                if isinstance(error, InputError):
+                    raise
+                raise InputError(f"cannot read {path}: no JSON, or damaged") from error
+            return summary if isinstance(summary, dict) else {}
+    return {}
+
+
+def _tell_left_out(made: Any, layers: list[Any], region: list[float] | None) -> None:
+    """Say which layers do not show every sample, and what to do about it."""
+    coarse = [
+        f"{name} (means of {2**halvings} x {2**halvings} samples)"
+        for name, halvings in zip(made.layers, made.halvings, strict=True)
+        if halvings
+    ]
+    if not coarse:
+        return
+    x_mm, y_mm = (0.0, 0.0) if region is None else region[:2]
+    several = len({layer.plane for layer in layers}) > 1
+    typer.echo(
+        f"no room for every sample of: {'; '.join(coarse)}. To see all samples of a part"
+        f"{' of the object' if several else ''}, give --region-mm {x_mm:g},{y_mm:g},{made.region_mm:g},"
+        f"{made.region_mm:g} or less{', or name a frame' if several else ''}",
+        err=True,
+    )

@@ -1,0 +1,58 @@
+"""No lens: free space from the object to the exit grid, as if the lens were taken out.
+
+What a sensor in the same place would have recorded of the object alone; the paper's Fig. 5e.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+from wavesim.engines.surfaces.grids import refuse_if_huge
+from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+
+
+class NoLens(Engine):
+    """Free space of the index in front of the lens, over the geometric distance between both grids.
+
+    Parameters
+    ----------
+    scene
+        What is carried where; of the lens only that index counts.
+    force
+        Run even what takes more than some hours or gigabytes.
+    """
+
+    name = "no-lens"
+
+    def __init__(self, scene: Scene, *, force: bool = False) -> None:
+        super().__init__(scene)
+        self._force = force
+
+    @cached_property
+    def _transfer(self) -> GridTransfer:
+        scene = self.scene
+        index = float(scene.system.index[0, 0])
+        return GridTransfer(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
+
+    @cached_property
+    def _prepared(self) -> GridTransfer:
+        refuse_if_huge(self.name, self._transfer.samples, self.cost(), self._force)
+        return self._transfer
+
+    def _forward(self, values: Any) -> Any:
+        return self._prepared.forward(values)
+
+    def _adjoint(self, values: Any) -> Any:
+        return self._prepared.adjoint(values)
+
+    def cost(self) -> Cost:
+        return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        return (Neglected("the lens", math.nan),)
+
+    def settings(self) -> dict[str, Any]:
+        return {}

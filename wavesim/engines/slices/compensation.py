@@ -1,0 +1,218 @@
+"""Phase compensation within a slice: what its light gains between the surface and the cutting planes.
+
+Vertical (Eqs. 4, C3, C6): light is taken to run along the axis, so that over a height h it gains k n h.
+Oblique: it runs as the rays of the middle of the object do at the surface, and gains k n h cos(t) with the
+angle t to the axis in each medium.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.engines.surfaces.samples import surface_slopes
+from wavesim.engines.surfaces.waves import Medium
+from wavesim.fields.field import Grid
+from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
+from wavesim.rays.maps import fit_map
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+LINE_ORDER, PLANE_ORDER = 30, 12
+"""Of the polynomials over the footprint."""
+
+BLOCK = 1 << 11
+"""Points at which polynomials are evaluated at one time."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentreRays:
+    """Rays of one object point where they cross a surface; arrays of shape (n,).
+
+    Attributes
+    ----------
+    x_mm, y_mm, z_mm : ndarray
+        Where they cross.
+    axial : (ndarray, ndarray)
+        Index times cosine of the angle to the z axis, in front of the surface and behind it.
+    lean : (ndarray, ndarray)
+        1 - s tan(t), with the slope s of the surface along the ray's transverse direction, in front and
+        behind: the flux through the surface over that through its projection along z.
+    slope : ndarray
+        Of the surface, steepest.
+    transmission : ndarray
+        Factor of the field.
+    indices : (float, float)
+        In front of the surface and behind it.
+    """
+
+    x_mm: Array
+    y_mm: Array
+    z_mm: Array
+    axial: tuple[Array, Array]
+    lean: tuple[Array, Array]
+    slope: Array
+    transmission: Array
+    indices: tuple[float, float]
+
+    @property
+    def obliquity(self) -> tuple[Array, Array]:
+        """What vertical compensation gains too much per height, as optical path."""
+        before, behind = (n - c for n, c in zip(self.indices, self.axial, strict=True))
+        return before, behind
+
+    @property
+    def drift(self) -> tuple[Array, Array]:
+        """Change along z of index times cosine, at one transverse point; on a meridional fan only."""
+        # The cosine is constant along a ray, so it changes along z by -tan(t) times its change across.
+        order = np.argsort(self.y_mm)
+        result = []
+        for n, axial, lean in zip(self.indices, self.axial, self.lean, strict=True):
+            tangent = np.sqrt(np.maximum((n / axial) ** 2 - 1.0, 0.0))
+            along = np.empty_like(axial)
+            along[order] = np.gradient(axial[order], self.y_mm[order])
+            result.append(np.abs(tangent * along / lean))
+        return result[0], result[1]
+
+    def density(self, oblique: bool) -> Array:
+        """Planes per height, not normalized, for which slices err by the same phase."""
+        if oblique:
+            return np.asarray(np.sqrt(sum(self.drift)))
+        return np.asarray(sum(self.obliquity))
+
+
+def centre_rays(scene: Scene, point_mm: tuple[float, float], fan: bool = False) -> tuple[CentreRays, ...]:
+    """Rays of an object point at every surface.
+
+    Parameters
+    ----------
+    scene
+        What is carried where.
+    point_mm
+        Object point (x, y).
+    fan
+        Only those of a meridional fan, also on a plane.
+
+    Raises
+    ------
+    InputError
+        If no ray gets through.
+    """
+    if fan and not scene.object_grid.is_line:
+        line = Grid((1,), scene.object_grid.pitch_mm, scene.object_grid.z_mm)
+        scene = replace(scene, object_grid=line, exit_grid=replace(line, z_mm=scene.exit_grid.z_mm))
+    return tuple(_rays(scene, i, found) for i, found in enumerate(crossings(scene, point_mm)))
+
+
+def _rays(scene: Scene, surface: int, found: Crossings) -> CentreRays:
+    system = scene.system
+    n1, n2 = (float(n) for n in system.index[0, surface : surface + 2])
+    z = surface_map(system, surface, found.x_mm, found.y_mm).z_mm
+    slopes = surface_slopes(system, surface, found.x_mm, found.y_mm, z)
+    slope = np.hypot(slopes[0], slopes[1])
+    area = np.hypot(1.0, slope)
+    return CentreRays(
+        found.x_mm,
+        found.y_mm,
+        z,
+        (n1 * found.axial_before, n2 * found.axial_after),
+        (found.incidence * area / found.axial_before, found.refraction * area / found.axial_after),
+        slope,
+        transmission(scene.coating, n1, n2, found.incidence, found.refraction, scene.object_grid.is_line),
+        (n1, n2),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Over points of a surface: optical path per height on both sides, and factor of the field."""
+
+    before: Array
+    behind: Array
+    amplitude: Array
+
+
+def compensation(scene: Scene, ray: CentreRays, x_mm: Array, y_mm: Array, oblique: bool) -> Compensation:
+    """Compensation at points of a surface; beyond the light of the object's middle, that at its rim.
+
+    With the oblique one, the amplitude holds the share of a slice's light that leaves through its
+    projection along z, as Kirchhoff's integral over the surface has it.
+    """
+    is_line = scene.object_grid.is_line
+    amplitude = ray.transmission * ray.lean[1] if oblique else ray.transmission
+    points = ray.y_mm[:, None] if is_line else np.column_stack([ray.y_mm, ray.x_mm])
+    order = min(LINE_ORDER, len(points) // 2) if is_line else min(PLANE_ORDER, math.isqrt(len(points)) - 1)
+    # Some rays of a fan will do; all those of a bundle are needed.
+    most = 5 * (order + 1) if is_line else len(points)
+    pick = np.unique(np.rint(np.linspace(0, len(points) - 1, most)).astype(int))
+    maps = fit_map(points[pick], np.stack([*ray.axial, amplitude])[:, pick], order)
+    found = np.empty((3, len(y_mm)))
+    for first in range(0, len(y_mm), BLOCK):
+        part = slice(first, first + BLOCK)
+        asked = y_mm[part, None] if is_line else np.column_stack([y_mm[part], x_mm[part]])
+        offset = (asked - maps.middle) / maps.half_width
+        away = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1.0)
+        found[:, part] = maps.at(maps.middle + maps.half_width * (offset / away))
+    if not oblique:
+        found[0], found[1] = ray.indices
+    return Compensation(*found)
+
+
+def slice_phase(ray: CentreRays, planes_mm: Array, oblique: bool, wavenumber_per_mm: float) -> Array:
+    """Phase by which the compensation errs for the rays of the middle of the object, in radians.
+
+    Parameters
+    ----------
+    ray
+        At one surface; those of a meridional fan.
+    planes_mm
+        That cut it.
+    oblique
+        Which compensation: it takes the wave as plane within a slice.
+    wavenumber_per_mm
+        In vacuum.
+    """
+    which = slice_of(planes_mm, ray.z_mm)
+    low, high = planes_mm[which], planes_mm[which + 1]
+    if oblique:
+        height = ray.z_mm - 0.5 * (low + high)
+        before, behind = ray.drift
+        return np.asarray(0.5 * wavenumber_per_mm * height**2 * (before + behind))
+    before, behind = ray.obliquity
+    return np.asarray(wavenumber_per_mm * (before * (ray.z_mm - low) + behind * (high - ray.z_mm)))
+
+
+def border_light(ray: CentreRays, planes_mm: Array, medium: Medium) -> Array:
+    """Share of the light that the borders of slices send elsewhere, for every ray of a meridional fan.
+
+    Slices are put together side by side where the surface is, but their light runs obliquely: between
+    neighbours it overlaps, or leaves a gap, over a share of the slice's width. Each such stripe sends light
+    into the whole band. Slices thinner than the band can tell apart have no stripes.
+    """
+    thickness = np.diff(planes_mm)[slice_of(planes_mm, ray.z_mm)]
+    share = np.abs(1.0 - ray.lean[1])
+    orders = thickness / np.maximum(ray.slope, 1e-12) * medium.band_per_mm / np.pi
+    apart = (medium.largest_kz_per_mm - medium.smallest_kz_per_mm) * thickness
+    borders = 1.0 - 1.0 / (len(planes_mm) - 1)
+    return np.asarray(borders * share * np.minimum(np.minimum(1.0, orders * share), 0.25 * apart**2))
+
+
+def other_angles(ray: CentreRays, other: CentreRays, planes_mm: Array) -> Array:
+    """Optical path by which compensation for one point's light errs for another's, on a meridional fan."""
+    which = slice_of(planes_mm, other.z_mm)
+    height = other.z_mm - 0.5 * (planes_mm[which] + planes_mm[which + 1])
+    order = np.argsort(ray.y_mm)
+    front, behind = (
+        own - np.interp(other.y_mm, ray.y_mm[order], taken[order])
+        for own, taken in zip(other.axial, ray.axial, strict=True)
+    )
+    return np.asarray(height * (front - behind))
+
+
+def slice_of(planes_mm: Array, z_mm: Array) -> NDArray[np.intp]:
+    """Slice in which each height lies; what lies beyond the outermost planes belongs to their slices."""
+    return np.asarray(np.searchsorted(planes_mm[1:-1], z_mm, side="right"), np.intp)

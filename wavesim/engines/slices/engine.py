@@ -1,0 +1,272 @@
+"""Annular slices: the paper's way through a thick lens, plane by plane, with compensation of the phase.
+
+Planes perpendicular to the axis cut every surface into slices. The field is carried to the plane of a slice
+in the medium in front, masked to the slice (Eqs. 3, C1, C2), multiplied by what its light gains up to the
+surface and from there to the next plane in the medium behind (Eqs. 4, C3, C6), and carried on in that
+medium to one virtual plane, where all slices are summed (Eqs. C4, C7).
+
+Vertical compensation, as printed, takes light to run along the axis: over the height of a slice it errs by
+what both media's obliquity makes of it. The error falls as the slices are made thinner.
+
+Oblique compensation takes the angles that the rays of the object's middle have there, and one plane in the
+middle of each slice in place of its two borders, over which the error has no first order in the height.
+With few slices it falls with their number squared, until what is left are the stripes where the light of
+neighbouring slices overlaps or leaves a gap; those go with the first power, once slices are thin.
+
+Fields of NumPy are carried in double precision; those of another array library (CuPy) in their own, in the
+memory where they lie.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.engines.slices.compensation import (
+    CentreRays,
+    border_light,
+    centre_rays,
+    compensation,
+    other_angles,
+    slice_of,
+    slice_phase,
+)
+from wavesim.engines.slices.planes import (
+    SlicedSurface,
+    Spacing,
+    SurfacePoints,
+    cutting_planes,
+    sliced,
+    surface_points,
+)
+from wavesim.engines.slices.steps import Through
+from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
+from wavesim.engines.surfaces.samples import other_transmission
+from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.fields.guards import SamplingWarning
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+CompensationKind = Literal["vertical", "oblique"]
+
+MOST_SLICES = 50_000
+COMPLEX, REAL = 16, 8
+FIT_BYTES = {True: 500_000, False: 3_300_000}
+"""Rays and the polynomials through them: on a line, on a plane."""
+
+WARN_ERROR = 0.2
+"""Estimated relative error of the exit field from too few slices, from which on there is a warning."""
+
+
+class AnnularSlices(Engine):
+    """Slices between cutting planes.
+
+    Parameters
+    ----------
+    scene
+        What is carried where.
+    slices : int
+        Of each surface; with unequal spacing, on average over the surfaces.
+    compensation : {"vertical", "oblique"}
+        Of the phase within a slice.
+    spacing : {"equal", "paper", "equal-phase"}
+        Of the planes; see :func:`wavesim.engines.slices.planes.cutting_planes`.
+    pitch_mm, half_width_mm
+        Of the grid within the lens; chosen if left out.
+    force : bool
+        Whether to run however much memory and time it takes.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable.
+    """
+
+    name = "slices"
+
+    def __init__(
+        self,
+        scene: Scene,
+        slices: int = 30,
+        compensation: CompensationKind = "vertical",
+        spacing: Spacing = "equal",
+        pitch_mm: float | None = None,
+        half_width_mm: float | None = None,
+        force: bool = False,
+    ) -> None:
+        super().__init__(scene)
+        whole = isinstance(slices, int | np.integer) and not isinstance(slices, bool)
+        if not whole or not 1 <= slices <= MOST_SLICES:
+            raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {MOST_SLICES}")
+        if compensation not in ("vertical", "oblique"):
+            raise InputError(f"compensation = {compensation!r}: allowed: vertical, oblique")
+        if spacing not in ("equal", "paper", "equal-phase"):
+            raise InputError(f"spacing = {spacing!r}: allowed: equal, paper, equal-phase")
+        self.slices, self.compensation, self.spacing = int(slices), compensation, spacing
+        self.force = bool(force)
+        self._asked = (pitch_mm, half_width_mm)
+
+    @cached_property
+    def working(self) -> WorkingGrid:
+        """Grid, media and extent of the surfaces."""
+        return working_grid(self.scene, *self._asked)
+
+    def settings(self) -> dict[str, Any]:
+        grid = self.working.grid
+        return {
+            "slices": self.slices,
+            "compensation": self.compensation,
+            "spacing": self.spacing,
+            "pitch_mm": grid.pitch_mm,
+            "half_width_mm": grid.half_widths_mm[0],
+        }
+
+    @property
+    def _oblique(self) -> bool:
+        return self.compensation == "oblique"
+
+    @cached_property
+    def _fan(self) -> tuple[CentreRays, ...]:
+        return centre_rays(self.scene, self.scene.object_grid.centre_mm, fan=True)
+
+    def _planes(self, heights_mm: Sequence[tuple[float, float]]) -> list[Array]:
+        rays = self._fan if self.spacing != "equal" else ()
+        return cutting_planes(self.scene, rays, heights_mm, self.slices, self.spacing, self._oblique)
+
+    def _transfers(self, start_mm: float, end_mm: float) -> tuple[GridTransfer, GridTransfer]:
+        scene, grid, media = self.scene, self.working.grid, self.working.media
+        into = GridTransfer(scene.object_grid, grid.at(start_mm), scene.wavelength_um, media[0].index)
+        out = GridTransfer(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, media[-1].index)
+        return into, out
+
+    @cached_property
+    def _prepared(self) -> Through:
+        self._refuse_total_reflection()
+        refuse_if_huge(self.name, self.working.grid.size, self.cost(), self.force)
+        self._warn()
+        rays = centre_rays(self.scene, self.scene.object_grid.centre_mm)
+        samples = [surface_points(self.scene, self.working, i) for i in range(len(rays))]
+        heights = [(float(s.z_mm.min()), float(s.z_mm.max())) for s in samples]
+        planes = self._planes(heights)
+        surfaces = [self._sliced(*given) for given in zip(rays, samples, planes, strict=True)]
+        return Through(self.working, surfaces)
+
+    def _sliced(self, ray: CentreRays, samples: SurfacePoints, planes_mm: Array) -> SlicedSurface:
+        which = slice_of(planes_mm, samples.z_mm)
+        low, high = planes_mm[:-1], planes_mm[1:]
+        if self._oblique:
+            low = high = 0.5 * (low + high)
+        known = compensation(self.scene, ray, samples.x_mm, samples.y_mm, self._oblique)
+        path = known.before * (samples.z_mm - low[which]) + known.behind * (high[which] - samples.z_mm)
+        phase = np.mod(self.scene.wavenumber_per_mm * path, 2.0 * np.pi)
+        factors = np.empty(len(phase), complex)
+        factors.real = known.amplitude * np.cos(phase)
+        factors.imag = known.amplitude * np.sin(phase)
+        return sliced(samples, factors, which, low, high)
+
+    def _forward(self, values: Any) -> Any:
+        inner = self._prepared
+        into, out = self._transfers(inner.start_mm, inner.end_mm)
+        return out.forward(inner.forward(into.forward(values)))
+
+    def _adjoint(self, values: Any) -> Any:
+        inner = self._prepared
+        into, out = self._transfers(inner.start_mm, inner.end_mm)
+        return into.adjoint(inner.adjoint(out.adjoint(values)))
+
+    @cached_property
+    def _nominal_planes(self) -> list[Array]:
+        """Cutting planes, known before the samples of the surfaces are."""
+        return self._planes(self.working.heights_mm)
+
+    @cached_property
+    def _phases(self) -> list[Array]:
+        """Errors of the compensation, at the rays of a meridional fan on every surface."""
+        k, planes = self.scene.wavenumber_per_mm, self._nominal_planes
+        return [slice_phase(ray, p, self._oblique, k) for ray, p in zip(self._fan, planes, strict=True)]
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        found = [
+            Neglected(f"{self.compensation} compensation within slices", _misfit(self._phases)),
+            Neglected("borders of slices", self._border_error()),
+            Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),
+        ]
+        if self._oblique:
+            found.append(Neglected("angles of light from beside the object's middle", self._other_angles()))
+        return tuple(sorted(found, key=lambda n: -n.relative_error))
+
+    def _border_error(self) -> float:
+        shares = [
+            border_light(ray, p, medium)
+            for ray, p, medium in zip(self._fan, self._nominal_planes, self.working.media[1:], strict=True)
+        ]
+        return math.sqrt(sum(float(np.mean(share)) for share in shares))
+
+    def _other_angles(self) -> float:
+        """Relative error for points at the mean square distance along y of a filled object grid."""
+        grid, k = self.scene.object_grid, self.scene.wavenumber_per_mm
+        (x, y), worst = grid.centre_mm, 0.0
+        for side in (-1.0, 1.0):
+            away = side * grid.half_widths_mm[0] / math.sqrt(3.0)
+            try:
+                others = centre_rays(self.scene, (x, y + away), fan=True)
+            except InputError:
+                continue
+            phases = [
+                k * other_angles(ray, other, p)
+                for ray, other, p in zip(self._fan, others, self._nominal_planes, strict=True)
+            ]
+            worst = max(worst, _misfit(phases))
+        return worst
+
+    def _refuse_total_reflection(self) -> None:
+        if self.working.reflected > 0.0:
+            raise InputError(
+                f"engine slices: total reflection of {self.working.reflected:.3g} of the rays from the "
+                "object's middle and rim; slices take all light to pass: stop the lens down, or take a "
+                "smaller object or the wave propagation method"
+            )
+
+    def _warn(self) -> None:
+        error = _misfit(self._phases)
+        if error < WARN_ERROR:
+            return
+        waves = max(float(np.max(np.abs(phase))) for phase in self._phases) / (2.0 * math.pi)
+        warnings.warn(
+            f"slices = {self.slices}: {self.compensation} compensation errs by up to {waves:.3g} waves in "
+            f"a slice, and the exit field by about {error:.2g} of its size: take more slices"
+            + ("" if self._oblique else ", or oblique compensation"),
+            SamplingWarning,
+            stacklevel=6,
+        )
+
+    def cost(self) -> Cost:
+        working = self.working
+        size, samples = working.grid.size, working.samples_on_surfaces
+        into, out = self._transfers(working.heights_mm[0][0], working.heights_mm[-1][1])
+        count = sum(self.slices if high > low else 1 for low, high in working.heights_mm)
+        each = 2.0 * fft_seconds(size, working.grid.is_line) + 4.0 * pass_seconds(size)
+        if self.spacing != "equal":
+            each += 2.0 * exponential_seconds(size)
+        passing = count * each + 6.0 * len(samples) * exponential_seconds(size)
+        kept = (COMPLEX + REAL) * sum(samples) + (REAL + 1) * size * len(working.media)
+        waves = 5 * COMPLEX * size
+        setup_bytes = FIT_BYTES[working.grid.is_line] + 7 * REAL * size
+        setup_bytes += 4 * REAL * sum(samples) + 15 * REAL * max(samples)
+        peak = max(kept + waves, kept + into.peak_bytes + COMPLEX * size, kept + out.peak_bytes, setup_bytes)
+        setup = 0.006 + sum(40.0 * exponential_seconds(n) for n in samples) + 10.0 * pass_seconds(size)
+        return Cost(into.seconds + passing + out.seconds, setup, int(peak))
+
+
+def _misfit(phases: Sequence[Array]) -> float:
+    """Relative error of a field whose rays are off by these phases at the surfaces."""
+    return math.sqrt(float(np.mean(np.abs(np.exp(1j * np.sum(phases, axis=0)) - 1.0) ** 2)))

@@ -1,0 +1,1 @@
+"""Waves at curved surfaces: where they cross, and the grid that holds them."""

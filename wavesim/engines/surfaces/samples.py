@@ -1,0 +1,139 @@
+"""Where light meets a refracting surface, at the transverse points of a grid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebval2d, chebvander2d
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError, SamplingError
+from lensdesign.tracing.compiled import CompiledSystem
+from wavesim.fields.field import Grid
+from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+DEGREE = 10
+"""Of the polynomials in x and y for a surface's transmission."""
+
+BLOCK = 1 << 15
+"""Points for which they are evaluated at one time."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """Samples of a surface at the transverse points of a grid, ordered by height; arrays of shape (n,).
+
+    Attributes
+    ----------
+    pixels : ndarray of int
+        Which samples of the grid, counted through.
+    z_mm : ndarray
+        Heights, increasing.
+    slopes : tuple of ndarray
+        dh/dy, and on a plane dh/dx.
+    transmission : ndarray
+        Factor of the field.
+    rim_z_mm : float
+        Height of the sample farthest from the middle of the grid.
+    """
+
+    pixels: NDArray[np.int64]
+    z_mm: Array
+    slopes: tuple[Array, ...]
+    transmission: Array
+    rim_z_mm: float
+
+
+def sample_surfaces(scene: Scene, grid: Grid, reach_mm: tuple[float, ...]) -> list[SurfaceSamples]:
+    """Samples of every surface, up to a distance from the middle of the grid.
+
+    Raises
+    ------
+    SamplingError
+        If no sample of the grid lies on a surface.
+    """
+    rays = crossings(scene, scene.object_grid.centre_mm)
+    return [_sample(scene, grid, reach_mm[i], i, crossing) for i, crossing in enumerate(rays)]
+
+
+def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: Crossings) -> SurfaceSamples:
+    x, y = (c.ravel() for c in np.broadcast_arrays(grid.x_mm, grid.y_mm[:, None]))
+    away = np.hypot(x - grid.centre_mm[0], y - grid.centre_mm[1])
+    near = np.flatnonzero(away <= reach_mm)
+    found = surface_map(scene.system, surface, x[near], y[near])
+    pixels, z, away = near[found.inside], found.z_mm[found.inside], away[near[found.inside]]
+    if not len(pixels):
+        raise SamplingError(
+            f"no sample of the working grid of {grid.pitch_mm:g} mm lies on surface {surface}"
+        )
+    rim = float(z[np.argmax(away)])
+    order = np.argsort(z, kind="stable")
+    pixels, z = pixels[order], z[order]
+    x, y = x[pixels], y[pixels]
+    slopes = surface_slopes(scene.system, surface, x, y, z)
+    passed = transmission_at(scene, surface, crossing, x, y)
+    return SurfaceSamples(pixels, z, slopes[:1] if grid.is_line else slopes, passed, rim)
+
+
+def surface_slopes(
+    system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array, z_mm: Array
+) -> tuple[Array, Array]:
+    """dh/dy and dh/dx of a surface at points on it, tilted and decentered as it is."""
+    rotation = system.rotation[0, surface]
+    offset = np.stack(np.broadcast_arrays(x_mm, y_mm, z_mm), axis=-1) - system.vertex[0, surface]
+    local = offset @ rotation
+    _, by_x, by_y = system.sag_and_slopes(surface, local[..., 0], local[..., 1])
+    fixed = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1) @ rotation.T
+    return -fixed[..., 1] / fixed[..., 2], -fixed[..., 0] / fixed[..., 2]
+
+
+def transmission_at(scene: Scene, surface: int, crossing: Crossings, x: Array, y: Array) -> Array:
+    """Factor of the field for the rays of the middle of the object; beyond them that of the nearest."""
+    is_line = scene.object_grid.is_line
+    n1, n2 = (float(n) for n in scene.system.index[0, surface : surface + 2])
+    known = transmission(scene.coating, n1, n2, crossing.incidence, crossing.refraction, is_line)
+    if is_line:
+        order = np.argsort(crossing.y_mm)
+        return np.interp(y, crossing.y_mm[order], known[order])
+    middle = np.array([np.mean(crossing.x_mm), np.mean(crossing.y_mm)])
+    radius = float(np.max(np.hypot(crossing.x_mm - middle[0], crossing.y_mm - middle[1])))
+    u, v = (crossing.x_mm - middle[0]) / radius, (crossing.y_mm - middle[1]) / radius
+    powers = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))
+    basis = chebvander2d(u, v, (DEGREE, DEGREE))[:, powers.ravel() <= DEGREE]
+    # Normal equations without BLAS, whose threads wait for each other longer than this takes.
+    square = np.einsum("ni,nj->ij", basis, basis)
+    square[np.diag_indices_from(square)] += 1e-12 * len(known)
+    terms = np.zeros(powers.shape)
+    terms[powers <= DEGREE] = np.linalg.solve(square, np.einsum("ni,n->i", basis, known))
+    result = np.empty(len(x))
+    for start in range(0, len(x), BLOCK):
+        part = slice(start, start + BLOCK)
+        u, v = (x[part] - middle[0]) / radius, (y[part] - middle[1]) / radius
+        beyond = np.maximum(np.hypot(u, v), 1.0)
+        result[part] = chebval2d(u / beyond, v / beyond, terms)
+    return np.clip(result, np.min(known), np.max(known))
+
+
+def other_transmission(scene: Scene) -> float:
+    """Relative error at worst by giving all light the transmission of that from the object's middle."""
+    grid = scene.object_grid
+    (x, y), half = grid.centre_mm, (0.0, *grid.half_widths_mm[::-1])[-2:]
+    middle, worst = crossings(scene, (x, y)), 0.0
+    for side in (-1.0, 1.0):
+        try:
+            other = crossings(scene, (x + side * half[0], y + side * half[1]))
+        except InputError:
+            continue
+        total = 0.0
+        for i, (known, new) in enumerate(zip(middle, other, strict=True)):
+            n1, n2 = (float(n) for n in scene.system.index[0, i : i + 2])
+            right = transmission(scene.coating, n1, n2, new.incidence, new.refraction, grid.is_line)
+            taken = transmission_at(scene, i, known, new.x_mm, new.y_mm)
+            total += float(np.mean((taken / right - 1.0) ** 2))
+        worst = max(worst, math.sqrt(total))
+    return worst

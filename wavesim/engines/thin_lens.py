@@ -1,0 +1,288 @@
+"""The lens as a thin one: a quadratic phase of its focal length between two stretches of free space.
+
+The paper's Fig. 5f. Free space goes from the object to the front principal plane, and from the rear principal
+plane to the exit grid, so that first-order imaging is that of the thick lens. The stop is the disc in which
+the cone of rays through the real stop, from the object point on the axis, meets the principal plane. On the
+axis the optical path is that of the thick lens, and so is the transmission of its coatings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lensdesign.analysis.form_error import pv_rms_waves
+from lensdesign.analysis.paraxial import cardinal_points
+from lensdesign.errors import InputError, SamplingError
+from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
+from lensdesign.tracing.bundles import launch_compiled, pupil_fan
+from lensdesign.tracing.compiled import compile_system
+from lensdesign.tracing.rays import trace_compiled
+from wavesim.engines.surfaces.grids import refuse_if_huge
+from wavesim.fields.field import Grid
+from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.rays.interfaces import transmission
+from wavesim.runtime.speed import exponential_seconds, pass_seconds
+from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+
+Array = NDArray[np.float64]
+
+FINENESS, WINDOW_MARGIN = 0.9, 1.02
+"""Pitch chosen, as a share of the coarsest that holds the field; window, as a multiple of the stop."""
+
+FAN_RAYS = 401
+
+
+@dataclass(frozen=True)
+class _ThinLens:
+    """First-order properties in the fixed frame.
+
+    Attributes
+    ----------
+    power_per_mm
+        Vacuum wave number times this times r^2 / 2 is the phase.
+    front_mm, rear_mm
+        Principal points (x, y, z).
+    semi_diameter_mm
+        Of the stop in the principal plane.
+    extra_path_mm
+        Optical path on the axis between the principal planes.
+    """
+
+    power_per_mm: float
+    front_mm: Array
+    rear_mm: Array
+    semi_diameter_mm: float
+    extra_path_mm: float
+
+
+def _thin_lens(scene: Scene) -> _ThinLens:
+    system = scene.system
+    vertex, index = system.vertex[0], system.index[0]
+    thickness = np.linalg.norm(np.diff(vertex, axis=0), axis=-1)
+    points = cardinal_points(system.curvature[0], thickness, index)
+    if not math.isfinite(points.efl_mm):
+        raise InputError("the lens is afocal: it has no principal planes, and no thin lens stands for it")
+    axis = system.rotation[0, 0, :, 2]
+    front = vertex[0] + points.front_principal_z_mm * axis
+    rear = vertex[0] + points.rear_principal_z_mm * axis
+    if front[2] <= scene.object_grid.z_mm:
+        raise InputError(f"the front principal plane, z = {front[2]:g} mm, lies in front of the object grid")
+    path = float(index[1:-1] @ thickness) - index[0] * points.front_principal_z_mm
+    path += index[-1] * (points.rear_principal_z_mm - float(np.sum(thickness)))
+    semi = _cone_tangent(scene) * (points.front_principal_z_mm - scene.object_grid.z_mm)
+    return _ThinLens(1.0 / points.efl_mm, front, rear, semi, float(path))
+
+
+def _cone_tangent(scene: Scene) -> float:
+    """Tangent of the marginal ray's angle, of the nominal lens."""
+    lens = scene.lens
+    nominal = compile_system(lens, scene.wavelength_um)
+    _, heading = launch_compiled(
+        nominal,
+        [(0.0, 0.0)],
+        [(0.0, 1.0)],
+        scene.object_grid.z_mm,
+        lens.stop_index,
+        lens.stop_semi_diameter_mm,
+    )
+    return float(heading[0, 1] / heading[0, 2])
+
+
+class ThinLens(Engine):
+    """Thin lens in the principal planes.
+
+    Parameters
+    ----------
+    scene
+        What is carried where. A displaced or tilted lens takes its principal points along; of surfaces that
+        are perturbed alone, only radius, thickness and index count; figures do not.
+    pitch_mm
+        In the principal planes; chosen if left out.
+    force
+        Run even what takes more than some hours or gigabytes.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable.
+    """
+
+    name = "thin-lens"
+
+    def __init__(self, scene: Scene, *, pitch_mm: float | None = None, force: bool = False) -> None:
+        super().__init__(scene)
+        if pitch_mm is not None and not (math.isfinite(pitch_mm) and pitch_mm > 0.0):
+            raise InputError(f"pitch_mm = {pitch_mm!r}: must be finite and greater than 0")
+        self._pitch_mm, self._force = pitch_mm, force
+
+    @cached_property
+    def thin(self) -> _ThinLens:
+        """First-order properties."""
+        return _thin_lens(self.scene)
+
+    @cached_property
+    def lens_grids(self) -> tuple[Grid, Grid]:
+        """The same samples in the front and in the rear principal plane.
+
+        Raises
+        ------
+        SamplingError
+            If the pitch asked for cannot hold the light there.
+        """
+        thin, coarsest = self.thin, math.pi / self._steepest_per_mm()
+        pitch = FINENESS * coarsest if self._pitch_mm is None else self._pitch_mm
+        if pitch > coarsest:
+            raise SamplingError(
+                f"pitch_mm = {pitch:.4g} in the principal planes: too coarse for the steepest light there; "
+                f"at most {coarsest:.4g} mm holds it"
+            )
+        count = scipy.fft.next_fast_len(math.ceil(2.0 * WINDOW_MARGIN * thin.semi_diameter_mm / pitch))
+        shape = (count,) * len(self.scene.object_grid.shape)
+        x_count = 0.0 if self.scene.object_grid.is_line else 1.0
+        front, rear = (
+            Grid(shape, pitch, float(p[2]), (float(x_count * p[0]), float(p[1])))
+            for p in (thin.front_mm, thin.rear_mm)
+        )
+        return front, rear
+
+    def _steepest_per_mm(self) -> float:
+        """Largest transverse wave number on either side, from all of the object to all of the stop."""
+        thin, grid = self.thin, self.scene.object_grid
+        k, (before, behind) = self.scene.wavenumber_per_mm, self.scene.system.index[0, [0, -1]]
+        offset = np.hypot(*(np.array(grid.centre_mm) - thin.front_mm[:2]))
+        far = np.array([-1.0, 1.0]) * (offset + math.hypot(*grid.half_widths_mm))
+        stop = np.array([-1.0, 1.0])[:, None] * thin.semi_diameter_mm
+        lean = stop - far
+        into = before * lean / np.hypot(lean, thin.front_mm[2] - grid.z_mm)
+        out = np.clip(into - thin.power_per_mm * stop, -behind, behind)
+        return float(k * max(np.max(np.abs(into)), np.max(np.abs(out))))
+
+    def _phase(self) -> NDArray[np.complex128]:
+        """What the lens does to the field, stop and optical path included."""
+        grid, thin = self.lens_grids[0], self.thin
+        (x, y), k = grid.centre_mm, self.scene.wavenumber_per_mm
+        r2 = (grid.y_mm - y) ** 2
+        if not grid.is_line:
+            r2 = r2[:, None] + (grid.x_mm - x) ** 2
+        path = np.mod(k * (thin.extra_path_mm - 0.5 * thin.power_per_mm * r2), 2.0 * np.pi)
+        passed = self._axial_transmission()
+        return np.asarray(np.where(r2 <= thin.semi_diameter_mm**2, passed * np.exp(1j * path), 0.0))
+
+    def _axial_transmission(self) -> float:
+        """Factor of the field along the axis, of all surfaces together."""
+        scene, along = self.scene, np.ones(1)
+        factors = [
+            transmission(scene.coating, float(n1), float(n2), along, along, scene.object_grid.is_line)
+            for n1, n2 in pairwise(scene.system.index[0])
+        ]
+        return float(np.prod(factors))
+
+    @cached_property
+    def _transfers(self) -> tuple[GridTransfer, GridTransfer]:
+        """From the object to the front principal plane, and from the rear one to the exit."""
+        scene, (front, rear) = self.scene, self.lens_grids
+        before, behind = (float(n) for n in scene.system.index[0, [0, -1]])
+        return (
+            GridTransfer(scene.object_grid, front, scene.wavelength_um, before),
+            GridTransfer(rear, scene.exit_grid, scene.wavelength_um, behind),
+        )
+
+    @cached_property
+    def _prepared(self) -> tuple[GridTransfer, NDArray[np.complex128], GridTransfer]:
+        into, out_of = self._transfers
+        size = max(self.lens_grids[0].size, into.samples, out_of.samples)
+        refuse_if_huge(self.name, size, self.cost(), self._force)
+        return into, self._phase(), out_of
+
+    def _forward(self, values: Any) -> Any:
+        into, phase, out_of = self._prepared
+        return out_of.forward(into.forward(values) * phase)
+
+    def _adjoint(self, values: Any) -> Any:
+        into, phase, out_of = self._prepared
+        return into.adjoint(out_of.adjoint(values) * phase.conj())
+
+    def settings(self) -> dict[str, Any]:
+        return {"pitch_mm": self.lens_grids[0].pitch_mm}
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        waves, error = self._misfit()
+        what = f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
+        found = [Neglected(what, error), *self._figures()]
+        return tuple(sorted(found, key=lambda part: -part.relative_error))
+
+    def _figures(self) -> list[Neglected]:
+        """The figure of each surface, as the phase that it adds to light along the axis."""
+        scene, found = self.scene, []
+        for i, figures in enumerate(scene.system.figures):
+            semi = scene.lens.surfaces[i].semi_diameter_mm or min(
+                (f.semi_diameter_mm for f in figures), default=0.0
+            )
+            for figure in figures:
+                _, rms = pv_rms_waves(figure, semi)
+                step = abs(float(scene.system.index[0, i + 1] - scene.system.index[0, i]))
+                waves = rms * step * TEST_WAVELENGTH_UM / scene.wavelength_um
+                error = min(2.0 * math.pi * waves, math.sqrt(2.0))
+                found.append(Neglected(f"figure of surface {i + 1}: {waves:.3g} waves rms", error))
+        return found
+
+    def _misfit(self) -> tuple[float, float]:
+        """Difference of optical path, rms waves with its mean removed, and relative error of the field.
+
+        Both come from the rays of one object point in a meridional plane of the nominal lens.
+        """
+        scene, lens = self.scene, self.scene.lens
+        x, y = scene.object_grid.centre_mm
+        height = y if scene.object_grid.is_line else math.hypot(x, y)
+        nominal = compile_system(lens, scene.wavelength_um)
+        origins, headings = launch_compiled(
+            nominal,
+            [(0.0, height)],
+            pupil_fan(FAN_RAYS).points,
+            scene.object_grid.z_mm,
+            lens.stop_index,
+            lens.stop_semi_diameter_mm * (1.0 - 1e-9),
+        )
+        rays = trace_compiled(nominal, origins, headings, scene.exit_grid.z_mm)
+        if not np.any(rays.ok):
+            raise InputError(f"no ray from the object point at y = {height:g} mm gets through the lens")
+        landing, path = self._thin_rays(height)
+        reached = rays.position[rays.ok, 1]
+        apart = rays.opl[rays.ok] - np.interp(reached, landing, path, left=np.nan, right=np.nan)
+        both = np.isfinite(apart)
+        # Where only one of the two fields has light, nothing of it is right.
+        phase = scene.wavenumber_per_mm * apart[both]
+        energy = np.sum(2.0 - 2.0 * np.cos(phase)) + 2.0 * np.count_nonzero(~both)
+        rms = float(np.std(phase)) / (2.0 * math.pi) if np.any(both) else math.nan
+        return rms, math.sqrt(float(energy) / len(apart))
+
+    def _thin_rays(self, height_mm: float) -> tuple[Array, Array]:
+        """Where rays through the thin lens land on the exit grid's plane, increasing, and their paths."""
+        scene = self.scene
+        thin = _thin_lens(Scene(scene.lens, scene.object_grid, scene.exit_grid, scene.wavelength_um))
+        before, behind = scene.system.index[0, [0, -1]]
+        at = np.linspace(-1.0, 1.0, FAN_RAYS) * thin.semi_diameter_mm
+        first = np.hypot(at - height_mm, thin.front_mm[2] - scene.object_grid.z_mm)
+        sine = (before * (at - height_mm) / first - thin.power_per_mm * at) / behind
+        at, first, sine = (a[np.abs(sine) < 1.0] for a in (at, first, sine))
+        second = (scene.exit_grid.z_mm - thin.rear_mm[2]) / np.sqrt(1.0 - sine**2)
+        path = before * first - 0.5 * thin.power_per_mm * at**2 + thin.extra_path_mm + behind * second
+        landing = at + sine * second
+        order = np.argsort(landing)
+        return landing[order], path[order]
+
+    def cost(self) -> Cost:
+        into, out_of = self._transfers
+        size = self.lens_grids[0].size
+        largest = max(into.peak_bytes, out_of.peak_bytes)
+        seconds = into.seconds + out_of.seconds + pass_seconds(size)
+        setup = exponential_seconds(size) + 6.0 * pass_seconds(size)
+        return Cost(seconds, setup, max(largest + 32 * size, 64 * size))

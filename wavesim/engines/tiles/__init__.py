@@ -1,0 +1,1 @@
+"""Eikonal tiles: the default engine for a patch of the object."""

@@ -1,0 +1,115 @@
+"""What eikonal tiles take, told from sizes and from the rays of the middle tile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wavesim.engines.tiles.operator import Tile, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.engines.tiles.residual import FACTOR_ORDER
+from wavesim.fields.resampling import kernel_for
+from wavesim.rays.exit_planes import ExitPlane
+from wavesim.rays.maps import BLOCK, RayMap
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.scene.engine import Cost, Scene
+
+PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
+"""To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""
+
+SPREAD_PASSES = 60
+"""Complex products that take as long as one nonuniform point."""
+
+SPREAD_OUT = {True: 1.0, False: 2.4}
+"""What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
+
+COMPLEX = 16
+
+BASE_BYTES, LEAST_BYTES = 100_000, {True: 650_000, False: 18_000_000}
+"""Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
+
+
+@dataclass(frozen=True)
+class _Size:
+    """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane.
+
+    `map_terms` is that of its maps' polynomials along one axis.
+    """
+
+    modes: int
+    coarse: int
+    points: int
+    window: int
+    taps: int
+    map_terms: int
+
+
+def tiles_cost(
+    scene: Scene,
+    plane: ExitPlane,
+    tiles: Sequence[Tile],
+    rank: int,
+    low_rank: bool,
+    mapper: Callable[[tuple[float, float]], RayMap],
+    error: float,
+) -> Cost:
+    """Predict time and memory for complex128 fields, all tiles taken for equal to the middle one."""
+    middle = tiles[len(tiles) // 2]
+    carrier = mapper(middle.centre_mm)
+    size = _sizes(scene, plane, middle, carrier, error)
+    count, shape = len(tiles), plane.grid.shape
+    one = rank * (
+        fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(SPREAD_PASSES * size.points)
+    )
+    one += pass_seconds(10 * size.window)
+    if size.taps:
+        one += pass_seconds(2 * size.taps * size.window + size.coarse)
+    one *= SPREAD_OUT[scene.object_grid.is_line]
+    setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
+    setup += 40.0 * pass_seconds(size.window + size.points)
+    kept, passing = _bytes(size, rank, low_rank, len(shape))
+    beyond_seconds, beyond_bytes = 0.0, 0
+    if plane.beyond is not None:
+        beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
+    result = COMPLEX * math.prod(shape)
+    return Cost(
+        count * one + beyond_seconds,
+        PROBE_SECONDS[scene.object_grid.is_line] + count * setup,
+        max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, result + beyond_bytes)),
+    )
+
+
+def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: float) -> _Size:
+    grid = plane.grid
+    low, high = carrier.rim_mm.min(axis=0), carrier.rim_mm.max(axis=0)
+    axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
+    ends = zip(low, high, axes, strict=True)
+    sides = [float(np.clip(min(h, a[-1]) - max(b, a[0]), 0.0, None)) for b, h, a in ends]
+    window = math.prod(math.ceil(side / grid.pitch_mm) + 1 for side in sides)
+    modes = math.prod(len(o) for o in tile.offsets_mm)
+    filled = 1.0 if grid.is_line else 0.25 * math.pi
+    terms = int(carrier.maps.coefficients.shape[1])
+    steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, scene.wavenumber_per_mm)
+    if not coarse_is_used(steps, axes):
+        return _Size(modes, 0, int(filled * window), window, 0, terms)
+    taps = kernel_for(precision_for(np.dtype(complex), error).interpolation_error).taps
+    coarse = math.prod(math.ceil(side / step) + taps + 1 for side, step in zip(sides, steps, strict=True))
+    return _Size(modes, coarse, int(filled * coarse), window, taps, terms)
+
+
+def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int) -> tuple[int, int]:
+    """Kept by one tile, and held beside while it is made or used."""
+    kept = COMPLEX * rank * (size.modes + size.points) + size.window
+    if size.taps:
+        kept += COMPLEX * size.window + size.coarse
+    making = (2 * COMPLEX * rank + 8 * (3 * dimensions + 3)) * size.points
+    if dimensions == 1:
+        making = max(making, (5 * 8 + 3 * COMPLEX) * size.window)
+        terms = size.map_terms * 8
+        if low_rank:
+            terms = max(terms, (FACTOR_ORDER[True] + 1) * (8 + COMPLEX))
+        making += min(size.points, BLOCK) * terms
+    using = COMPLEX * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
+    return kept, max(making, using) + BASE_BYTES

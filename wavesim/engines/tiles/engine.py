@@ -1,0 +1,208 @@
+"""Eikonal tiles: rays carry the phase, Fourier transforms carry the object.
+
+The object is cut into tiles. Near a tile's centre c the optical path to a sensor point s is that of c less
+p(s).d, but for a small rest, so that the field of a tile is a spectrum at the directions p(s), times
+a exp(i k V): U(s) = lambda^(-1) a exp(i k V - i pi/2) sum_r u_r(s) times the integral of O(d) v_r(d)
+exp(-i k p(s).d), on a plane; on a line lambda and the phase go with half of these powers. Amplitude a and
+path V come from rays, so that it is the leading order in wavelength over the distances to caustics.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.engines.tiles.cost import tiles_cost
+from wavesim.engines.tiles.edge import edge_error, shared_spans
+from wavesim.engines.tiles.operator import Precision, TileOperator, precision_for
+from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
+from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
+from wavesim.rays.exit_planes import ExitPlane, exit_plane
+from wavesim.rays.maps import RayMap, ray_map
+from wavesim.runtime.blas import one_blas_thread
+from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+
+EXPANSION_SHARE = 0.5
+"""Of the error allowed, what a tile's expansion may take."""
+
+
+class EikonalTiles(Engine):
+    """Eikonal tiles.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is carried where.
+    tile_width_mm : float, optional
+        Largest side of a tile; chosen from the error allowed if left out.
+    error : float
+        Relative L2 error of the exit field that tiles may leave, for an object that fills them evenly with
+        light of all directions.
+    quadratic : {"low-rank", "mean"}
+        What stands for the rest of the path over a tile, of second and higher order in d: a short sum of
+        products, or its mean over the footprint. With the mean, tiles must be narrower.
+    plane_z_mm : float, optional
+        z of the plane behind the lens on which tiles are summed, where rays must not fold; free space lies
+        between it and the exit grid. Left out, it is the exit grid's, or one that is free of folds.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable, or no light gets through.
+    FoldError
+        On first use, if rays fold on the plane asked for, or on all planes.
+    SamplingError
+        On first use, if tiles of the width asked for err by more than three times the error allowed; up to
+        that there is a SamplingWarning.
+    """
+
+    name = "eikonal"
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        tile_width_mm: float | None = None,
+        error: float = 1e-2,
+        quadratic: Quadratic = "low-rank",
+        plane_z_mm: float | None = None,
+    ) -> None:
+        super().__init__(scene)
+        if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
+            raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
+        if not 1e-5 <= error <= 1.0:
+            raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
+        if quadratic not in get_args(Quadratic):
+            raise InputError(f"quadratic = {quadratic!r}: allowed: {', '.join(get_args(Quadratic))}")
+        if plane_z_mm is not None and not math.isfinite(plane_z_mm):
+            raise InputError(f"plane_z_mm = {plane_z_mm!r}: must be finite")
+        self._tile_width_mm, self._error, self._quadratic = tile_width_mm, error, quadratic
+        self._plane_z_mm = plane_z_mm
+        self._allowed = EXPANSION_SHARE * error if quadratic == "low-rank" else error
+        self._maps: dict[tuple[float, float], RayMap] = {}
+        self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
+
+    @cached_property
+    def plane(self) -> ExitPlane:
+        """Where tiles are summed, and the free space behind."""
+        return exit_plane(self.scene, self._plane_z_mm)
+
+    @cached_property
+    def probe(self) -> Probe:
+        """The cut into tiles, and what some of them leave out."""
+        with one_blas_thread():
+            if self._tile_width_mm is None:
+                return chosen_probe(self.scene, self._allowed, self._quadratic, self._map)
+            return checked_probe(self.scene, self._tile_width_mm, self._allowed, self._quadratic, self._map)
+
+    def _map(self, point_mm: tuple[float, float]) -> RayMap:
+        if point_mm not in self._maps:
+            grid = self.scene.object_grid
+            self._maps[point_mm] = ray_map(
+                self.scene, point_mm, self.plane.grid.z_mm, max(grid.half_widths_mm)
+            )
+        return self._maps[point_mm]
+
+    @cached_property
+    def _expansions(self) -> tuple[Separable, ...]:
+        allowed = max(self._allowed, self.probe.error(self._quadratic, self._allowed))
+        return tuple(
+            expansion(
+                tile_residual(self.scene, t.centre_mm, t.spans_mm, self._map(t.centre_mm)),
+                self._quadratic,
+                allowed,
+            )
+            for t in self.probe.tiles
+        )
+
+    def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        if dtype not in self._operators:
+            with one_blas_thread():
+                self._operators[dtype] = self._made(precision_for(dtype, self._error))
+        return self._operators[dtype]
+
+    def _made(self, precision: Precision) -> tuple[TileOperator, ...]:
+        grid = self.plane.grid
+        axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
+        tiles = self.probe.tiles
+        carriers = [self._map(tile.centre_mm) for tile in tiles]
+        spans = shared_spans(self.scene, tiles, carriers, axes)
+        return tuple(
+            TileOperator(self.scene, tile, carrier, factors, axes, lit, precision)
+            for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
+        )
+
+    def _forward(self, values: Any) -> Any:
+        field = _usable(values)
+        result = np.zeros(self.plane.grid.shape, field.dtype)
+        scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
+        for operator in self._prepared(field.dtype):
+            operator.add_forward(scaled, result)
+        if self.plane.beyond is None:
+            return result
+        return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
+
+    def _adjoint(self, values: Any) -> Any:
+        field = _usable(values)
+        dtype = field.dtype
+        if self.plane.beyond is not None:
+            field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)
+        result = np.zeros(self.scene.object_grid.shape, dtype)
+        for operator in self._prepared(dtype):
+            result[operator.part] += operator.adjoint(field)
+        return result * result.real.dtype.type(self.plane.grid.cell)
+
+    def settings(self) -> dict[str, Any]:
+        grid = self.scene.object_grid
+        width = max(n * grid.pitch_mm / c for n, c in zip(grid.shape, self.probe.counts, strict=True))
+        return {
+            "tile_width_mm": width,
+            "error": self._error,
+            "quadratic": self._quadratic,
+            "plane_z_mm": self.plane.grid.z_mm,
+        }
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        rms, largest = self.probe.neglected_waves
+        count, rank = len(self.probe.tiles), 1
+        left = self.probe.error(self._quadratic, self._allowed)
+        if self._quadratic == "low-rank":
+            rank = self.probe.rank_for(self._allowed)
+        what = (
+            f"path of second and higher order in a tile's offset, beyond {rank} term(s) in each of {count} "
+            f"tile(s); beyond their mean it is {rms:.2g} waves rms, {largest:.2g} at most"
+        )
+        middle = self.probe.tiles[len(self.probe.tiles) // 2]
+        share, diffracted = edge_error(self.scene, middle, self._map(middle.centre_mm))
+        return tuple(
+            sorted(
+                (
+                    Neglected(what, left),
+                    Neglected("movement of the aperture's edge over a tile, object evenly lit", share),
+                    Neglected("diffraction at the aperture's edge in front of the plane", diffracted),
+                ),
+                key=lambda part: -part.relative_error,
+            )
+        )
+
+    def cost(self) -> Cost:
+        rank = self.probe.rank_for(self._allowed) if self._quadratic == "low-rank" else 1
+        return tiles_cost(
+            self.scene,
+            self.plane,
+            self.probe.tiles,
+            rank,
+            self._quadratic == "low-rank",
+            self._map,
+            self._error,
+        )
+
+
+def _usable(values: Any) -> NDArray[np.complexfloating]:
+    field = np.asarray(values)
+    return field if field.dtype == np.complex64 else field.astype(np.complex128, copy=False)

@@ -1,0 +1,311 @@
+"""The field of one tile of the object on a plane behind the lens, and back.
+
+A nonuniform Fourier transform gives the tile's spectrum at the directions in which its centre's rays leave.
+Without its carrier a exp(i k V) the field is band-limited by the tile's own width: on a plane it is computed
+on a coarse grid and interpolated, where that grid has fewer samples.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import finufft  # type: ignore[import-untyped]
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.engines.tiles.residual import Separable
+from wavesim.fields.resampling import (
+    OVERSAMPLING,
+    Kernel,
+    Weights,
+    add_interpolated,
+    coarse_axis,
+    gathered,
+    interpolation,
+    kernel_for,
+)
+from wavesim.rays.maps import RayMap
+from wavesim.rays.ray_bundles import RayBundle
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+MOST_THREADS = 16
+THREADS = min(
+    MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+)
+"""That share the work: one for each core that may be used."""
+
+BAND_MARGIN = 1.1
+"""Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
+
+WORTH_WHILE = 1.5
+"""A coarse grid is used where its samples are so much wider apart than the fine ones."""
+
+ROWS = 64
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of the object grid.
+
+    Attributes
+    ----------
+    part : tuple of slice
+        Of the object grid's samples.
+    centre_mm : (x, y)
+        The sample whose rays carry the tile.
+    offsets_mm : tuple of ndarray
+        Of the samples from the centre, y (and x).
+    pitch_mm : float
+        Of the object grid.
+    """
+
+    part: tuple[slice, ...]
+    centre_mm: tuple[float, float]
+    offsets_mm: tuple[Array, ...]
+    pitch_mm: float
+
+    @property
+    def spans_mm(self) -> Array:
+        """From where to where the tile extends about its centre, shape (d, 2)."""
+        half = 0.5 * self.pitch_mm
+        return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How finely a tile is computed.
+
+    Attributes
+    ----------
+    dtype : numpy dtype
+        complex64 or complex128.
+    transform_error : float
+        Of the nonuniform Fourier transform.
+    interpolation_error : float
+        Of the interpolation from the coarse grid.
+    """
+
+    dtype: np.dtype[Any]
+    transform_error: float
+    interpolation_error: float
+
+
+def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
+    """Well below the error allowed, and no finer than the type of number holds."""
+    single = dtype == np.complex64
+    transform = float(np.clip(1e-2 * error, 1e-5, 1e-3)) if single else 1e-12
+    return Precision(dtype, transform, max(3e-2 * error, 1e-7))
+
+
+def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float) -> Array:
+    """Sample spacings that hold a tile's field without its carrier, in the order (y, x)."""
+    ok = bundle.ok
+    slopes = np.abs(bundle.cosine_jacobian[ok] @ np.linalg.inv(bundle.jacobian[ok]))
+    reach = np.max(np.abs(spans_mm), axis=1)
+    band = wavenumber_per_mm * np.max(np.einsum("i,nij->nj", reach, slopes), axis=0)
+    return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
+
+
+def coarse_is_used(steps_mm: Array, axes: tuple[Array, ...]) -> bool:
+    """Whether a tile's field is computed on a coarse grid, and not at the samples themselves."""
+    if len(axes) == 1 or min(len(axis) for axis in axes) < 2:
+        return False
+    return bool(steps_mm.min() > WORTH_WHILE * (axes[0][1] - axes[0][0]))
+
+
+class TileOperator:
+    """One tile, ready to be carried to a plane and back.
+
+    Parameters
+    ----------
+    scene
+        Lens and wavelength.
+    tile
+        Which part of the object.
+    carrier, factors
+        Of the tile's centre, and of what the Fourier transform leaves out.
+    axes
+        Samples y (and x) of the plane.
+    spans
+        Those that the tile's light reaches: first and end per row.
+    precision
+        How finely.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tile: Tile,
+        carrier: RayMap,
+        factors: Separable,
+        axes: tuple[Array, ...],
+        spans: NDArray[np.intp],
+        precision: Precision,
+    ) -> None:
+        self.part = tile.part
+        self._dtype = precision.dtype
+        rows = np.nonzero(spans[:, 1] > spans[:, 0])[0] if len(axes) == 2 else np.array([0])
+        self.window: tuple[slice, ...] = tuple(slice(0, 0) for _ in axes)
+        self._plans: tuple[Any, Any] | None = None
+        if not np.any(spans[:, 1] > spans[:, 0]):
+            return
+        lit = spans[rows[0] : rows[-1] + 1]
+        full = lit[:, 1] > lit[:, 0]
+        across = slice(int(lit[full, 0].min()), int(lit[full, 1].max()))
+        self.window = (slice(int(rows[0]), int(rows[-1]) + 1), across) if len(axes) == 2 else (across,)
+        fine = tuple(axis[part] for axis, part in zip(axes, self.window, strict=True))
+        self._tile_factors = factors.tile_factors(list(tile.offsets_mm)).astype(self._dtype)
+        k = scene.wavenumber_per_mm
+        limit = np.pi / (k * tile.pitch_mm)
+        carried = _carrier(carrier, fine, lit - across.start, k, limit, self._dtype)
+        if not np.any(carried):
+            return
+        steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, k)
+        self._ways: tuple[Weights, Weights] | None = None
+        self._carried: NDArray = carried
+        if coarse_is_used(steps, axes):
+            kernel = kernel_for(precision.interpolation_error)
+            coarse = tuple(coarse_axis(a, h, kernel) for a, h in zip(fine, steps, strict=True))
+            self._prepare_coarse(fine, coarse, kernel, carried)
+        else:
+            coarse = fine
+            self._needed = carried != 0.0
+        points = np.stack([m[self._needed] for m in np.meshgrid(*coarse, indexing="ij")], axis=-1)
+        cosines = carrier.maps.at(points)[2:]
+        sensor = None if factors.sensor_factors is None else factors.sensor_factors.at(points)
+        if self._ways is None:
+            weight = carried[self._needed][None]
+            self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
+        else:
+            self._weights = None if sensor is None else sensor.astype(self._dtype)
+        self._plans = _plans(cosines * (k * tile.pitch_mm), self._tile_factors.shape, precision)
+
+    def _prepare_coarse(
+        self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
+    ) -> None:
+        along_y, along_x = (interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True))
+        touched = [(abs(way.matrix()) > 0.0).astype(np.float32) for way in (along_y, along_x)]
+        lit = (carried != 0.0).astype(np.float32)
+        self._needed = (touched[1].T @ (touched[0].T @ lit).T).T > 0.0
+        real = np.float32 if self._dtype == np.complex64 else np.float64
+        self._ways = along_y.astype(real), along_x.astype(real)
+
+    def add_forward(self, values: NDArray, result: NDArray) -> None:
+        """Add the tile's field to the field on the plane."""
+        if self._plans is None:
+            return
+        modes = np.ascontiguousarray(self._tile_factors * values[self.part])
+        spectrum = self._plans[0].execute(modes if len(modes) > 1 else modes[0])
+        spectrum = np.atleast_2d(spectrum)
+        if self._weights is not None:
+            spectrum = np.einsum("rn,rn->n", self._weights, spectrum)
+        field = np.zeros(self._needed.shape, self._dtype)
+        field[self._needed] = spectrum.ravel()
+        if self._ways is None:
+            result[self.window] += field
+        else:
+            add_interpolated(field, self._ways, self._carried, result[self.window], THREADS)
+
+    def adjoint(self, values: NDArray) -> NDArray:
+        """Conjugate transpose of what :meth:`add_forward` adds: values on the tile's part of the object."""
+        if self._plans is None:
+            return np.zeros((), self._dtype)
+        field = values[self.window]
+        if self._ways is not None:
+            field = gathered(field, self._ways, self._carried, THREADS)
+        strength = field[self._needed]
+        count = len(self._tile_factors)
+        if self._weights is not None:
+            strength = self._weights.conj() * strength
+        elif count > 1:
+            strength = np.broadcast_to(strength, (count, len(strength)))
+        strength = np.ascontiguousarray(strength.reshape(count, -1) if count > 1 else strength.ravel())
+        modes = self._plans[1].execute(strength)
+        modes = modes.reshape(self._tile_factors.shape)
+        return np.asarray(np.sum(self._tile_factors.conj() * modes, axis=0))
+
+
+def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[finufft.Plan, finufft.Plan]:
+    """Transforms of types 2 and 1 that are each other's conjugate transpose."""
+    points, threads = folded(angles, precision.dtype), THREADS if len(shape) == 3 else 1
+    first, second = (fourier_plan(kind, points, shape, precision, threads) for kind in (2, 1))
+    return first, second
+
+
+def folded(angles: Array, dtype: np.dtype[Any]) -> NDArray[np.floating[Any]]:
+    """Angles within half a turn, shape (d, n); folded in float64, for the sake of single precision."""
+    real = np.float32 if dtype == np.complex64 else np.float64
+    return np.ascontiguousarray(np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi, real)
+
+
+def fourier_plan(
+    kind: int, points: NDArray[np.floating[Any]], shape: tuple[int, ...], precision: Precision, threads: int
+) -> finufft.Plan:
+    """A nonuniform transform of type 2, or of type 1, its conjugate transpose.
+
+    Parameters
+    ----------
+    kind
+        2 or 1.
+    points
+        As of :func:`folded`.
+    shape
+        Number of transforms, then of modes along each axis.
+    precision
+        How finely.
+    threads
+        Number of threads.
+    """
+    plan = finufft.Plan(
+        kind,
+        shape[1:],
+        shape[0],
+        precision.transform_error,
+        -1 if kind == 2 else 1,
+        dtype=precision.dtype.name,
+        nthreads=threads,
+        upsampfac=1.25 if precision.transform_error > 9e-5 else 2.0,
+        showwarn=0,
+    )
+    plan.setpts(*points)
+    return plan
+
+
+def _carrier(
+    carrier: RayMap,
+    axes: tuple[Array, ...],
+    spans: NDArray[np.intp],
+    wavenumber_per_mm: float,
+    limit: float,
+    dtype: np.dtype[Any],
+) -> NDArray:
+    """a exp(i k V) with the constant phase of the propagator, 0 outside the footprint and the object's band.
+
+    Shape of the axes; `limit` is the largest cosine that the object grid holds.
+    """
+    wavelength_mm = 2.0 * np.pi / wavenumber_per_mm
+    turn = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
+    scale = wavelength_mm ** (-0.5 * len(axes))
+    result = np.empty(tuple(len(a) for a in axes), dtype)
+    if len(axes) == 1:
+        values = carrier.maps.at(axes[0][:, None])
+        result[:] = _wave(values, wavenumber_per_mm, turn, scale, limit)
+        return result
+    columns = np.arange(len(axes[1]))
+    for start in range(0, len(axes[0]), ROWS):
+        rows = slice(start, start + ROWS)
+        values = carrier.maps.on_axes((axes[0][rows], axes[1]))
+        inside = (columns >= spans[rows, :1]) & (columns < spans[rows, 1:])
+        result[rows] = np.where(inside, _wave(values, wavenumber_per_mm, turn, scale, limit), 0.0)
+    return result
+
+
+def _wave(values: Array, wavenumber_per_mm: float, turn: float, scale: float, limit: float) -> NDArray:
+    phase = np.remainder(wavenumber_per_mm * values[0] + turn, 2.0 * np.pi)
+    held = np.all(np.abs(values[2:]) <= limit, axis=0)
+    return np.asarray(np.where(held, scale * values[1], 0.0) * (np.cos(phase) + 1j * np.sin(phase)))

@@ -1,0 +1,282 @@
+"""What a tile's field is beside the Fourier transform of its object, and a short expansion of it.
+
+The light of object point c + d at sensor point s differs from that of c by a factor
+exp(-i k p(s).d) R(s, d). The first is the Fourier kernel. The second, R = a'/a exp(i k (V' - V + p.d)), holds
+all that is left: the quadratic term of V in d, cubic ones, the change of amplitude. Rays from points of the
+tile, aimed at the sensor points of the rays from c, sample it. It is replaced by few terms
+sum_r u_r(s) v_r(d): one, its mean over the footprint, or as many of its singular vectors as the error
+allowed asks for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from wavesim.rays.maps import RayMap, RayMapError, SmoothMap, fit_map, sample_points
+from wavesim.rays.ray_bundles import shoot, trace_bundle
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Quadratic = Literal["mean", "low-rank"]
+
+NODES = 5
+"""Points along each side of a tile from which rays are aimed: R's exponent is of fourth order in d there."""
+
+FINE_NODES = 14
+SAMPLE_ORDER, FACTOR_ORDER = {True: 48, False: 14}, {True: 40, False: 12}
+"""Orders, on a line and on a plane, of the rays' sampling and of the polynomials for u_r(s)."""
+
+AIM_STEPS = 5
+AIMED_MM = 1e-6
+MAX_RANK = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Separable:
+    """R(s, d) as a sum of products.
+
+    Attributes
+    ----------
+    sensor_factors : SmoothMap or None
+        u_r(s), rank r; None is the one factor 1.
+    logarithm : ndarray, shape (nodes[, nodes])
+        Of a factor that all v_r(d) share, at Chebyshev points of the tile (y, x).
+    tile_nodes : ndarray, shape (rank, nodes[, nodes])
+        The rest of v_r(d), at Chebyshev points of the tile.
+    spans_mm : ndarray, shape (d, 2)
+        From where to where the tile extends about c, in the order (y, x).
+    relative_error : float
+        Root of the mean of |R - sum|^2 over tile and footprint.
+    """
+
+    sensor_factors: SmoothMap | None
+    logarithm: ComplexArray
+    tile_nodes: ComplexArray
+    spans_mm: Array
+    relative_error: float
+
+    @property
+    def rank(self) -> int:
+        """Number of terms."""
+        return len(self.tile_nodes)
+
+    def tile_factors(self, offsets_mm: list[Array]) -> ComplexArray:
+        """v_r(d) on the grid of offsets (y, or y and x), shape (rank, ny[, nx])."""
+        places = [_scaled(o, span) for o, span in zip(offsets_mm, self.spans_mm, strict=True)]
+        shared, own = (
+            _along_axes([_interpolation(values.shape[1], p) for p in places], values)
+            for values in (self.logarithm[None], self.tile_nodes)
+        )
+        return np.asarray(np.exp(shared) * own)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Samples of ln R(s, d) for one tile.
+
+    Attributes
+    ----------
+    sensor_mm : ndarray, shape (n, d)
+        Sensor points.
+    weights : ndarray, shape (n,)
+        Their shares of the light that an even spectrum sends through the lens; their sum is 1.
+    logarithm : complex ndarray, shape (n, nodes[, nodes])
+        At the Chebyshev points of the tile, borders included.
+    spans_mm : ndarray, shape (d, 2)
+        Of the tile about c.
+    """
+
+    sensor_mm: Array
+    weights: Array
+    logarithm: ComplexArray
+    spans_mm: Array
+
+    @cached_property
+    def mean(self) -> ComplexArray:
+        """Mean of the logarithm over the footprint, shape (nodes[, nodes])."""
+        return np.asarray(np.tensordot(self.weights, self.logarithm, axes=1))
+
+    @cached_property
+    def neglected_waves(self) -> tuple[float, float]:
+        """Path that the mean leaves out, at the tile's worst point: rms over the footprint, and largest."""
+        waves = (self.logarithm - self.mean).imag / (2.0 * np.pi)
+        square = np.tensordot(self.weights, waves**2, axes=1)
+        return float(np.sqrt(square.max())), float(np.abs(waves).max())
+
+    @cached_property
+    def fine(self) -> tuple[ComplexArray, Array]:
+        """R over its mean at Gauss points of the tile, shape (n, m), and their weights."""
+        points, weights = np.polynomial.legendre.leggauss(FINE_NODES)
+        ways = [_interpolation(NODES, points)] * len(self.spans_mm)
+        values = _along_axes(ways, self.logarithm - self.mean).reshape(len(self.weights), -1)
+        shares = 0.5 * weights
+        if len(self.spans_mm) == 2:
+            shares = np.multiply.outer(shares, shares).ravel()
+        return np.exp(values), shares
+
+    def mean_error(self) -> float:
+        """Relative error of the exit field if the mean stands for R."""
+        values, shares = self.fine
+        return float(np.sqrt(self.weights @ np.abs(values - 1.0) ** 2 @ shares))
+
+    def mean_term(self) -> Separable:
+        """The mean of ln R over the footprint alone."""
+        one = np.ones((1,) + (1,) * len(self.spans_mm), complex)
+        return Separable(None, self.mean, one, self.spans_mm, self.mean_error())
+
+    @cached_property
+    def _singular(self) -> tuple[ComplexArray, Array, ComplexArray]:
+        values, shares = self.fine
+        scaled = np.sqrt(self.weights)[:, None] * values * np.sqrt(shares)
+        return np.linalg.svd(scaled, full_matrices=False)
+
+    @cached_property
+    def _left(self) -> Array:
+        """Relative error that 0, 1, ... terms leave."""
+        rest = np.cumsum(self._singular[1][::-1] ** 2)[::-1]
+        return np.asarray(np.sqrt(np.append(rest, 0.0) / rest[0]))
+
+    def left_by(self, rank: int) -> float:
+        """Relative error that so many terms leave."""
+        return float(self._left[rank])
+
+    def rank_for(self, error: float) -> int:
+        """Number of terms that leave no more than a relative error."""
+        return max(1, int(np.argmax(self._left <= error)))
+
+    def low_rank(self, error: float) -> Separable:
+        """The shortest expansion that leaves no more than a relative error, of at most `MAX_RANK` terms.
+
+        Raises
+        ------
+        RayMapError
+            If polynomials cannot follow its factors over the footprint.
+        """
+        rank = min(self.rank_for(error), MAX_RANK)
+        left, strength, right = self._singular
+        values, shares = self.fine
+        factors = ((left * strength)[:, :rank] / np.sqrt(self.weights)[:, None]).T
+        sensor = fit_map(self.sensor_mm, factors, FACTOR_ORDER[len(self.spans_mm) == 1])
+        tile = right[:rank] / np.sqrt(shares)
+        missed = values - sensor.at(self.sensor_mm).T @ tile
+        rest = float(np.sqrt(self.weights @ np.abs(missed) ** 2 @ shares))
+        if rest > self.left_by(rank) + error:
+            raise RayMapError(
+                f"{rank} terms over a tile leave a relative error of {rest:.2g}, {error:.2g} is allowed: "
+                "make tiles narrower"
+            )
+        return Separable(sensor, self.mean, at_tile_nodes(tile, len(self.spans_mm)), self.spans_mm, rest)
+
+
+def at_tile_nodes(factors: ComplexArray, dimensions: int) -> ComplexArray:
+    """Tile factors, shape (rank, m), from the Gauss points of :attr:`Residual.fine` to Chebyshev points."""
+    points = np.polynomial.legendre.leggauss(FINE_NODES)[0]
+    to_nodes = np.asarray(np.linalg.inv(_interpolation(FINE_NODES, points)), float)
+    factors = factors.reshape(len(factors), *(FINE_NODES,) * dimensions)
+    return _along_axes([to_nodes] * dimensions, factors)
+
+
+def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, carrier: RayMap) -> Residual:
+    """Aim rays from a tile's points at the sensor points of the rays from c, and compare.
+
+    Parameters
+    ----------
+    scene
+        Lens and object plane.
+    point_mm
+        The point c, (x, y).
+    spans_mm
+        From where to where the tile extends about c, shape (d, 2), in the order (y, x).
+    carrier
+        Maps of c.
+
+    Raises
+    ------
+    RayMapError
+        If rays from the tile's border cannot be aimed at the footprint of c.
+    """
+    d, order = len(spans_mm), SAMPLE_ORDER[len(spans_mm) == 1]
+    pupil = sample_points(carrier.pupil, order)
+    base = trace_bundle(scene, np.asarray(point_mm), pupil, carrier.plane_z_mm)
+    grids = np.meshgrid(*[_scale_back(_nodes(NODES), span) for span in spans_mm], indexing="ij")
+    offsets = np.stack([g.ravel() for g in grids], axis=-1)
+    n, m = len(pupil), len(offsets)
+    points = np.asarray(point_mm) + np.repeat(_as_xy(offsets), n, axis=0)
+    stop = np.tile(pupil, (m, 1))
+    inverse = np.tile(np.linalg.pinv(base.jacobian), (m, 1, 1))
+    target = np.tile(base.sensor_mm, (m, 1))
+    axes = [1] if d == 1 else [1, 0]
+    for _ in range(AIM_STEPS):
+        end = shoot(scene, points, stop, carrier.plane_z_mm, clip=False)
+        miss = np.where(end.ok[:, None], target - end.position[:, axes], 0.0)
+        if np.max(np.abs(miss)) < 0.1 * AIMED_MM:
+            break
+        stop = stop + _as_xy(np.einsum("nij,nj->ni", inverse, miss))
+    aimed = trace_bundle(scene, points, stop, carrier.plane_z_mm)
+    miss = target - aimed.sensor_mm
+    good = (aimed.ok & (np.abs(miss).max(axis=1) < AIMED_MM)).reshape(m, n).all(axis=0) & base.ok
+    if np.count_nonzero(good) < 0.7 * n:
+        raise RayMapError(
+            f"only {np.count_nonzero(good)} of {n} sensor points in the footprint of "
+            f"({point_mm[0]:g}, {point_mm[1]:g}) mm are reached from all of its tile: make tiles narrower"
+        )
+    path = (aimed.path_mm + np.sum(aimed.slopes * miss, axis=1)).reshape(m, n) - base.path_mm
+    phase = scene.wavenumber_per_mm * (path + offsets @ base.cosines.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.log(aimed.amplitude.reshape(m, n) / base.amplitude) + 1j * phase
+    cell = np.abs(np.linalg.det(base.cosine_jacobian)) * _stop_cells(pupil, carrier)
+    weights = np.where(good, cell, 0.0)[good]
+    return Residual(
+        base.sensor_mm[good],
+        weights / weights.sum(),
+        logarithm[:, good].T.reshape(-1, *(NODES,) * d),
+        spans_mm,
+    )
+
+
+def _stop_cells(pupil: Array, carrier: RayMap) -> Array:
+    """Share of the stop that a Chebyshev ring or point stands for, but for a common factor."""
+    radius = np.linalg.norm(pupil - carrier.pupil.centre, axis=1) / carrier.pupil.reach.max()
+    measure = np.sqrt(np.maximum(1.0 - radius**2, 1e-4))
+    return measure if carrier.pupil.is_line else measure * radius
+
+
+def _as_xy(values: Array) -> Array:
+    """(y) or (y, x) as (x, y)."""
+    return np.column_stack([values[:, 1] if values.shape[1] == 2 else np.zeros(len(values)), values[:, 0]])
+
+
+def _nodes(count: int) -> Array:
+    """Chebyshev points of [-1, 1], borders included, ascending."""
+    return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))
+
+
+def _scaled(offsets: Array, span: Array) -> Array:
+    half = 0.5 * (span[1] - span[0])
+    return (offsets - 0.5 * (span[0] + span[1])) / (half if half > 0.0 else 1.0)
+
+
+def _scale_back(nodes: Array, span: Array) -> Array:
+    return np.asarray(0.5 * (span[0] + span[1]) + 0.5 * (span[1] - span[0]) * nodes)
+
+
+def _interpolation(nodes: int, at: Array) -> Array:
+    """Matrix from values at Chebyshev points to values elsewhere."""
+    if nodes == 1:
+        return np.ones((len(at), 1))
+    basis = chebyshev.chebvander(_nodes(nodes), nodes - 1)
+    return np.asarray(np.linalg.solve(basis.T, chebyshev.chebvander(at, nodes - 1).T).T)
+
+
+def _along_axes(ways: list[Array], values: NDArray) -> NDArray:
+    """Apply one matrix to each axis of values but the first."""
+    for axis, way in enumerate(ways, start=1):
+        values = np.moveaxis(np.tensordot(values, way, axes=(axis, 1)), -1, axis)
+    return values

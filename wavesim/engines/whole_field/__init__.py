@@ -1,0 +1,1 @@
+"""Eikonal tiles of a whole field, summed in two levels."""

@@ -1,0 +1,392 @@
+"""Eikonal tiles of a whole field, summed in two levels.
+
+As :mod:`wavesim.engines.tiles.engine`, for fields of millimetres: tiles are summed about the carrier of their
+super-tile on a coarse grid, super-tiles on the plane. Neighbouring tiles share rays
+(:mod:`wavesim.engines.whole_field.ray_maps`), and nothing of a tile is kept from one use to the next but a
+few polynomials. All values are complex64; phases are made in float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.engines.tiles.edge import edge_error, rim_share
+from wavesim.engines.tiles.operator import THREADS, Precision, Tile
+from wavesim.engines.tiles.plan import counts_for, cut
+from wavesim.engines.whole_field.cost import COMPLEX64, two_level_cost
+from wavesim.engines.whole_field.factors import field_factors
+from wavesim.engines.whole_field.on_cpu import Perform, Task, Way, carry
+from wavesim.engines.whole_field.on_gpu import add_on, carry_on, collect_on
+from wavesim.engines.whole_field.ray_maps import FieldMaps, Region, field_maps, field_region
+from wavesim.engines.whole_field.tiles import TAPER, TAPER_LOSS, FieldSettings, SuperTile
+from wavesim.fields.field import Field
+from wavesim.fields.resampling import kernel_for
+from wavesim.rays.maps import RayMapError, ray_map
+from wavesim.runtime.blas import one_blas_thread
+from wavesim.runtime.device import Device, device_named
+from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+
+Array = NDArray[np.float64]
+
+ZONES = 0.74
+"""Widths of tiles over sqrt(wavelength x working distance) / NA: few terms follow what such tiles omit."""
+
+EXPANSION_SHARE, MAPS_SHARE, INTERPOLATION_SHARE, TRANSFORM_SHARE = 0.5, 0.01, 0.1, 0.05
+"""Of the error allowed, what each step may take; the maps' in waves."""
+
+
+NARROWINGS = 3
+"""How often tiles whose width was not asked for are halved where rays cannot be followed all over them."""
+
+LEAST_ERROR = 1e-4
+"""That may be asked for: values are complex64."""
+
+
+Cut = tuple[tuple[Tile, tuple[int, ...]], ...]
+"""Tiles, each with the place of its super-tile."""
+
+
+def tile_width_for(scene: Scene) -> float:
+    """Width in mm of tiles that few terms follow."""
+    zone_mm = math.sqrt(1e-3 * scene.wavelength_um * -scene.object_grid.z_mm)
+    return ZONES * zone_mm / scene.lens.object.numerical_aperture
+
+
+def tiles_along(scene: Scene) -> float:
+    """How many such tiles the object's longer side takes; 0 on a line, which this engine does not carry."""
+    grid = scene.object_grid
+    return 0.0 if grid.is_line else max(grid.shape) * grid.pitch_mm / tile_width_for(scene)
+
+
+class TwoLevelTiles(Engine):
+    """Eikonal tiles summed in two levels, for planes.
+
+    Attributes
+    ----------
+    report : callable or None
+        Told after every super-tile how many are done and how many there are, as (done, all).
+    perform : callable or None
+        Does super-tiles' work elsewhere (:mod:`wavesim.engines.whole_field.on_cpu`); None is here.
+    device : Device or None
+        Does the work in place of this computer's processor.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is carried where. Object samples beyond the lens's field count as dark.
+    tile_width_mm : float, optional
+        Largest side of a tile; left out, chosen so that four or five terms follow what it leaves out.
+    tiles_across : int
+        Tiles along each side of a super-tile.
+    error : float
+        Relative L2 error of the exit field that tiles and interpolation may leave.
+    device : {"cpu", "gpu"}
+        What does the work; a GPU needs the extra ``gpu``. Times that :meth:`cost` tells are the processor's.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable, the scene is that of a line, or no GPU is there.
+    FoldError
+        On first use, if rays fold on the exit grid's plane.
+    RayMapError
+        On first use, if polynomials do not follow the rays, or tiles are too wide.
+    """
+
+    name = "two-level"
+    any_plane = True
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        tile_width_mm: float | None = None,
+        tiles_across: int = 4,
+        error: float = 1e-2,
+        device: str = "cpu",
+    ) -> None:
+        super().__init__(scene)
+        if scene.object_grid.is_line:
+            raise InputError("engine two-level carries planes; on a line take eikonal")
+        if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
+            raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
+        if not 1 <= tiles_across <= 100:
+            raise InputError(f"tiles_across = {tiles_across!r}: must be from 1 to 100")
+        if not LEAST_ERROR <= error <= 1.0:
+            raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
+        self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
+        self.report: Callable[[int, int], None] | None = None
+        self.perform: Perform | None = None
+        self.device: Device | None = None if device == "cpu" else device_named(device)
+
+    @cached_property
+    def region(self) -> Region:
+        """The part of the object plane that is carried."""
+        return field_region(self.scene)
+
+    @cached_property
+    def _prepared(self) -> tuple[float, Cut, FieldSettings]:
+        """Width of tiles, the tiles, and what they share; narrower ones where the first are too wide."""
+        width, maps = self._asked_width_mm or tile_width_for(self.scene), None
+        for narrower in range(NARROWINGS, -1, -1):
+            tiles = self._tiles(width)
+            spans_mm = _shared_spans(tiles)
+            if maps is None:  # narrower tiles ask no more of them
+                maps = self._maps(spans_mm)
+            try:
+                return width, tiles, self._followed(maps, spans_mm)
+            except RayMapError:
+                if self._asked_width_mm is not None or narrower == 0:
+                    raise
+            width *= 0.5
+        raise AssertionError
+
+    def _tiles(self, width_mm: float) -> Cut:
+        """Tiles that reach into the field, each with the place of its super-tile."""
+        counts = counts_for(self.scene.object_grid, width_mm)
+        radius = self.region.half_mm[0]
+        found = []
+        for number, tile in enumerate(cut(self.scene.object_grid, counts)):
+            nearest = [
+                max(abs(c) - float(np.max(np.abs(s))), 0.0)
+                for c, s in zip(tile.centre_mm[::-1], tile.spans_mm, strict=True)
+            ]
+            if not self.region.is_disc or math.hypot(*nearest) < radius:
+                place = (int(i) // self._tiles_across for i in np.unravel_index(number, counts))
+                found.append((tile, tuple(place)))
+        return tuple(found)
+
+    def _maps(self, spans_mm: Array) -> FieldMaps:
+        scene, tolerance = self.scene, MAPS_SHARE * self._error
+        with one_blas_thread():
+            return field_maps(scene, self.region, scene.exit_grid.z_mm, _reach_mm(spans_mm), tolerance)
+
+    def _followed(self, maps: FieldMaps, spans_mm: Array) -> FieldSettings:
+        scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
+        with one_blas_thread():
+            factors = field_factors(
+                scene,
+                self.region,
+                spans_mm,
+                lambda point: ray_map(scene, point, z_mm, _reach_mm(spans_mm)),
+                EXPANSION_SHARE * error,
+            )
+        transform_error = float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3))
+        interpolation_error = INTERPOLATION_SHARE * error
+        return FieldSettings(
+            scene,
+            (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
+            maps,
+            factors,
+            kernel_for(interpolation_error),
+            Precision(np.dtype(np.complex64), transform_error, interpolation_error),
+        )
+
+    @cached_property
+    def groups(self) -> tuple[SuperTile, ...]:
+        """Super-tiles whose light reaches the exit grid."""
+        _, tiles, settings = self._prepared
+        inside: dict[tuple[int, ...], list[Tile]] = {}
+        for tile, place in tiles:
+            inside.setdefault(place, []).append(tile)
+        with one_blas_thread():
+            groups = (SuperTile(settings, tuple(together)) for together in inside.values())
+            return tuple(group for group in groups if not group.empty)
+
+    @property
+    def sums_bytes(self) -> int:
+        """Of the fields of all super-tiles on their own grids."""
+        return sum(8 * math.prod(group.shape) for group in self.groups)
+
+    def _forward(self, values: Any) -> Any:
+        height, width = self.scene.exit_grid.shape
+        if self.device is not None and COMPLEX64 * height * width > self.device.memory_bytes:
+            rows = max(self.device.memory_bytes // (COMPLEX64 * width), 1)
+            return np.concatenate([band for _, band in self._in_bands(values, rows, {})])
+        result = self._zeros(height)
+        for number, total in self._performed("forward", self._parts_of(values)):
+            self._add(number, total, result)
+        return self._finished(result)
+
+    def _zeros(self, rows: int) -> Any:
+        """Rows of the exit grid, in the memory of what does the work."""
+        xp = np if self.device is None else self.device.xp
+        return xp.zeros((rows, self.scene.exit_grid.shape[1]), dtype=np.complex64)
+
+    def _finished(self, rows: Any) -> NDArray[np.complex64]:
+        rows *= np.float32(self.scene.object_grid.cell)
+        return rows if self.device is None else self.device.to_host(rows)
+
+    def forward_in_bands(
+        self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
+    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+        """As :meth:`forward`, some rows of the exit grid at a time, so that it need not fit into memory.
+
+        Parameters
+        ----------
+        field
+            On the object grid.
+        rows
+            In a band.
+        sums
+            Where the fields of super-tiles on their own grids are kept, by number; those that it holds are
+            not computed again. A dict keeps them in memory,
+            :class:`wavesim.engines.whole_field.kept.KeptTiles` in files.
+
+        Yields
+        ------
+        rows : slice
+            Of the exit grid.
+        values : ndarray of complex64
+
+        Raises
+        ------
+        InputError
+            As :meth:`forward`.
+        """
+        self._refuse_stranger(field, self.scene.object_grid, "object")
+        yield from self._in_bands(field.values, rows, sums)
+
+    def _in_bands(
+        self, values: Any, rows: int, sums: MutableMapping[int, NDArray]
+    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+        self._sum_all(values, sums)
+        height = self.scene.exit_grid.shape[0]
+        for start in range(0, height, rows):
+            band = self._zeros(min(rows, height - start))
+            for number in range(len(self.groups)):
+                self._add(number, sums[number], band, start)
+            yield slice(start, start + len(band)), self._finished(band)
+
+    def _sum_all(self, values: Any, sums: MutableMapping[int, NDArray]) -> None:
+        """Have the fields of all super-tiles in `sums`."""
+        lacking = [number for number in range(len(self.groups)) if number not in sums]
+        done = len(self.groups) - len(lacking)
+        for number, total in self._performed("forward", self._parts_of(values, lacking), done):
+            sums[number] = total
+
+    def _add(self, number: int, total: NDArray, plane: Any, first_row: int = 0) -> None:
+        """Add a super-tile's field to rows of the plane."""
+        carried = self.groups[number].carried
+        if self.device is not None:
+            add_on(self.device, carried, total, plane, first_row)
+            return
+        with ThreadPoolExecutor(THREADS) as pool:
+            list(pool.map(lambda part: carried.add(total, plane, part, first_row), _parts()))
+
+    def _adjoint(self, values: Any) -> Any:
+        result = np.zeros(self.scene.object_grid.shape, np.complex64)
+        for number, part in self._performed("adjoint", self._collected(values)):
+            place = self.groups[number].part
+            result[place] += part * self._in_field(place)
+        result *= np.float32(self.scene.exit_grid.cell)
+        return result
+
+    def _parts_of(self, values: Any, numbers: Iterable[int] | None = None) -> Iterator[Task]:
+        """What super-tiles hold of an object field."""
+        for number in range(len(self.groups)) if numbers is None else numbers:
+            place = self.groups[number].part
+            yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
+
+    def _collected(self, values: Any) -> Iterator[Task]:
+        """What super-tiles get of an exit field."""
+        field = np.asarray(values).astype(np.complex64, copy=False)
+        if self.device is not None:
+            plane = field if field.nbytes > self.device.memory_bytes else self.device.to_device(field)
+            for number, group in enumerate(self.groups):
+                yield number, collect_on(self.device, group.carried, plane)
+            return
+        for number, group in enumerate(self.groups):
+            carried = group.carried
+            between, coarse = (np.zeros(shape, np.complex64) for shape in carried.shapes)
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(pool.map(lambda p, c=carried, b=between: c.collect_rows(field, b, p), _parts()))
+                list(pool.map(lambda p, c=carried, b=between, o=coarse: c.collect_columns(b, o, p), _parts()))
+            yield number, coarse
+
+    def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
+        """Which samples of a part of the object lie within the field."""
+        grid, region = self.scene.object_grid, self.region
+        radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
+        return np.asarray(radius2 <= (region.half_mm[0] ** 2 if region.is_disc else math.inf))
+
+    def _performed(self, way: Way, tasks: Iterable[Task], done: int = 0) -> Iterator[Task]:
+        """Have tasks done, and tell how many are."""
+        perform = self.perform or self._perform_here
+        for count, (number, values) in enumerate(perform(way, tasks), start=done + 1):
+            if self.report is not None:
+                self.report(count, len(self.groups))
+            yield number, values
+
+    def _perform_here(self, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
+        for number, values in tasks:
+            yield number, self.carry(way, number, values)
+
+    def carry(self, way: Way, number: int, values: NDArray) -> NDArray[np.complex64]:
+        """Do one super-tile's task here, as :func:`wavesim.engines.whole_field.on_cpu.carry`, on the engine's
+        device.
+        """
+        if self.device is not None:
+            return carry_on(self.device, way, self.groups[number], values)
+        return carry(way, self.groups[number], values)
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "tile_width_mm": self._prepared[0],
+            "tiles_across": self._tiles_across,
+            "error": self._error,
+        } | ({} if self.device is None else {"device": self.device.name})
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        scene = self.scene
+        _, tiles, settings = self._prepared
+        path, amplitude, direction = settings.maps.errors
+        maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
+        tile = tiles[len(tiles) // 2][0]
+        reach_mm = float(np.max(np.abs(settings.factors.spans_mm)))
+        carrier = ray_map(scene, tile.centre_mm, scene.exit_grid.z_mm, reach_mm)
+        moved, diffracted = edge_error(scene, tile, carrier)
+        taper_mm = TAPER * float(np.max(self.groups[0].steps_mm))
+        share = rim_share(carrier.rim_mm)
+        tapered = math.sqrt(share * (taper_mm * TAPER_LOSS + settings.maps.edge_error_mm))
+        parts = (
+            Neglected(
+                "path of second and higher order in a tile's offset, beyond "
+                f"{len(settings.factors.tile_nodes)} terms in each of {len(tiles)} tiles",
+                settings.factors.relative_error,
+            ),
+            Neglected("rays between those that were traced", maps),
+            Neglected("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
+            Neglected(f"place of the aperture's edge, drawn over {1e3 * taper_mm:.2g} um", tapered),
+            Neglected("movement of the aperture's edge over a tile, object evenly lit", moved),
+            Neglected("diffraction at the aperture's edge in front of the plane", diffracted),
+        )
+        return tuple(sorted(parts, key=lambda part: -part.relative_error))
+
+    def cost(self) -> Cost:
+        return two_level_cost(self.scene, self._prepared[2], self.groups)
+
+
+def _shared_spans(tiles: Cut) -> Array:
+    """From where to where tiles extend about their centres at the most, shape (2, 2)."""
+    spans = np.array([tile.spans_mm for tile, _ in tiles])
+    return np.column_stack([spans[:, :, 0].min(axis=0), spans[:, :, 1].max(axis=0)])
+
+
+def _reach_mm(spans_mm: Array) -> float:
+    """How far a tile extends from its centre."""
+    return float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
+
+
+def _parts() -> list[tuple[float, float]]:
+    """Even parts of rows or columns, one for each thread."""
+    return [(float(a), float(b)) for a, b in pairwise(np.linspace(0.0, 1.0, THREADS + 1))]

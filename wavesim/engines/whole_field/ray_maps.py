@@ -1,0 +1,318 @@
+"""What the light of every point of a field does on one plane: polynomials in object point and sensor point.
+
+Neighbouring object points share their rays. At nodes all over the field, polynomials in the sensor point tell
+path V, amplitude a, object-side cosines p and the place of the aperture's edge; their coefficients are again
+polynomials in the object point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.linalg import lstsq
+
+from wavesim.rays.maps import RayMapError, SmoothMap, refuse_fold
+from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+REACH = 1.05
+"""Share of the way to the aperture's edge up to which rays are fitted: interpolation looks beyond it."""
+
+SENSOR_ORDERS, FIELD_ORDERS = (12, 16, 20, 24), (4, 6, 8, 10)
+ARMS = 72
+HELD_OUT = 7
+"""Object points that the polynomials have not seen, at which they are held against rays."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """The part of the object plane from which light comes: a disc, or the box of a small grid within it.
+
+    Attributes
+    ----------
+    centre_mm : (y, x)
+    half_mm : ndarray, shape (2,)
+        Radius of the disc twice, or half sides (y, x) of the box.
+    is_disc : bool
+    """
+
+    centre_mm: tuple[float, float]
+    half_mm: Array
+    is_disc: bool
+
+    def nodes(self, order: int, shift: float = 0.0) -> Array:
+        """Points (y, x) for polynomials of a total order, denser towards the border, shape (n, 2)."""
+        if self.is_disc:
+            rings, arms = order // 2 + 2, 2 * order + 3
+            radius = np.cos(0.5 * np.pi * np.arange(rings) / (rings - 0.5))
+            angle = 2.0 * np.pi * (np.arange(arms) + shift) / arms
+            grid = np.stack(np.meshgrid(radius, angle, indexing="ij"), axis=-1).reshape(-1, 2)
+            unit = grid[:, :1] * np.column_stack([np.sin(grid[:, 1]), np.cos(grid[:, 1])])
+        else:
+            side = np.cos(np.pi * (np.arange(order + 2) + 0.5 * shift) / (order + 1 + shift))
+            unit = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        return np.asarray(self.centre_mm + self.half_mm * unit)
+
+    def scaled(self, points_mm: Array) -> Array:
+        """Points (y, x) in units of the half sides."""
+        return np.asarray((points_mm - np.array(self.centre_mm)) / self.half_mm)
+
+
+def field_region(scene: Scene) -> Region:
+    """The object grid's box, or the lens's field where that is smaller."""
+    grid, radius = scene.object_grid, scene.lens.half_field_mm
+    half = np.array(grid.half_widths_mm)
+    corner = math.hypot(*(abs(c) + h for c, h in zip(grid.centre_mm[::-1], half, strict=True)))
+    if corner > radius and np.all(half >= 0.7 * radius):
+        return Region((0.0, 0.0), np.full(2, radius), True)
+    return Region((grid.centre_mm[1], grid.centre_mm[0]), half, False)
+
+
+@dataclass(frozen=True, eq=False)
+class OverField:
+    """Smooth maps whose coefficients are polynomials of a total order in the object point.
+
+    Attributes
+    ----------
+    region : Region
+    order : int
+    middles : ndarray, shape (3, 2)
+        Middle of the sensor box: at the centre of the region, and what a unit of y and of x adds.
+    half_width : ndarray, shape (2,)
+        Of the sensor box.
+    coefficients : ndarray, shape (terms, functions, n, n)
+        Real or complex.
+    """
+
+    region: Region
+    order: int
+    middles: Array
+    half_width: Array
+    coefficients: NDArray
+
+    def middle(self, point_mm: tuple[float, float]) -> Array:
+        """Middle (y, x) of the sensor box of one object point (y, x)."""
+        return np.asarray(box_middles(self.middles, self.region.scaled(np.array([point_mm])))[0])
+
+    def at(self, point_mm: tuple[float, float]) -> SmoothMap:
+        """The map of one object point (y, x)."""
+        unit = self.region.scaled(np.array([point_mm]))
+        weights = field_terms(unit, self.order)[0]
+        values = np.tensordot(weights, self.coefficients, axes=1)
+        return SmoothMap(box_middles(self.middles, unit)[0], self.half_width, values)
+
+
+def box_middles(middles: Array, unit: Array) -> Array:
+    """Middles of sensor boxes of object points in units of the region, shape (n, 2)."""
+    return np.asarray(middles[0] + unit @ middles[1:])
+
+
+def field_terms(unit: Array, order: int) -> Array:
+    """Chebyshev products of a total order in two variables, shape (n, terms)."""
+    first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
+    y, x = (chebyshev.chebvander(column, order) for column in unit.T)
+    return np.asarray(y[:, first] * x[:, second])
+
+
+def solve(basis: Array, values: NDArray) -> NDArray:
+    return np.asarray(lstsq(basis, values, lapack_driver="gelsy", check_finite=False)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Node:
+    """Rays of one object point, those beyond the edge of the aperture included."""
+
+    point_mm: Array
+    bundle: RayBundle
+    edge: Array
+    caustics: int
+
+    @cached_property
+    def values(self) -> Array:
+        """Path, amplitude, cosines (y, x) and square of the share of the way to the edge, shape (5, n)."""
+        b = self.bundle
+        return np.concatenate([b.path_mm[None], b.amplitude[None], b.cosines.T, self.edge[None]])
+
+
+def _node(scene: Scene, point_mm: Array, plane_z_mm: float, order: int, shift: float = 0.0) -> _Node:
+    point = np.array([point_mm[1], point_mm[0]])
+    pupil = open_pupil(scene, (float(point[0]), float(point[1])), plane_z_mm, ARMS)
+    rings, arms = order // 2 + 5, 2 * order + 8
+    radius = REACH * np.cos(0.5 * np.pi * (np.arange(rings) + 0.5 * (1.0 + shift)) / (rings + 0.5 * shift))
+    angle = 2.0 * np.pi * (np.arange(arms) + shift) / arms
+    grid = np.stack(np.meshgrid(radius, angle, indexing="ij"), axis=-1).reshape(-1, 2)
+    bundle = trace_bundle(scene, point, pupil.points(grid[:, 0], grid[:, 1]), plane_z_mm)
+    caustics = refuse_fold(bundle, (float(point[0]), float(point[1])), plane_z_mm)
+    return _Node(np.asarray(point_mm), bundle, grid[:, 0] ** 2, caustics)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldMaps:
+    """Maps of a whole field.
+
+    Attributes
+    ----------
+    carriers : OverField
+        Of path V in mm, amplitude in 1/mm, cosines p along y and x, and the square of the share of the way to
+        the aperture's edge.
+    slopes_per_mm : ndarray, shape (2, 2)
+        Largest |dp_i / ds_j| over field and footprint, in the order (y, x).
+    caustics : int
+        Touched by the light on its way.
+    errors : (path, amplitude, direction)
+        Largest differences from rays not seen: waves, relative, waves over the reach of a tile.
+    edge_error_mm : float
+        Mean distance of the aperture's edge from where rays not seen put it, in the worst point looked at:
+        large where the open part of the stop has corners.
+    """
+
+    carriers: OverField
+    slopes_per_mm: Array
+    caustics: int
+    errors: tuple[float, float, float]
+    edge_error_mm: float
+
+
+def field_maps(
+    scene: Scene, region: Region, plane_z_mm: float, reach_mm: float, tolerance: float
+) -> FieldMaps:
+    """Follow the rays of all of a region.
+
+    Parameters
+    ----------
+    scene
+        Lens, wavelength, coating.
+    region
+        From where light comes.
+    plane_z_mm
+        Plane behind the lens.
+    reach_mm
+        How far a tile extends from its centre.
+    tolerance
+        Waves of path, and relative error of the amplitude, that rays not seen may show.
+
+    Raises
+    ------
+    RayMapError
+        If polynomials do not follow the rays so closely: near a caustic, or where the open part of the stop
+        has corners.
+    FoldError
+        If rays fold on the plane.
+    """
+    checks = [_node(scene, point, plane_z_mm, 10, 0.37) for point in _held_out(region)]
+    limits = np.array([tolerance, 10.0 * tolerance, tolerance])
+    best: FieldMaps | None = None
+    for sensor_order, field_order in zip(SENSOR_ORDERS, FIELD_ORDERS, strict=True):
+        nodes = [_node(scene, p, plane_z_mm, sensor_order) for p in region.nodes(field_order)]
+        if len({n.caustics for n in nodes}) > 1:
+            raise RayMapError(
+                f"plane z = {plane_z_mm:g} mm: light of parts of the field has touched different numbers of "
+                "caustics; choose another plane"
+            )
+        inside = [n.bundle.ok for n in nodes]
+        carriers = fit_over_field(
+            region,
+            (field_order, sensor_order),
+            np.array([n.point_mm for n in nodes]),
+            [n.bundle.sensor_mm[ok] for n, ok in zip(nodes, inside, strict=True)],
+            [n.values[:, ok] for n, ok in zip(nodes, inside, strict=True)],
+        )
+        errors, edge_mm = _errors(carriers, checks, scene, reach_mm)
+        best = FieldMaps(
+            carriers, _slopes(nodes), nodes[0].caustics, (errors[0], errors[1], errors[2]), edge_mm
+        )
+        if np.all(np.array(errors) < limits):
+            return best
+    assert best is not None
+    raise RayMapError(
+        f"the rays of the field are too rough on the plane z = {plane_z_mm:g} mm: polynomials err by "
+        f"{best.errors[0]:.2g} waves of path, {best.errors[1]:.2g} of the amplitude and {best.errors[2]:.2g} "
+        f"waves by direction (allowed: {limits[0]:.2g}, {limits[1]:.2g}, {limits[2]:.2g}); ask for less "
+        "accuracy, stop the lens down, or go farther from the caustic"
+    )
+
+
+def _held_out(region: Region) -> Array:
+    """Points between the nodes, towards the border."""
+    turn = 2.0 * np.pi * np.arange(HELD_OUT) * 0.381966
+    share = np.sqrt((np.arange(HELD_OUT) + 0.5) / HELD_OUT)
+    return np.asarray(region.centre_mm + region.half_mm * (share * np.stack([np.sin(turn), np.cos(turn)])).T)
+
+
+def fit_over_field(
+    region: Region,
+    orders: tuple[int, int],
+    points_mm: Array,
+    sensor_mm: Sequence[Array],
+    values: Sequence[NDArray],
+) -> OverField:
+    """Polynomials in the sensor point at every node, then in the object point through their coefficients.
+
+    Parameters
+    ----------
+    region
+        The field.
+    orders
+        Total orders in the object point and in the sensor point.
+    points_mm
+        Object points (y, x), shape (nodes, 2).
+    sensor_mm, values
+        For every node sensor points, shape (n, 2), and what they carry, shape (functions, n).
+    """
+    field_order, sensor_order = orders
+    unit = region.scaled(points_mm)
+    spans = np.array([[s.min(axis=0), s.max(axis=0)] for s in sensor_mm])
+    plane = np.column_stack([np.ones(len(unit)), unit])
+    middles = solve(plane, spans.mean(axis=1))
+    half_width = np.max(np.abs(spans - (plane @ middles)[:, None]), axis=(0, 1))
+    n = sensor_order + 1
+    first, second = np.nonzero(np.add.outer(np.arange(n), np.arange(n)) <= sensor_order)
+    solutions = [
+        solve(field_terms((at - box_middles(middles, place[None])) / half_width, sensor_order), carried.T)
+        for at, carried, place in zip(sensor_mm, values, unit, strict=True)
+    ]
+    over = solve(field_terms(unit, field_order), np.stack(solutions).reshape(len(unit), -1))
+    over = over.reshape(len(over), len(first), -1)
+    coefficients = np.zeros((len(over), over.shape[2], n, n), over.dtype)
+    coefficients[:, :, first, second] = np.moveaxis(over, 2, 1)
+    return OverField(region, field_order, middles, half_width, coefficients)
+
+
+def _errors(
+    carriers: OverField, checks: list[_Node], scene: Scene, reach_mm: float
+) -> tuple[tuple[float, float, float], float]:
+    """Of path, amplitude and direction, as of :class:`FieldMaps`; and of the edge in mm."""
+    wavelength_mm = 1e-3 * scene.wavelength_um
+    worst = np.zeros(4)
+    for node in checks:
+        inside = node.bundle.ok & (node.edge <= 1.0)
+        carrier = carriers.at((float(node.point_mm[0]), float(node.point_mm[1])))
+        off = np.abs(carrier.at(node.bundle.sensor_mm[inside]) - node.values[:, inside])
+        each = [
+            off[0].max() / wavelength_mm,
+            (off[1] / node.bundle.amplitude[inside]).max(),
+            off[2:4].max() * reach_mm / wavelength_mm,
+            off[4, node.edge[inside] > 0.9].mean(),
+        ]
+        worst = np.maximum(worst, each)
+    # The square of a share falls by 2 over half a footprint.
+    edge_mm = 0.5 * worst[3] * float(np.max(carriers.half_width))
+    return (float(worst[0]), float(worst[1]), float(worst[2])), float(edge_mm)
+
+
+def _slopes(nodes: list[_Node]) -> Array:
+    largest = np.zeros((2, 2))
+    for node in nodes:
+        b = node.bundle
+        inside = b.ok & (node.edge <= 1.0)
+        slopes = np.abs(b.cosine_jacobian[inside] @ np.linalg.inv(b.jacobian[inside]))
+        largest = np.maximum(largest, slopes.max(axis=0))
+    return largest

@@ -1,0 +1,1 @@
+"""Wave propagation method, a check."""

@@ -1,0 +1,61 @@
+"""What the wave propagation method takes, told from the sizes alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from wavesim.engines.surfaces.grids import WorkingGrid
+from wavesim.engines.surfaces.waves import planes_across
+from wavesim.engines.wpm.staircase import planes
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+
+COMPLEX, REAL = 16, 8
+RAY_BYTES = 250_000
+"""While the rays of the object's middle are traced."""
+
+POLYNOMIAL_PASSES = 150.0
+"""What a polynomial for the transmission takes, in complex products."""
+
+
+def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str) -> tuple[float, int]:
+    """Seconds of one passage through all surfaces, and most bytes at one time, what is kept included."""
+    if interface == "staircase":
+        return _staircase_cost(working, steps_mm[0])
+    grid, line, samples = working.grid, working.grid.is_line, working.samples_on_surfaces
+    seconds, largest = 0.0, 0.0
+    for i, (low, high) in enumerate(working.heights_mm):
+        slopes = len(grid.shape) if high > low else 0
+        front, behind = (planes_across(high - low, steps_mm[m]) for m in (i, i + 1))
+        for count, times in ((front, 1), (behind, 1 + slopes)):
+            one = count * (fft_seconds(grid.size, line) + 2.0 * pass_seconds(grid.size))
+            shares = 4 * samples[i] if slopes else samples[i]
+            one += exponential_seconds(shares) + 6.0 * pass_seconds(shares)
+            seconds += times * (one + 3.0 * exponential_seconds(grid.size))
+        largest = max(largest, (6.0 if slopes else 5.0) * COMPLEX * grid.size + 2.0 * COMPLEX * samples[i])
+    seconds += 2.0 * fft_seconds(grid.size, line)
+    return seconds, int(largest) + _kept_bytes(working)
+
+
+def setup_cost(working: WorkingGrid) -> tuple[float, int]:
+    """Seconds and most bytes of making the samples of all surfaces."""
+    size, samples = working.grid.size, max(working.samples_on_surfaces)
+    seconds = 0.01 if working.grid.is_line else 0.02
+    for count in working.samples_on_surfaces:
+        seconds += 40.0 * pass_seconds(count) + 6.0 * pass_seconds(size)
+        if not working.grid.is_line:
+            seconds += POLYNOMIAL_PASSES * pass_seconds(count)
+    return seconds, 3 * REAL * size + 25 * REAL * samples + _kept_bytes(working)
+
+
+def _kept_bytes(working: WorkingGrid) -> int:
+    """Axial wave numbers of the media, samples of the surfaces, and rays."""
+    media = (REAL + 1) * working.grid.size * len(working.media)
+    return RAY_BYTES + media + REAL * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
+
+
+def _staircase_cost(working: WorkingGrid, step_mm: float) -> tuple[float, int]:
+    size, line, surfaces = working.grid.size, working.grid.is_line, len(working.heights_mm)
+    steps = len(planes(working.heights_mm, step_mm))
+    each = 3.0 * (fft_seconds(size, line) + exponential_seconds(size)) + pass_seconds(14 * size)
+    held = 2 * REAL * surfaces * size
+    return steps * each, _kept_bytes(working) + held + (4 * COMPLEX + 2 * REAL) * size

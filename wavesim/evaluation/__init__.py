@@ -1,0 +1,1 @@
+"""How good a result is: metrics, resolved lines, engines against each other."""

@@ -1,0 +1,237 @@
+"""Engines side by side: error against seconds and memory, over a range of settings of each.
+
+Two scenes: an exact solution, and a patch of the lens itself, where the wave propagation method with fine
+steps stands for the truth. Nothing is fitted.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensdesign.common.text import safe_cell
+from lensdesign.errors import InputError, SamplingError, atomic_path
+from lensdesign.lens.lens import Lens
+from wavesim.engines.registry import make_engine
+from wavesim.fields.field import Field
+from wavesim.oracles.registry import OracleCase, hold_against, oracle_case
+from wavesim.scene.patches import patch_scene
+
+Progress = Callable[[int, int, str], None]
+
+Variant = tuple[str, str, dict[str, Any]]
+"""Family, engine, settings."""
+
+REFERENCE_SHARE = 0.5
+"""Step of the truth, as a share of the one that the engine would choose."""
+
+SEED = 20260531
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One engine with one setting on one scene.
+
+    Attributes
+    ----------
+    scene : str
+        Name of the scene.
+    family : str
+        Engine and what kind of it, the same for all points of a curve.
+    setting : str
+        What varies along the curve.
+    relative_error, seconds, setup_seconds, peak_mb : float
+        Measured; NaN where the engine refused.
+    predicted_error, predicted_seconds, predicted_mb : float
+        What the engine said beforehand.
+    fastest, smallest : bool
+        Whether no other is both better and faster (of less memory).
+    said : str
+        Warnings, or why it refused.
+    """
+
+    scene: str
+    family: str
+    setting: str
+    relative_error: float
+    seconds: float
+    setup_seconds: float
+    peak_mb: float
+    predicted_error: float
+    predicted_seconds: float
+    predicted_mb: float
+    fastest: bool = False
+    smallest: bool = False
+    said: str = ""
+
+
+def variants() -> tuple[Variant, ...]:
+    """Every engine over a range of its settings."""
+    eikonal: list[Variant] = [
+        (f"eikonal, {kind}", "eikonal", {"error": error, "quadratic": kind})
+        for kind in ("low-rank", "mean")
+        for error in (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)
+    ]
+    slices: list[Variant] = [
+        (f"slices, {kind}", "slices", {"slices": count, "compensation": kind})
+        for kind, counts in (
+            ("oblique", (3, 10, 30, 100, 300, 1000)),
+            ("vertical", (10, 30, 100, 300, 1000, 3000)),
+        )
+        for count in counts
+    ]
+    wpm: list[Variant] = [
+        (f"wpm, {kind}", "wpm", {"step_um": step, "interface": kind})
+        for kind, steps in (("substep", (2.0, 1.0, 0.5, 0.25)), ("staircase", (0.25, 0.1, 0.05)))
+        for step in steps
+    ]
+    return (*eikonal, *slices, *wpm, ("thin lens", "thin-lens", {}), ("no lens", "no-lens", {}))
+
+
+def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) -> OracleCase:
+    """A meridional patch of the lens, evenly filled with light of all directions that it takes.
+
+    Parameters
+    ----------
+    lens, patch_mm, field_mm
+        As of :func:`wavesim.scene.patches.patch_scene`.
+    **where
+        Its further arguments.
+
+    Returns
+    -------
+    OracleCase
+        `exact` is that of the wave propagation method with fine steps; `uncertainty` is its own estimate.
+    """
+    scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
+    step_um = make_engine("wpm", scene).settings()["step_um"]
+    truth = make_engine("wpm", scene, step_um=REFERENCE_SHARE * step_um)
+    start = random_field(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
+    unknown = [part.relative_error for part in truth.neglected()]
+    return OracleCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
+
+
+def random_field(grid: Any, wavelength_um: float, numerical_aperture: float) -> Field:
+    """Speckle that fills a grid and the aperture evenly, of unit mean intensity."""
+    rng = np.random.default_rng(SEED)
+    values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
+    spectrum = np.fft.fftn(values)
+    squared: Any = 0.0
+    for axis, n in enumerate(grid.shape):
+        cycles = np.fft.fftfreq(n, grid.pitch_mm)
+        squared = squared + cycles.reshape((n,) + (1,) * (len(grid.shape) - axis - 1)) ** 2
+    spectrum *= squared <= (1e3 * numerical_aperture / wavelength_um) ** 2
+    values = np.fft.ifftn(spectrum)
+    return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)
+
+
+def compare(
+    cases: dict[str, OracleCase],
+    tried: Sequence[Variant],
+    progress: Progress | None = None,
+    most_seconds: float = 60.0,
+) -> list[Measured]:
+    """Hold engines against truths.
+
+    Parameters
+    ----------
+    cases
+        Scenes with their true exit fields, by name.
+    tried
+        Families, engines and settings.
+    progress
+        Called with the number done, the number in all, and what comes next.
+    most_seconds
+        What is predicted to take longer is left out, and said to be.
+
+    Raises
+    ------
+    InputError
+        If `most_seconds` is not above 0.
+    """
+    if not most_seconds > 0.0:
+        raise InputError(f"most_seconds = {most_seconds!r}: must be above 0")
+    results: list[Measured] = []
+    total = len(cases) * len(tried)
+    for name, case in cases.items():
+        rows: list[Measured] = []
+        for family, engine, settings in tried:
+            if progress is not None:
+                progress(len(results) + len(rows), total, f"{name}: {family} {_label(settings)}")
+            rows.append(_measure(name, case, (family, engine, settings), most_seconds))
+        results += with_front(rows)
+    return results
+
+
+def _measure(name: str, case: OracleCase, variant: Variant, most_seconds: float) -> Measured:
+    family, engine, settings = variant
+    label = _label(settings)
+    nothing = (float("nan"),) * 7
+    try:
+        cost = make_engine(engine, case.scene, **settings).cost()
+        seconds = cost.setup_seconds + cost.seconds
+        if seconds > most_seconds:
+            return Measured(
+                name, family, label, *nothing, said=f"left out: predicted to take {seconds:.3g} s"
+            )
+        found = hold_against(case, engine, settings)
+    except (InputError, SamplingError) as problem:
+        return Measured(name, family, label, *nothing, said=str(problem))
+    return Measured(
+        name,
+        family,
+        label,
+        found.relative_error,
+        found.seconds,
+        found.setup_seconds,
+        found.peak_mb,
+        found.predicted_error,
+        found.predicted.seconds,
+        1e-6 * found.predicted.peak_bytes,
+        said="; ".join(found.warnings),
+    )
+
+
+def _label(settings: dict[str, Any]) -> str:
+    """The settings that are numbers; the others name the family."""
+    return ", ".join(f"{name} {value:g}" for name, value in settings.items() if not isinstance(value, str))
+
+
+def with_front(rows: list[Measured]) -> list[Measured]:
+    """The rows of one scene, marked where none is both better and faster, or better and smaller."""
+
+    def leads(row: Measured, cost: Callable[[Measured], float]) -> bool:
+        better = [r for r in rows if r.relative_error < row.relative_error and cost(r) <= cost(row)]
+        return not better and bool(np.isfinite(row.relative_error))
+
+    return [
+        replace(r, fastest=leads(r, lambda m: m.seconds), smallest=leads(r, lambda m: m.peak_mb))
+        for r in rows
+    ]
+
+
+def exact_case(radius_mm: float) -> OracleCase:
+    """The dielectric cylinder."""
+    return oracle_case("cylinder", radius_mm=radius_mm)
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A table with the first row's keys as its columns; no text in it is a formula to a spreadsheet."""
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(
+            {key: safe_cell(value) if isinstance(value, str) else value for key, value in row.items()}
+            for row in rows
+        )
+
+
+def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:
+    """Curves, in the order in which they were measured."""
+    for family in dict.fromkeys(row.family for row in rows):
+        yield family, [row for row in rows if row.family == family]

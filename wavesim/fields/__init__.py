@@ -1,0 +1,1 @@
+"""Fields on grids, and their way through free space."""

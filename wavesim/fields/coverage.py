@@ -1,0 +1,159 @@
+"""How much of each cell of a plane grid a shape covers: rectangles, discs, half-planes, in closed form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.field import Array, Grid
+from wavesim.pupil.pupil import Orientation, axis_of
+
+SAMPLES_PER_FEATURE = 2.0
+"""Fewest samples across the narrowest feature of an object; fewer would not show it."""
+
+ROUNDING = 1.0 - 1e-9
+"""Sizes that are meant to be equal may differ by this factor."""
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle with sides along x and y, from `left_mm` to `right_mm` and from `low_mm` to `high_mm`."""
+
+    left_mm: float
+    right_mm: float
+    low_mm: float
+    high_mm: float
+
+    @property
+    def area_mm2(self) -> float:
+        """Width times height."""
+        return (self.right_mm - self.left_mm) * (self.high_mm - self.low_mm)
+
+
+def rectangle(centre_mm: tuple[float, float], width_mm: float, height_mm: float) -> Rectangle:
+    """The rectangle with a middle (x, y), a width along x and a height along y."""
+    x, y = centre_mm
+    return Rectangle(x - 0.5 * width_mm, x + 0.5 * width_mm, y - 0.5 * height_mm, y + 0.5 * height_mm)
+
+
+def bar_rectangles(
+    line_width_mm: float,
+    bars: int,
+    orientation: Orientation,
+    centre_mm: tuple[float, float],
+    length_mm: float,
+) -> tuple[Rectangle, ...]:
+    """Bars that follow each other along an axis, with gaps of their own width, about a middle (x, y)."""
+    axis = axis_of(orientation)
+    made = []
+    for bar in range(bars):
+        middle = list(centre_mm)
+        middle[axis] += 2.0 * line_width_mm * (bar - 0.5 * (bars - 1))
+        sides = (line_width_mm, length_mm) if axis == 0 else (length_mm, line_width_mm)
+        made.append(rectangle((middle[0], middle[1]), *sides))
+    return tuple(made)
+
+
+def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
+    """Part of each cell that rectangles which do not overlap take up, exactly.
+
+    Raises
+    ------
+    InputError
+        If the grid is a line, or a rectangle reaches beyond it.
+    """
+    refuse_line(grid)
+    covered = np.zeros(grid.shape)
+    for one in rectangles:
+        refuse_outside(grid, one)
+        rows, down = _interval(grid.y_mm, grid.pitch_mm, one.low_mm, one.high_mm)
+        columns, across = _interval(grid.x_mm, grid.pitch_mm, one.left_mm, one.right_mm)
+        covered[rows, columns] += np.outer(down, across)
+    return covered
+
+
+def disc_coverage(grid: Grid, radius_mm: float) -> Array:
+    """Part of each cell inside a disc about the grid's centre, exactly.
+
+    Each cell's area is the second difference of the area of the disc left of and below its corners.
+    """
+    refuse_line(grid)
+    refuse_not_positive("radius_mm", radius_mm)
+    ny, nx = grid.shape
+    y = grid.pitch_mm * (np.arange(ny + 1) - 0.5 * ny)[:, None]
+    x = grid.pitch_mm * (np.arange(nx + 1) - 0.5 * nx)[None, :]
+    down, across = np.minimum(abs(y), radius_mm), np.minimum(abs(x), radius_mm)
+
+    def under_arc(u: Array) -> Array:
+        return 0.5 * (
+            u * np.sqrt(np.maximum(radius_mm**2 - u**2, 0.0)) + radius_mm**2 * np.arcsin(u / radius_mm)
+        )
+
+    where_it_bends = np.minimum(np.sqrt(radius_mm**2 - down**2), across)
+    quarter = down * where_it_bends + under_arc(across) - under_arc(where_it_bends)
+    corners = np.sign(y) * np.sign(x) * quarter
+    return np.asarray(np.clip(np.diff(np.diff(corners, axis=0), axis=1) / grid.cell, 0.0, 1.0))
+
+
+def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:
+    """Part of a unit square on the positive side of a line at a signed distance from its middle."""
+    # The square's shadow on the normal is a trapezoid, the convolution of two boxes; a box of no width would
+    # divide by zero.
+    one, two = np.maximum(abs(cosine), 1e-6), np.maximum(abs(sine), 1e-6)
+
+    def ramp(shift: Array) -> Array:
+        return np.asarray(0.5 * np.maximum(distance + shift, 0.0) ** 2)
+
+    outer, inner = 0.5 * (one + two), 0.5 * (one - two)
+    area = (ramp(outer) - ramp(inner) - ramp(-inner) + ramp(-outer)) / (one * two)
+    # Far away the squares above cancel badly.
+    return np.asarray(np.where(abs(distance) >= outer, distance > 0.0, np.clip(area, 0.0, 1.0)))
+
+
+def refuse_line(grid: Grid) -> None:
+    """Raise InputError if a grid is not a plane."""
+    if grid.is_line:
+        raise InputError(f"grid shape = {grid.shape}: must be a plane, (ny, nx)")
+
+
+def refuse_not_positive(name: str, value: float) -> None:
+    """Raise InputError unless a value is finite and above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} = {value!r}: must be finite and greater than 0")
+
+
+def refuse_finer(grid: Grid, width_um: float, what: str) -> None:
+    """Raise SamplingError if a feature is narrower than `SAMPLES_PER_FEATURE` samples."""
+    pitch_um = 1e3 * grid.pitch_mm
+    if width_um < SAMPLES_PER_FEATURE * pitch_um * ROUNDING:
+        raise SamplingError(
+            f"{what} of {width_um:.4g} um: finer than {SAMPLES_PER_FEATURE:g} samples of the grid's "
+            f"{pitch_um:.4g} um; give a pitch of {width_um / SAMPLES_PER_FEATURE:.4g} um or less"
+        )
+
+
+def refuse_outside(grid: Grid, shape: Rectangle) -> None:
+    """Raise InputError if a rectangle reaches beyond a grid."""
+    half_y, half_x = grid.half_widths_mm
+    x, y = grid.centre_mm
+    reach_x = max(shape.right_mm - x, x - shape.left_mm)
+    reach_y = max(shape.high_mm - y, y - shape.low_mm)
+    if not (reach_x * ROUNDING <= half_x and reach_y * ROUNDING <= half_y):
+        raise InputError(
+            f"the object reaches {reach_x:.4g} mm along x and {reach_y:.4g} mm along y from the grid's "
+            f"centre: the grid reaches {half_x:.4g} mm and {half_y:.4g} mm; give a larger grid or a "
+            "smaller object"
+        )
+
+
+def _interval(samples_mm: Array, pitch_mm: float, low_mm: float, high_mm: float) -> tuple[slice, Array]:
+    """Cells that an interval touches, and the part of each that it covers."""
+    start = float(samples_mm[0]) - 0.5 * pitch_mm
+    first = max(0, math.floor((low_mm - start) / pitch_mm))
+    last = min(len(samples_mm), math.ceil((high_mm - start) / pitch_mm))
+    borders = start + pitch_mm * np.arange(first, last + 1)
+    return slice(first, last), np.diff(np.clip(borders, low_mm, high_mm)) / pitch_mm

@@ -1,0 +1,183 @@
+"""Grids and fields: where a wave is sampled, and its samples.
+
+A grid lies in a plane perpendicular to the axis: either a whole plane, or one meridional line along y in
+a world without x (lines of light in place of points), for long sweeps and exact solutions. Fields vary as
+exp(-i w t), so that a wave along +z is exp(+i k z). A field is scaled so that |u|^2 times refractive index
+and cosine is the flux through the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.runtime.arrays import array_module
+
+Array = NDArray[np.float64]
+
+ON_SAMPLE = 1e-6
+"""Of a pitch: nearer to a sample than this is on it."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Evenly spaced samples on a line or a plane perpendicular to the axis.
+
+    Attributes
+    ----------
+    shape : (ny,) or (ny, nx)
+        Number of samples: one number for a meridional line along y, two for a plane.
+    pitch_mm : float
+        Between neighbouring samples.
+    z_mm : float
+        Of the plane, in the fixed frame.
+    centre_mm : (x, y)
+        Middle of the samples; x is 0 for a line.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
+
+    shape: tuple[int, ...]
+    pitch_mm: float
+    z_mm: float
+    centre_mm: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        whole = all(isinstance(n, int | np.integer) and n > 0 for n in self.shape)
+        if len(self.shape) not in (1, 2) or not whole:
+            raise InputError(f"grid shape = {self.shape}: must be one or two whole numbers from 1")
+        if not (math.isfinite(self.pitch_mm) and self.pitch_mm > 0.0):
+            raise InputError(f"grid pitch_mm = {self.pitch_mm!r}: must be finite and greater than 0")
+        if not (math.isfinite(self.z_mm) and all(math.isfinite(c) for c in self.centre_mm)):
+            raise InputError(f"grid z_mm = {self.z_mm!r}, centre_mm = {self.centre_mm!r}: must be finite")
+        if self.is_line and self.centre_mm[0] != 0.0:
+            raise InputError(f"grid centre_mm = {self.centre_mm!r}: a meridional line lies at x = 0")
+
+    @property
+    def is_line(self) -> bool:
+        """Whether the grid is a meridional line."""
+        return len(self.shape) == 1
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return math.prod(self.shape)
+
+    @property
+    def cell(self) -> float:
+        """Length (mm) or area (mm^2) that one sample stands for."""
+        return float(self.pitch_mm ** len(self.shape))
+
+    @property
+    def half_widths_mm(self) -> tuple[float, ...]:
+        """Half of the grid's sides, in the order of `shape`, to the outer borders of its cells."""
+        return tuple(0.5 * n * self.pitch_mm for n in self.shape)
+
+    @cached_property
+    def y_mm(self) -> Array:
+        """y of each row."""
+        return _samples(self.shape[0], self.pitch_mm, self.centre_mm[1])
+
+    @cached_property
+    def x_mm(self) -> Array:
+        """x of each column; the one value 0 for a line."""
+        if self.is_line:
+            return np.zeros(1)
+        return _samples(self.shape[1], self.pitch_mm, self.centre_mm[0])
+
+    def radius_squared_mm2(self) -> Array:
+        """Squared distance of each sample from the axis, of the grid's shape."""
+        if self.is_line:
+            return self.y_mm**2
+        return self.y_mm[:, None] ** 2 + self.x_mm**2
+
+    def at(self, z_mm: float) -> Grid:
+        """The same samples in another plane."""
+        return replace(self, z_mm=z_mm)
+
+    def samples_among(self, wider: Grid) -> tuple[slice, slice] | None:
+        """Where the samples of this plane lie among those of a wider one; None if not all are among them."""
+        if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):
+            return None
+        found = []
+        for wide, narrow in ((wider.y_mm, self.y_mm), (wider.x_mm, self.x_mm)):
+            start = (narrow[0] - wide[0]) / self.pitch_mm
+            first = round(start)
+            if abs(start - first) > ON_SAMPLE or first < 0 or first + len(narrow) > len(wide):
+                return None
+            found.append(slice(first, first + len(narrow)))
+        return found[0], found[1]
+
+
+def _samples(count: int, pitch_mm: float, centre_mm: float) -> Array:
+    return np.asarray(centre_mm + pitch_mm * (np.arange(count) - 0.5 * (count - 1)), float)
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A monochromatic scalar wave on a grid.
+
+    Attributes
+    ----------
+    grid : Grid
+        Where the samples are.
+    values : complex array of the grid's shape
+        From NumPy, or any library that follows the array API.
+    wavelength_um : float
+        Vacuum wavelength.
+    index : float
+        Refractive index of the medium around the grid.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, or the wavelength is not usable.
+    """
+
+    grid: Grid
+    values: Any
+    wavelength_um: float
+    index: float = 1.0
+
+    def __post_init__(self) -> None:
+        if tuple(self.values.shape) != self.grid.shape:
+            raise InputError(
+                f"field values have shape {tuple(self.values.shape)}: the grid's is {self.grid.shape}"
+            )
+        if not (math.isfinite(self.wavelength_um) and self.wavelength_um > 0.0):
+            raise InputError(f"wavelength_um = {self.wavelength_um!r}: must be finite and greater than 0")
+
+    @property
+    def wavenumber_per_mm(self) -> float:
+        """2 pi times the index over the vacuum wavelength."""
+        return 2e3 * math.pi * self.index / self.wavelength_um
+
+    @property
+    def energy(self) -> float:
+        """Integral of |u|^2 over the grid."""
+        xp = array_module(self.values)
+        return float(xp.sum(abs(self.values) ** 2)) * self.grid.cell
+
+    def with_values(self, values: Any) -> Field:
+        """Other values at the same place."""
+        return replace(self, values=values)
+
+
+def relative_error(field: Any, truth: Any) -> float:
+    """L2 norm of the difference over that of the truth; nothing is fitted."""
+    return float(np.linalg.norm(np.ravel(field - truth)) / np.linalg.norm(np.ravel(truth)))
+
+
+def correlation(field: Any, truth: Any) -> float:
+    """Modulus of the normalized inner product of two fields: 1 where they differ by a constant factor."""
+    a, b = np.ravel(field), np.ravel(truth)
+    return float(abs(np.vdot(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))

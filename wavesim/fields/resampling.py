@@ -1,0 +1,144 @@
+"""Band-limited interpolation between evenly spaced samples.
+
+Each fine sample is a weighted sum of the coarse samples around it, with the weights of a sinc under a Kaiser
+window; see A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing", section 7.5.3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.special import i0
+
+from wavesim.fields import resampling_kernel
+
+Array = NDArray[np.float64]
+
+OVERSAMPLING = 1.6
+"""Of the coarse samples, over the Nyquist rate of what they hold."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Interpolation kernel for samples that are `OVERSAMPLING` times as dense as their band needs.
+
+    Attributes
+    ----------
+    taps : int
+        Coarse samples that count for a fine one; even.
+    beta : float
+        Of the Kaiser window.
+    """
+
+    taps: int
+    beta: float
+
+
+def kernel_for(error: float) -> Kernel:
+    """The shortest kernel of an interpolation error, by Kaiser's formulas."""
+    attenuation_db = max(-20.0 * math.log10(error), 50.0)
+    transition = 2.0 * math.pi * (1.0 - 1.0 / OVERSAMPLING)
+    taps = 2 * math.ceil(0.5 * (attenuation_db - 8.0) / (2.285 * transition))
+    return Kernel(taps, 0.1102 * (attenuation_db - 8.7))
+
+
+def coarse_axis(fine: Array, step: float, kernel: Kernel) -> Array:
+    """Even samples that hold all neighbours of a fine axis."""
+    count = math.ceil((fine[-1] - fine[0]) / step) + kernel.taps + 1
+    return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Interpolation along one axis.
+
+    Attributes
+    ----------
+    first : ndarray of int, shape (fine,)
+        First coarse sample that counts for each fine one.
+    weight : ndarray, shape (fine, taps)
+        Of that sample and of those that follow it.
+    coarse : int
+        Number of coarse samples.
+    """
+
+    first: NDArray[np.int64]
+    weight: Array
+    coarse: int
+
+    def matrix(self) -> csr_array:
+        """The same as a sparse matrix, shape (fine, coarse)."""
+        fine, taps = self.weight.shape
+        columns = self.first[:, None] + np.arange(taps)
+        rows = np.arange(fine + 1) * taps
+        return csr_array((self.weight.ravel(), columns.ravel(), rows), shape=(fine, self.coarse))
+
+    def astype(self, dtype: type[np.floating[Any]]) -> Weights:
+        """With weights of another precision."""
+        return Weights(self.first, self.weight.astype(dtype), self.coarse)
+
+
+def interpolation(coarse: Array, fine: Array, kernel: Kernel) -> Weights:
+    """Weights from values on a coarse axis to those on a fine one, in float64."""
+    place = (fine - coarse[0]) / (coarse[1] - coarse[0])
+    first = np.floor(place).astype(np.int64) - kernel.taps // 2 + 1
+    distance = place[:, None] - (first[:, None] + np.arange(kernel.taps))
+    inside = np.maximum(1.0 - (2.0 * distance / kernel.taps) ** 2, 0.0)
+    weight = np.sinc(distance) * i0(kernel.beta * np.sqrt(inside)) / i0(kernel.beta)
+    return Weights(first, weight, len(coarse))
+
+
+def add_interpolated(
+    coarse: NDArray, ways: tuple[Weights, Weights], carried: NDArray, result: NDArray, threads: int
+) -> None:
+    """Add a field on a coarse plane, interpolated and times a carrier, to one on a fine plane.
+
+    Parameters
+    ----------
+    coarse
+        Values, C-contiguous.
+    ways
+        Along y and x.
+    carried
+        Factor of each fine sample.
+    result
+        Changed in place; of the shape of `carried`.
+    threads
+        Number of threads.
+    """
+    along_y, along_x = ways
+    fixed = (coarse, along_y.first, along_y.weight, along_x.first, along_x.weight, carried, result)
+    _share(lambda start, stop: resampling_kernel.expand(*fixed, start, stop), len(carried), threads)
+
+
+def gathered(field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, threads: int) -> NDArray:
+    """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
+    along_y, along_x = ways
+    middle = np.zeros((len(field), along_x.coarse), carried.dtype)
+    across = (field, carried, along_x.first, along_x.weight, middle)
+    _share(lambda start, stop: resampling_kernel.collect_along_x(*across, start, stop), len(field), threads)
+    coarse = np.zeros((along_y.coarse, along_x.coarse), carried.dtype)
+    down = (middle, along_y.first, along_y.weight, coarse)
+    _share(lambda start, stop: resampling_kernel.collect_along_y(*down, start, stop), along_x.coarse, threads)
+    return coarse
+
+
+def _share(work: Callable[[int, int], None], count: int, threads: int) -> None:
+    """Do parts of a range in threads, the first part in this one."""
+    (first, *others) = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
+    if not others:
+        work(*first)
+        return
+    with ThreadPoolExecutor(len(others)) as pool:
+        running = [pool.submit(work, *part) for part in others]
+        work(*first)
+        for part in running:
+            part.result()

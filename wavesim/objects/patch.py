@@ -1,0 +1,320 @@
+"""What is imaged, in a few plain choices: a patch of the design's object, an object on it, and its light.
+
+A patch is a square of the object plane about the axis; a round field stop lets light through it. What is
+built here serves the commands `wavesim image` and `wavesim reconstruct`, and notebooks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.fft
+
+from lensdesign.errors import InputError
+from lensdesign.files.design import did_you_mean
+from lensdesign.lens.lens import Lens
+from wavesim.fields.coverage import rectangle
+from wavesim.fields.field import Field, Grid
+from wavesim.objects.illumination import (
+    field_stop,
+    gaussian_beam,
+    measured_field,
+    plane_wave,
+    refuse_larger_than_stop,
+)
+from wavesim.objects.phantom import tissue_phantom
+from wavesim.objects.targets import Ground, phase_target, picture_target, read_grey, siemens_star
+from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
+from wavesim.scene.patches import OBJECT_FINENESS, wavelength_of
+
+FIELD_MARGIN = 1.02
+"""Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
+
+INSCRIBED = 1.0 / math.sqrt(2.0)
+"""Side of the square inside a disc of diameter 1."""
+
+SPOKES, STAR_RADIUS = 36, 0.45
+"""Of the Siemens star; the radius as a share of the field stop's diameter."""
+
+PADS, PAD_SHARE, PAD_PHASE_RAD = 4, 0.08, 0.5 * math.pi
+"""Of the phase target; a pad's side as a share of the field stop's diameter, and the last pad's phase."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A square of the object plane about the axis, and the round field stop in it.
+
+    Attributes
+    ----------
+    grid : Grid
+        Samples of the object plane.
+    field_stop_mm : float
+        Diameter of the stop.
+    wavelength_um : float
+        Vacuum wavelength.
+    """
+
+    grid: Grid
+    field_stop_mm: float
+    wavelength_um: float
+
+    @property
+    def inside(self) -> Any:
+        """Samples whose middle lies within the stop, shape (ny, nx)."""
+        return self.grid.radius_squared_mm2() <= (0.5 * self.field_stop_mm) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """An object to be imaged.
+
+    Attributes
+    ----------
+    name : str
+        Kind of object, or the file that it came from.
+    transmission : Field
+        Complex transmission on the patch.
+    elements : tuple of UsafElement
+        Of USAF charts, those of the middle first; empty for other objects.
+    ground : {"bright", "dark"}
+        What surrounds the shapes of a chart.
+    """
+
+    name: str
+    transmission: Field
+    elements: tuple[UsafElement, ...]
+    ground: Ground
+
+
+def object_patch(
+    lens: Lens,
+    patch_mm: float,
+    field_stop_mm: float | None = None,
+    *,
+    wavelength_um: float | None = None,
+    object_pitch_um: float | None = None,
+) -> Patch:
+    """A patch of the design's object.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    patch_mm
+        Side of the square.
+    field_stop_mm
+        Diameter of the field stop; left out, it touches the square's sides.
+    wavelength_um
+        The design's first one if left out.
+    object_pitch_um
+        Of the samples; left out, what holds light of the design's numerical aperture.
+
+    Raises
+    ------
+    InputError
+        If the patch is larger than the design's field, or the field stop than the patch.
+    """
+    wavelength = wavelength_of(lens, wavelength_um)
+    field_mm = lens.object.field_diameter_mm
+    if not 0.0 < patch_mm <= FIELD_MARGIN * field_mm:
+        raise InputError(
+            f"patch_mm = {patch_mm:g}: must be above 0 and at most {FIELD_MARGIN:g} times the design's "
+            f"field_diameter_mm = {field_mm:g}"
+        )
+    stop_mm = patch_mm if field_stop_mm is None else field_stop_mm
+    if not 0.0 < stop_mm <= patch_mm:
+        raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")
+    if object_pitch_um is None:
+        object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
+    if not (math.isfinite(object_pitch_um) and object_pitch_um > 0.0):
+        raise InputError(f"object_pitch_um = {object_pitch_um!r}: must be finite and greater than 0")
+    count = scipy.fft.next_fast_len(max(4, math.ceil(1e3 * patch_mm / object_pitch_um - 1e-9)))
+    return Patch(Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm), stop_mm, wavelength)
+
+
+def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
+    """Elements of the USAF chart that fit the square inside a patch's field stop, and that its samples show.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`wavesim.objects.usaf.usaf_elements_within`.
+    """
+    return usaf_elements_within(patch.grid, INSCRIBED * patch.field_stop_mm)
+
+
+def usaf_charts_of(
+    patch: Patch, chart_at_mm: Sequence[tuple[float, float]] = ()
+) -> tuple[tuple[UsafElement, ...], ...]:
+    """Elements of the USAF chart in the middle of a patch, and of fine charts about other points.
+
+    Parameters
+    ----------
+    patch
+        Where they lie.
+    chart_at_mm
+        Points (x, y), from the middle.
+
+    Returns
+    -------
+    tuple
+        For the middle and for each point, the elements there.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`usaf_elements_of` and :func:`wavesim.objects.usaf.usaf_elements_beside`.
+    """
+    charts = [usaf_elements_of(patch)]
+    for point in chart_at_mm:
+        charts.append(usaf_elements_beside(patch.grid, point, patch.field_stop_mm, charts))
+    return tuple(charts)
+
+
+def make_target(
+    patch: Patch,
+    name: str,
+    ground: Ground = "bright",
+    *,
+    numerical_aperture: float,
+    seed: int = 0,
+    picture_pixel_um: float | None = None,
+    chart_at_mm: Sequence[tuple[float, float]] = (),
+) -> Target:
+    """An object on a patch: a chart, a star, a phase target, tissue, or a picture.
+
+    Parameters
+    ----------
+    patch
+        Where it lies.
+    name
+        "usaf", "star", "phase", "tissue", or the path of a picture, whose grey values stand for intensity.
+    ground
+        Bright or dark field, of charts and stars.
+    numerical_aperture, seed
+        Of the tissue's band limit, and of its random shapes.
+    picture_pixel_um
+        Side of a picture's pixel on the object.
+    chart_at_mm
+        Points (x, y) about which fine groups of the USAF chart stand beside the chart in the middle.
+
+    Raises
+    ------
+    InputError
+        If there is no such object, or it is larger than the field stop.
+    SamplingError
+        If the patch's samples are too coarse for it.
+    """
+    grid, stop_mm = patch.grid, patch.field_stop_mm
+    elements: tuple[UsafElement, ...] = ()
+    if chart_at_mm and name != "usaf":
+        raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
+    if name == "usaf":
+        elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
+        values = usaf_chart(grid, elements, ground)
+    elif name in MAKERS:
+        values = MAKERS[name](patch, ground, numerical_aperture, seed)
+    elif not (Path(name).suffix or Path(name).exists()):
+        known = ("usaf", *MAKERS)
+        raise InputError(
+            f"object = {name!r}: allowed: {', '.join(known)}, or the file of a picture"
+            f"{did_you_mean(name, known)}"
+        )
+    elif picture_pixel_um is None:
+        raise InputError(f"object = {name!r}: a picture needs picture_pixel_um, the side of its pixels")
+    else:
+        rows, columns = read_grey(name).shape
+        sides = (1e-3 * picture_pixel_um * columns, 1e-3 * picture_pixel_um * rows)
+        refuse_larger_than_stop(rectangle(grid.centre_mm, *sides), "disc", stop_mm)
+        values = picture_target(name, grid, picture_pixel_um)
+    transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
+    return Target(name, transmission, elements, ground)
+
+
+def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Any:
+    # The inner ends of the spokes are as narrow as the samples show.
+    inner_mm = 1.05 * patch.grid.pitch_mm / math.sin(0.5 * math.pi / SPOKES)
+    return siemens_star(patch.grid, SPOKES, STAR_RADIUS * patch.field_stop_mm, inner_mm, ground)
+
+
+def _phase(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+    return phase_target(patch.grid, 1e3 * PAD_SHARE * patch.field_stop_mm, PAD_PHASE_RAD, PADS)
+
+
+def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Any:
+    return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture)
+
+
+MAKERS: dict[str, Callable[[Patch, Ground, float, int], Any]] = {
+    "star": _star,
+    "phase": _phase,
+    "tissue": _tissue,
+}
+"""Objects without parts of their own that the code makes, by name."""
+
+
+def make_illumination(
+    patch: Patch,
+    name: str = "plane",
+    *,
+    tilt_deg: tuple[float, float] = (0.0, 0.0),
+    waist_mm: float | None = None,
+    pitch_um: float | None = None,
+) -> Field:
+    """Light on a patch, its field stop included; complex64.
+
+    Parameters
+    ----------
+    patch
+        What is lit.
+    name
+        "plane", "tilted", "gaussian", or the file of a measured field.
+    tilt_deg : (x, y)
+        Of a tilted plane wave.
+    waist_mm
+        Radius of the Gaussian beam's waist, which lies in the object plane; half the stop's radius if left
+        out.
+    pitch_um
+        Of a measured field whose file does not state it.
+
+    Raises
+    ------
+    InputError
+        If there is no such illumination, or a value is not usable.
+    SamplingError
+        If the patch's samples are too coarse for it.
+    """
+    grid, wavelength = patch.grid, patch.wavelength_um
+    known = ("plane", "tilted", "gaussian")
+    if name == "plane":
+        light = plane_wave(grid, wavelength)
+    elif name == "tilted":
+        light = plane_wave(grid, wavelength, tilt_x_deg=tilt_deg[0], tilt_y_deg=tilt_deg[1])
+    elif name == "gaussian":
+        light = gaussian_beam(grid, wavelength, 0.25 * patch.field_stop_mm if waist_mm is None else waist_mm)
+    elif Path(name).suffix or Path(name).exists():
+        light = measured_field(name, grid, wavelength, pitch_um)
+    else:
+        raise InputError(
+            f"illumination = {name!r}: allowed: {', '.join(known)}, or the file of a measured field"
+            f"{did_you_mean(name, known)}"
+        )
+    light = light.with_values(light.values.astype(np.complex64))
+    light.values[...] *= field_stop(grid, "disc", patch.field_stop_mm).astype(np.float32)
+    return light
+
+
+def transmission_of(behind_object: Field, illumination: Field) -> Field:
+    """The transmission that makes a field behind the object of its illumination; 0 where that is dark.
+
+    Both lie on one grid.
+    """
+    power = np.abs(illumination.values) ** 2
+    lit = power > 1e-6 * power.max()
+    values = np.where(lit, behind_object.values * illumination.values.conj() / np.where(lit, power, 1.0), 0.0)
+    return behind_object.with_values(values.astype(np.complex64))

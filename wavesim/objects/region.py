@@ -1,0 +1,122 @@
+"""Parts of an object plane: a region that is asked for, room about it, and a soft rim for that room."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.fields.coverage import Rectangle
+from wavesim.fields.field import Field, Grid
+from wavesim.pictures.layers import cut_out
+
+LEAST_SAMPLES = 16
+"""Along each side of a region; structural similarity and refocusing need some."""
+
+Part = tuple[slice, slice]
+
+
+def region_grid(grid: Grid, region_mm: Sequence[float], named: str = "region_mm") -> Grid:
+    """The samples of an object plane that hold a region.
+
+    Parameters
+    ----------
+    grid
+        A plane about the axis.
+    region_mm
+        x and y of the region's centre, width and height.
+    named
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        If the region reaches beyond the samples, or holds less than `LEAST_SAMPLES` along a side.
+    """
+    values = np.broadcast_to(np.False_, grid.shape)
+    found, (x_um, y_um) = cut_out(values, 1e3 * grid.pitch_mm, region_mm, named)
+    rows, columns = found.shape
+    if min(rows, columns) < LEAST_SAMPLES:
+        raise InputError(
+            f"{named} = {','.join(f'{n:g}' for n in region_mm)}: holds {columns} x {rows} samples of "
+            f"{1e3 * grid.pitch_mm:.4g} um; must be {LEAST_SAMPLES} x {LEAST_SAMPLES} at least"
+        )
+    return replace(grid, shape=(rows, columns), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
+
+
+def part_of(inner: Grid, wider: Grid) -> Part:
+    """Where the samples of a part lie among those of a plane that holds it."""
+    part = inner.at(wider.z_mm).samples_among(wider)
+    assert part is not None
+    return part
+
+
+def cut_field(field: Field, inner: Grid) -> Field:
+    """A field on a part of its samples; a view."""
+    values = field.values[part_of(inner, field.grid)]
+    return Field(inner.at(field.grid.z_mm), values, field.wavelength_um, field.index)
+
+
+def widened(inner: Grid, grid: Grid, margin_mm: float) -> Grid:
+    """A part with so much more on each side, as far as the plane has it."""
+    more = math.ceil(margin_mm / grid.pitch_mm)
+    rows, columns = part_of(inner, grid)
+    return _between(
+        grid,
+        *(
+            slice(max(side.start - more, 0), min(side.stop + more, count))
+            for side, count in zip((rows, columns), grid.shape, strict=True)
+        ),
+    )
+
+
+def around(rectangle: Rectangle, grid: Grid) -> Grid:
+    """The samples of a plane whose cells a rectangle within it touches."""
+    spans = ((rectangle.low_mm, rectangle.high_mm), (rectangle.left_mm, rectangle.right_mm))
+    found = []
+    for (low, high), first, count in zip(spans, (grid.y_mm[0], grid.x_mm[0]), grid.shape, strict=True):
+        start, stop = ((edge - first) / grid.pitch_mm + 0.5 for edge in (low, high))
+        found.append(slice(max(math.floor(start), 0), min(math.ceil(stop), count)))
+    return _between(grid, *found)
+
+
+def holds(grid: Grid, rectangle: Rectangle) -> bool:
+    """Whether a rectangle lies within the cells of a plane."""
+    (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
+    slack = 1e-9 * grid.pitch_mm
+    return (
+        rectangle.left_mm >= x - half_x - slack
+        and rectangle.right_mm <= x + half_x + slack
+        and rectangle.low_mm >= y - half_y - slack
+        and rectangle.high_mm <= y + half_y + slack
+    )
+
+
+def soft_rim(inner: Grid, wider: Grid) -> NDArray[np.float32]:
+    """1 on a part and half the way to the border of what surrounds it, and falling to 0 on the other half."""
+    down, across = (
+        _ramps(side, count) for side, count in zip(part_of(inner, wider), wider.shape, strict=True)
+    )
+    return down[:, None] * across
+
+
+def _ramps(side: slice, count: int) -> NDArray[np.float32]:
+    weights = np.ones(count, np.float32)
+    for margin, place in ((side.start, slice(None)), (count - side.stop, slice(None, None, -1))):
+        fall = margin // 2
+        weights[place][:fall] = np.sin(0.5 * np.pi * (np.arange(fall) + 0.5) / max(fall, 1)) ** 2
+    return weights
+
+
+def _between(grid: Grid, rows: slice, columns: slice) -> Grid:
+    middles = (
+        0.5 * (axis[side.start] + axis[side.stop - 1])
+        for axis, side in ((grid.x_mm, columns), (grid.y_mm, rows))
+    )
+    x_mm, y_mm = middles
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    return replace(grid, shape=shape, centre_mm=(float(x_mm), float(y_mm)))

@@ -1,0 +1,327 @@
+"""Test objects on a grid: bars, a Siemens star, phase pads, a picture from a file; and their band limit.
+
+An object is its complex transmission, one value for each cell of a plane grid: the mean over the cell, so
+that an edge across a cell leaves a value between those on its two sides. Rows lie along y, ascending, columns
+along x.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.input_files import check_input
+from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.coverage import (
+    ROUNDING,
+    Rectangle,
+    bar_rectangles,
+    disc_coverage,
+    half_plane_coverage,
+    rectangle,
+    rectangle_coverage,
+    refuse_finer,
+    refuse_line,
+    refuse_not_positive,
+    refuse_outside,
+)
+from wavesim.fields.field import Array, Grid
+from wavesim.fields.plane_waves import fft_frequencies
+from wavesim.pupil.pupil import Orientation
+from wavesim.runtime.arrays import fftn, ifftn
+from wavesim.runtime.threads import row_blocks
+
+ComplexArray = NDArray[np.complex128]
+Ground = Literal["bright", "dark"]
+
+
+def on_ground(coverage: Array, ground: Ground) -> ComplexArray:
+    """Transmission of opaque shapes on a bright ground, or of clear ones on a dark ground."""
+    if ground not in ("bright", "dark"):
+        raise InputError(f"ground = {ground!r}: allowed: bright, dark")
+    return np.asarray(coverage if ground == "dark" else 1.0 - coverage, complex)
+
+
+def line_pairs(
+    grid: Grid, line_width_um: float, orientation: Orientation = "x", bars: int = 5, ground: Ground = "dark"
+) -> ComplexArray:
+    """A square of bars about the grid's centre, as long as they are wide together with their gaps.
+
+    Parameters
+    ----------
+    grid
+        A plane.
+    line_width_um
+        Of a bar and of a gap; the period is twice that.
+    orientation
+        Axis along which the bars follow each other.
+    bars
+        Their number, at least 2.
+    ground
+        "dark": bright bars on a dark ground; "bright": the other way round.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or the bars reach beyond the grid.
+    SamplingError
+        If the bars are narrower than two samples.
+    """
+    refuse_not_positive("line_width_um", line_width_um)
+    refuse_finer(grid, line_width_um, "bars")
+    if isinstance(bars, bool) or not isinstance(bars, int) or bars < 2:
+        raise InputError(f"bars = {bars!r}: must be a whole number, at least 2")
+    width = 1e-3 * line_width_um
+    shapes = bar_rectangles(width, bars, orientation, grid.centre_mm, (2 * bars - 1) * width)
+    return on_ground(rectangle_coverage(grid, shapes), ground)
+
+
+def siemens_star(
+    grid: Grid, spokes: int, radius_mm: float, inner_radius_mm: float, ground: Ground = "dark"
+) -> ComplexArray:
+    """Spokes as wide as the gaps between them, in a ring about the grid's centre; the first lies along x.
+
+    Straight edges are integrated exactly over each cell, and so are the rims; where a spoke's edge meets a
+    rim, the product of both stands for the cell.
+
+    Parameters
+    ----------
+    grid
+        A plane.
+    spokes
+        Number of bright spokes, at least 2.
+    radius_mm, inner_radius_mm
+        Of the ring. At its inner rim, spokes are pi inner_radius / spokes wide.
+    ground
+        As of :func:`line_pairs`.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or the star reaches beyond the grid.
+    SamplingError
+        If the spokes' inner ends are narrower than two samples.
+    """
+    refuse_line(grid)
+    if isinstance(spokes, bool) or not isinstance(spokes, int) or spokes < 2:
+        raise InputError(f"spokes = {spokes!r}: must be a whole number, at least 2")
+    refuse_not_positive("inner_radius_mm", inner_radius_mm)
+    if not inner_radius_mm < radius_mm < math.inf:
+        raise InputError(
+            f"radius_mm = {radius_mm!r}: must be finite and above inner_radius_mm = {inner_radius_mm!r}"
+        )
+    refuse_outside(grid, rectangle(grid.centre_mm, 2.0 * radius_mm, 2.0 * radius_mm))
+    # The chord is what a straight line across a spoke's end measures.
+    refuse_finer(grid, 2e3 * inner_radius_mm * math.sin(0.5 * math.pi / spokes), "the spokes' inner ends")
+    x = (grid.x_mm - grid.centre_mm[0])[None, :]
+    y = (grid.y_mm - grid.centre_mm[1])[:, None]
+    star = disc_coverage(grid, radius_mm)
+    star -= disc_coverage(grid, inner_radius_mm)
+    for rows in row_blocks(len(y)):
+        star[rows] *= _spokes(x, y[rows], math.pi / spokes, grid.pitch_mm)
+    return on_ground(star, ground)
+
+
+def _spokes(x: Array, y: Array, step: float, pitch_mm: float) -> Array:
+    """Share of each cell that spokes cover, each `step` wide and as far apart."""
+    # Of the edges, two to a spoke, the nearest is at half a step from a multiple of the step.
+    nearest = np.floor(np.arctan2(y, x) / step)
+    edge = (nearest + 0.5) * step
+    distance = y * np.cos(edge) - x * np.sin(edge)
+    beyond = half_plane_coverage(distance / pitch_mm, np.cos(edge), np.sin(edge))
+    return np.where(nearest % 2 == 0, 1.0 - beyond, beyond)
+
+
+def phase_pads(
+    pad_um: float, phase_rad: float, levels: int, centre_mm: tuple[float, float] = (0.0, 0.0)
+) -> tuple[tuple[Rectangle, float], ...]:
+    """Places and phases (rad) of the pads of :func:`phase_target`."""
+    refuse_not_positive("pad_um", pad_um)
+    if not math.isfinite(phase_rad):
+        raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
+    if isinstance(levels, bool) or not isinstance(levels, int) or levels < 1:
+        raise InputError(f"levels = {levels!r}: must be a whole number, at least 1")
+    bars = bar_rectangles(1e-3 * pad_um, levels, "x", centre_mm, 1e-3 * pad_um)
+    return tuple((bar, phase_rad * (level + 1) / levels) for level, bar in enumerate(bars))
+
+
+def phase_target(
+    grid: Grid,
+    pad_um: float,
+    phase_rad: float,
+    levels: int = 4,
+    profile: Literal["binary", "smooth"] = "binary",
+) -> ComplexArray:
+    """Clear square pads in a row along x, with gaps of their own width, that delay the light in equal steps.
+
+    Parameters
+    ----------
+    grid
+        A plane; the row's middle is its centre.
+    pad_um
+        Side of a pad.
+    phase_rad
+        Of the last pad; pad m of `levels` has m / levels of it, the ground has 0.
+    levels
+        Number of pads.
+    profile
+        "binary": steps at the pads' borders; "smooth": cos^2 along x and y, with the phase in the pad's
+        middle, taken at the samples.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or the pads reach beyond the grid.
+    SamplingError
+        If a pad is narrower than two samples, or the phase of a smooth one changes by more
+        than pi from sample to sample.
+    """
+    if profile not in ("binary", "smooth"):
+        raise InputError(f"profile = {profile!r}: allowed: binary, smooth")
+    pads = phase_pads(pad_um, phase_rad, levels, grid.centre_mm)
+    refuse_finer(grid, pad_um, "phase pads")
+    pitch_um = 1e3 * grid.pitch_mm
+    if profile == "smooth" and abs(phase_rad) * pitch_um > pad_um:
+        # The steepest slope of phase cos^2(pi x / pad) is pi phase / pad.
+        raise SamplingError(
+            f"phase_rad = {phase_rad:g}: on pads of {pad_um:g} um it changes by more than pi within the "
+            f"grid's pitch of {pitch_um:.4g} um; give a pitch below {pad_um / abs(phase_rad):.4g} um"
+        )
+    transmission = np.ones(grid.shape, complex)
+    for pad, phase in pads:
+        coverage = rectangle_coverage(grid, [pad])
+        if profile == "binary":
+            transmission += np.expm1(1j * phase) * coverage
+        else:
+            x = (grid.x_mm - 0.5 * (pad.left_mm + pad.right_mm))[None, :]
+            y = (grid.y_mm - 0.5 * (pad.low_mm + pad.high_mm))[:, None]
+            side = 1e-3 * pad_um
+            inside = (abs(x) < 0.5 * side) & (abs(y) < 0.5 * side)
+            bump = (np.cos(np.pi * x / side) * np.cos(np.pi * y / side)) ** 2
+            transmission *= np.exp(1j * phase * np.where(inside, bump, 0.0))
+    return transmission
+
+
+def picture_target(
+    path: str | os.PathLike[str],
+    grid: Grid,
+    pixel_um: float,
+    quantity: Literal["intensity", "amplitude", "phase"] = "intensity",
+    phase_rad: float = math.pi,
+) -> ComplexArray:
+    """Transmission from a grey picture about the grid's centre; its pixels are integrated over the cells.
+
+    The first row lies at the smallest y. Beyond the picture the object is opaque, or clear for a phase.
+
+    Parameters
+    ----------
+    path
+        PNG, TIFF or another format that Pillow reads; one grey channel of 8 or 16 bits.
+    grid
+        A plane.
+    pixel_um
+        Side of a pixel on the object.
+    quantity
+        What grey values stand for, as parts of full scale (255 or 65535).
+    phase_rad
+        Of full scale, where they stand for a phase.
+
+    Raises
+    ------
+    InputError
+        If the file is no such picture, or a value is not usable, or the picture is larger than the grid.
+    SamplingError
+        If pixels are smaller than the pitch, so that detail would be averaged away.
+    """
+    refuse_line(grid)
+    refuse_not_positive("pixel_um", pixel_um)
+    if quantity not in ("intensity", "amplitude", "phase"):
+        raise InputError(f"quantity = {quantity!r}: allowed: intensity, amplitude, phase")
+    if not math.isfinite(phase_rad):
+        raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
+    grey = read_grey(path)
+    pixel = 1e-3 * pixel_um
+    rows, columns = grey.shape
+    if pixel < grid.pitch_mm * ROUNDING:
+        raise SamplingError(
+            f"pixel_um = {pixel_um:g}: finer than the grid's pitch of {1e3 * grid.pitch_mm:.4g} um; "
+            "give a finer grid, or a picture with larger pixels"
+        )
+    refuse_outside(grid, rectangle(grid.centre_mm, columns * pixel, rows * pixel))
+    if quantity == "phase":
+        shown = np.expm1(1j * phase_rad * grey)
+    else:
+        shown = (np.sqrt(grey) if quantity == "intensity" else grey).astype(complex)
+    down, across = (_overlaps(count, grid, pixel, n) for count, n in zip(grid.shape, grey.shape, strict=True))
+    return np.asarray(down @ shown @ across.T + (quantity == "phase"))
+
+
+def read_grey(path: str | os.PathLike[str]) -> Array:
+    """Grey values of a picture as parts of full scale, of shape (rows, columns).
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or does not hold one grey picture of 8 or 16 bits.
+    """
+    from PIL import Image
+
+    place = Path(path)
+    check_input(place, named="the picture")
+    full_scale = {"L": 255.0, "I;16": 65535.0, "I;16L": 65535.0, "I;16B": 65535.0}
+    try:
+        with Image.open(place) as picture:
+            mode, frames = picture.mode, getattr(picture, "n_frames", 1)
+            values: Any = np.asarray(picture, float) if mode in full_scale and frames == 1 else None
+    # Of damaged files the readers below raise errors of many kinds.
+    except Exception as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise InputError(f"cannot read the picture {place}: {reason}") from error
+    if frames != 1:
+        raise InputError(f"picture {place}: holds {frames} pictures; give a file with one")
+    if values is None:
+        raise InputError(f"picture {place}: has mode {mode}; give one grey channel of 8 or 16 bits")
+    return np.asarray(values / full_scale[mode])
+
+
+def band_limit(
+    values: ComplexArray, grid: Grid, wavelength_um: float, numerical_aperture: float
+) -> ComplexArray:
+    """What light within a numerical aperture can tell of an object lit along the axis.
+
+    Cycles per mm above numerical_aperture / wavelength are taken out, in a circle, by the discrete Fourier
+    transform; the grid is taken to repeat.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or `values` are not of the grid's shape.
+    SamplingError
+        If the grid is too coarse for the aperture.
+    """
+    refuse_not_positive("wavelength_um", wavelength_um)
+    refuse_not_positive("numerical_aperture", numerical_aperture)
+    if values.shape != grid.shape:
+        raise InputError(f"values have shape {values.shape}: the grid's is {grid.shape}")
+    limit = 1e3 * numerical_aperture / wavelength_um
+    if grid.pitch_mm * ROUNDING > 0.5 / limit:
+        raise SamplingError(
+            f"numerical_aperture = {numerical_aperture:g}: at {wavelength_um:g} um it needs a pitch of "
+            f"{500.0 / limit:.4g} um or less; the grid's is {1e3 * grid.pitch_mm:.4g} um"
+        )
+    squared = sum(across**2 for across in fft_frequencies(grid.shape, grid.pitch_mm, np))
+    return np.asarray(ifftn(np.where(squared <= limit**2, fftn(values), 0.0)))
+
+
+def _overlaps(count: int, grid: Grid, pixel_mm: float, pixels: int) -> Array:
+    """Part of each cell (row) that each pixel (column) covers, both centred."""
+    cells = grid.pitch_mm * (np.arange(count + 1) - 0.5 * count)
+    borders = pixel_mm * (np.arange(pixels + 1) - 0.5 * pixels)
+    low = np.maximum(cells[:-1, None], borders[None, :-1])
+    high = np.minimum(cells[1:, None], borders[None, 1:])
+    return np.asarray(np.maximum(high - low, 0.0) / grid.pitch_mm)

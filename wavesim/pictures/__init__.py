@@ -1,0 +1,1 @@
+"""What people look at: fields, frames, reconstructions, comparisons, pages that zoom."""

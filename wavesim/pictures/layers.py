@@ -1,0 +1,213 @@
+"""Fields and frames as layers of a page that zooms: values with their range, scale and colours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from wavesim.camera.frames import Frame
+from wavesim.fields.field import Array
+from wavesim.pictures.pyramid import Function, Level, halved, picture_levels
+
+BRIGHTEST = 0.9999
+"""Quantile of amplitudes that is shown brightest: single samples may stand out."""
+
+LIT = 0.1
+"""Of the brightest amplitude, below which phase says nothing."""
+
+PHASE_QUANTILE = 0.995
+"""Of the modulus of phases, which the colours are to hold."""
+
+MOST_ASKED = 1_000_000
+"""Samples by which ranges are found."""
+
+Plane = Literal["object", "sensor"]
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLayer:
+    """One picture of a page.
+
+    Attributes
+    ----------
+    name : str
+        What is shown.
+    unit : str
+        Of the values; may be empty.
+    plane : {"object", "sensor"}
+        Layers of one plane keep the place when they are switched.
+    pitch_um : float
+        Of the samples.
+    centre_um : (x, y)
+        Middle of the picture.
+    levels : list of Level
+        The picture and its halvings; the first row on top, that of the largest y. Not a number is no value.
+    low, high : float
+        Range of the colours.
+    beyond : (bool, bool)
+        Whether there are values below and above the range; they look like its ends.
+    logarithmic : bool
+        Whether colours follow the logarithm of the values; `low` is above 0 then.
+    colours : str
+        One of Matplotlib's colour maps.
+    """
+
+    name: str
+    unit: str
+    plane: Plane
+    pitch_um: float
+    centre_um: tuple[float, float]
+    levels: Sequence[Level]
+    low: float
+    high: float
+    beyond: tuple[bool, bool]
+    logarithmic: bool
+    colours: str
+
+
+def field_layers(
+    values: Any, pitch_um: float, centre_um: tuple[float, float] = (0.0, 0.0), name: str = ""
+) -> list[PictureLayer]:
+    """Amplitude of a field, and its phase unless that is 0 everywhere.
+
+    Parameters
+    ----------
+    values
+        Complex or real, shape (ny, nx), y increasing with the row.
+    pitch_um
+        Of the samples.
+    centre_um
+        Middle of the samples (x, y).
+    name
+        Written before "amplitude" and "phase".
+    """
+    upright, some = values[::-1], _some(values)
+    brightest = max(float(np.quantile(np.abs(some), BRIGHTEST)), 1e-12)
+
+    def layer(
+        what: str, unit: str, levels: Sequence[Level], low: float, high: float, beyond: bool, colours: str
+    ) -> PictureLayer:
+        said, both = f"{name} {what}".strip(), (beyond and low < 0.0, beyond)
+        return PictureLayer(
+            said, unit, "object", pitch_um, centre_um, levels, low, high, both, False, colours
+        )
+
+    above = any(np.abs(row).max() > brightest for row in values)
+    layers = [layer("amplitude", "", picture_levels(upright, "amplitude"), 0.0, brightest, above, "gray")]
+    if np.iscomplexobj(values) and any(np.any(row.imag) for row in values):
+        reach = _phase_reach(some, LIT * brightest)
+        turn = reach == math.pi
+        levels = [
+            Level(level.kept, _phase_where_lit(LIT * brightest))
+            for level in picture_levels(upright, "phase_rad")
+        ]
+        colours = "twilight" if turn else "RdBu_r"
+        layers.append(layer("phase", "rad", levels, -reach, reach, not turn, colours))
+    return layers
+
+
+def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 0.0)) -> PictureLayer:
+    """Electrons on the pixels of a frame, on a logarithmic scale from the noise of a dark pixel upward.
+
+    Parameters
+    ----------
+    frame
+        A recorded frame.
+    name
+        What the layer is called.
+    centre_um
+        Middle of the pixels (x, y).
+    """
+    settings = frame.settings
+    gain, offset = settings.gain_electrons_per_count, settings.offset_counts
+
+    def electrons(counts: Any) -> Any:
+        return np.float32(gain) * (counts - np.float32(offset))
+
+    levels = [Level(frame.counts[::-1], electrons)]
+    levels += picture_levels(halved(levels[0].kept, electrons), "electrons")
+    low = max(math.hypot(settings.read_noise_electrons, gain / math.sqrt(12.0)), 1e-3)
+    high = max(float(electrons(frame.counts.max())), 10.0 * low)
+    beyond = float(electrons(frame.counts.min())) < low, False
+    pitch_um = settings.pixel_pitch_um
+    return PictureLayer(
+        name, "electrons", "sensor", pitch_um, centre_um, levels, low, high, beyond, True, "inferno"
+    )
+
+
+def cut_out(
+    values: Any,
+    pitch_um: float,
+    region_mm: Sequence[float],
+    named: str = "region_mm",
+    centre_um: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Any, tuple[float, float]]:
+    """Samples within a region, and the middle of these.
+
+    Parameters
+    ----------
+    values
+        Shape (ny, nx), y increasing with the row.
+    pitch_um
+        Of the samples.
+    region_mm
+        x and y of its centre, width and height.
+    named
+        What messages call the region.
+    centre_um
+        Middle of the values (x, y).
+
+    Returns
+    -------
+    ndarray, (x, y)
+        A view of the values, and its middle in um.
+
+    Raises
+    ------
+    InputError
+        If the region has no size, or reaches beyond the samples.
+    """
+    said = f"{named} = {','.join(f'{n:g}' for n in region_mm)}"
+    x_mm, y_mm, width_mm, height_mm = region_mm
+    if not (all(map(math.isfinite, region_mm)) and min(width_mm, height_mm) > 0.0):
+        raise InputError(f"{said}: must be finite, and the sides greater than 0")
+    found, middles_um = [], []
+    for axis, count, middle_um, middle, side in (
+        ("x", values.shape[1], centre_um[0], x_mm, width_mm),
+        ("y", values.shape[0], centre_um[1], y_mm, height_mm),
+    ):
+        half, own = 0.5e-3 * count * pitch_um, 1e-3 * middle_um
+        if abs(middle - own) + 0.5 * side > half + 1e-3 * pitch_um:
+            raise InputError(
+                f"{said}: along {axis} there are samples from {own - half:.4g} to {own + half:.4g} mm alone"
+            )
+        first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + 1e-6), 0)
+        last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - 1e-6), count)
+        found.append(slice(first, max(last, first + 1)))
+        middles_um.append(middle_um + (0.5 * (first + found[-1].stop) - 0.5 * count) * pitch_um)
+    return values[found[1], found[0]], (middles_um[0], middles_um[1])
+
+
+def _some(values: Any) -> Any:
+    """Evenly spread samples, of which there are not too many."""
+    step = max(1, math.ceil(math.sqrt(values.size / MOST_ASKED)))
+    return values[::step, ::step]
+
+
+def _phase_where_lit(least: float) -> Function:
+    def phase(values: Any) -> Array:
+        return np.where(np.abs(values) > least, np.angle(values), np.nan)
+
+    return phase
+
+
+def _phase_reach(values: Any, least: float) -> float:
+    """Half the range of the colours: half a turn, or less where the phase keeps to less."""
+    lit = values[np.abs(values) > least]
+    largest = float(np.quantile(np.abs(np.angle(lit)), PHASE_QUANTILE)) if lit.size else 0.0
+    return math.pi if largest > 0.5 * math.pi else max(1.1 * largest, 0.1)

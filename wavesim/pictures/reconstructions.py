@@ -1,0 +1,124 @@
+"""Pictures of reconstructions: how retrieval converged (Fig. 10), and what its starts lead to (Fig. 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError
+from wavesim.fields.field import Array, Field
+from wavesim.reconstruction.from_field import Retrieved, agreement
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#1f5fa8", "#d1622b", "#2f8f4e", "#7a4fa3", "#555555")
+
+
+def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence of retrieval") -> Figure:
+    """What the correlation of amplitudes (A6) lacks to 1, and the residual at the first plane.
+
+    Both are on logarithmic axes over the iterations: near 1 a correlation hardly shows any change. Where a
+    run stagnated, a dot stands on its curve.
+
+    Parameters
+    ----------
+    runs
+        Of :func:`wavesim.retrieve`, by the name of their start.
+    title
+        Written on top.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    from matplotlib.figure import Figure
+
+    if not runs:
+        raise InputError("convergence: needs one run at least")
+    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    figure.suptitle(visible(title), parse_math=False)
+    curves = {
+        "1 − CC (A6)": lambda run: 1.0 - np.asarray(run.correlation),
+        "relative residual, first plane": lambda run: np.asarray(run.residual_curve),
+    }
+    for axes, (label, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
+        for (name, run), colour in zip(runs.items(), _colours(len(runs)), strict=True):
+            values = np.maximum(curve(run), 1e-16)
+            iterations = np.arange(len(values))
+            axes.semilogy(iterations, values, color=colour, label=name)
+            if run.stagnated_at is not None:
+                axes.plot(run.stagnated_at, values[run.stagnated_at], "o", color=colour)
+        axes.set_xlabel("iteration")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3, which="both")
+    figure.axes[0].legend(frameon=False)
+    return figure
+
+
+def starts_figure(
+    objects: Mapping[str, Field],
+    correlations: Mapping[str, float] | None = None,
+    title: str = "What the start of phase retrieval leads to",
+) -> Figure:
+    """Amplitude and phase of the object that each start led to, in one scale of amplitude.
+
+    Parameters
+    ----------
+    objects
+        Reconstructed objects on one plane grid, by the name of their start.
+    correlations
+        CC (A6) of each start, written above its picture. The agreement of all starts stands in the title:
+        where it is low, no CC proves that a result is right.
+    title
+        Written on top.
+
+    Raises
+    ------
+    InputError
+        If there are none, or their grids differ or are lines.
+    """
+    from matplotlib.figure import Figure
+
+    fields = list(objects.values())
+    if not fields or any(f.grid != fields[0].grid or f.grid.is_line for f in fields):
+        raise InputError("pictures of several starts: need objects on one plane grid")
+    agreed = f"; agreement of all starts {agreement(fields):.4f}" if len(fields) > 1 else ""
+    figure = Figure(figsize=(3.8 * len(fields), 7.4), layout="constrained")
+    figure.suptitle(visible(title) + agreed, parse_math=False)
+    brightest = max(float(np.percentile(np.abs(f.values), 99.9)) for f in fields)
+    for column, (name, field) in enumerate(objects.items()):
+        said = "" if correlations is None else f"\nCC {correlations[name]:.6f}"
+        for row, (values, settings) in enumerate(_pictures(field, brightest)):
+            axes = figure.add_subplot(2, len(fields), row * len(fields) + column + 1)
+            picture = axes.imshow(values, extent=_extent_um(field), origin="lower", **settings)
+            axes.set_xlabel("x (µm)")
+            if row == 0:
+                axes.set_title(name + said)
+            if column == 0:
+                axes.set_ylabel("y (µm)")
+            if column == len(fields) - 1:
+                figure.colorbar(picture, ax=axes, label=("amplitude", "phase (rad)")[row], shrink=0.8)
+    return figure
+
+
+def _pictures(field: Field, brightest: float) -> Sequence[tuple[Array, dict[str, Any]]]:
+    """Amplitude and phase, with what imshow takes for them."""
+    return (
+        (np.abs(field.values), {"cmap": "gray", "vmin": 0.0, "vmax": brightest}),
+        (np.angle(field.values), {"cmap": "twilight", "vmin": -np.pi, "vmax": np.pi}),
+    )
+
+
+def _extent_um(field: Field) -> tuple[float, float, float, float]:
+    (half_y, half_x), (x, y) = field.grid.half_widths_mm, field.grid.centre_mm
+    left, right, low, high = (1e3 * edge for edge in (x - half_x, x + half_x, y - half_y, y + half_y))
+    return left, right, low, high
+
+
+def _colours(count: int) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(count)]

@@ -1,0 +1,1 @@
+"""The reconstruction pupil: what a perturbed lens leaves of a point after reconstruction, in milliseconds."""

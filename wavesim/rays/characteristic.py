@@ -1,0 +1,306 @@
+"""Point characteristic V(c, s) of a lens, from rays, and the reconstruction pupil of a perturbed one.
+
+V(c, s) is the optical path from an object point c to a sensor point s (Hamilton's point characteristic).
+Its gradients are the ray's directions at both ends: dV/dc = -p and dV/ds = n q. The field of a plane
+object O near c is then U(s) = (1/lambda) a(s) exp(i k V(c, s)) times the spectrum of O at p(s), with
+a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) by conservation of energy along the rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.tracing.bundles import launch
+from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
+from wavesim.rays.ray_aiming import AimingMap, reach_for, shift_vector, shoot
+
+Array = NDArray[np.float64]
+
+DIFFERENCE_STEP = 1e-4
+"""Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""
+
+RIM_POINTS = 256
+
+
+class FoldError(InputError):
+    """The map from directions at the object to sensor points folds: no single ray per sensor point."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCharacteristic:
+    """Rays from one object point to one plane behind a lens, for the n samples inside the stop.
+
+    Attributes
+    ----------
+    grid : PupilGrid
+        Directions at the object: ``grid.cosines`` holds p = (L, M).
+    status : ndarray of int8, shape (samples, samples)
+        :class:`lensdesign.tracing.status.Status` of every ray of the grid; the n inside are OK.
+    object_point_mm : ndarray, shape (3,)
+        The point c.
+    plane_z_mm : float
+        z of the plane.
+    index_behind : float
+        Refractive index n between the lens and the plane.
+    sensor_points_mm : ndarray, shape (n, 2)
+        Where the rays meet the plane, s.
+    path_mm : ndarray, shape (n,)
+        Optical path V(c, s).
+    directions : ndarray, shape (n, 3)
+        Direction cosines q behind the lens.
+    jacobian_mm : ndarray, shape (n, 2, 2)
+        ds/dp.
+    direction_jacobian : ndarray, shape (n, 2, 2)
+        dq/dp, of the two transverse cosines.
+    """
+
+    grid: PupilGrid
+    status: NDArray[np.int8]
+    object_point_mm: Array
+    plane_z_mm: float
+    index_behind: float
+    sensor_points_mm: Array
+    path_mm: Array
+    directions: Array
+    jacobian_mm: Array
+    direction_jacobian: Array
+
+    @cached_property
+    def determinant_mm2(self) -> Array:
+        """Determinant of ds/dp, shape (n,); one sign throughout unless the map of rays folds."""
+        return np.asarray(np.linalg.det(self.jacobian_mm))
+
+    @cached_property
+    def amplitude_per_mm(self) -> Array:
+        """Amplitude a in 1/mm, shape (n,); inf on a caustic."""
+        cosines = self.grid.axial_cosine / (self.index_behind * self.directions[:, 2])
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.sqrt(cosines / np.abs(self.determinant_mm2)), float)
+
+    @cached_property
+    def inverse_jacobian(self) -> Array:
+        """dp/ds in 1/mm, shape (n, 2, 2).
+
+        Raises
+        ------
+        FoldError
+            If the map of rays folds inside the bundle.
+        """
+        sign = np.sign(self.determinant_mm2)
+        if np.any(sign != sign[0]) or sign[0] == 0.0:
+            raise FoldError(
+                f"the rays from ({self.object_point_mm[0]:g}, {self.object_point_mm[1]:g}) mm fold on the "
+                f"plane z = {self.plane_z_mm:g} mm: several rays reach one sensor point there; "
+                "choose a plane before or behind the caustic"
+            )
+        return np.asarray(np.linalg.inv(self.jacobian_mm))
+
+    @cached_property
+    def wavefront_curvature_per_mm(self) -> float:
+        """Largest second derivative of V along the plane, over the bundle."""
+        hessian = self.index_behind * (self.direction_jacobian @ self.inverse_jacobian)
+        return float(np.max(np.linalg.norm(hessian, axis=(1, 2))))
+
+    def aiming_map(self) -> AimingMap:
+        """What perturbed rays are aimed from; FoldError if the map of rays folds."""
+        return AimingMap(
+            cosines=np.ascontiguousarray(self.grid.cosines.T),
+            points_mm=np.ascontiguousarray(self.sensor_points_mm.T),
+            inverse_per_mm=np.ascontiguousarray(np.moveaxis(self.inverse_jacobian, 0, -1)),
+            object_point_mm=self.object_point_mm,
+            plane_z_mm=self.plane_z_mm,
+            reach_mm=reach_for(self.grid.wavelength_um, self.wavefront_curvature_per_mm),
+        )
+
+
+def point_characteristic(
+    lens: Lens,
+    field_mm: Sequence[float] = (0.0, 0.0),
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 3.0,
+    samples: int = 128,
+) -> PointCharacteristic:
+    """Trace the point characteristic of a nominal lens.
+
+    Parameters
+    ----------
+    lens
+        The lens; its stop and the other clear semi-diameters bound the bundle.
+    field_mm
+        Object point (x, y) on the object plane.
+    wavelength_um
+        Vacuum wavelength; the design's first one if left out.
+    plane_distance_mm
+        Distance of the plane from the exit vertex.
+    samples
+        Samples along each side of the square grid that covers the bundle's direction cosines.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or no ray gets through.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    field = np.asarray(field_mm, float)
+    if field.shape != (2,) or not np.all(np.isfinite(field)):
+        raise InputError(f"field_mm = {field_mm!r}: must be two finite numbers, x and y")
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 8 <= samples <= 4096:
+        raise InputError(f"samples = {samples!r}: must be a whole number from 8 to 4096")
+    if not (np.isfinite(plane_distance_mm) and plane_distance_mm > 0.0):
+        raise InputError(f"plane_distance_mm = {plane_distance_mm!r}: must be finite and above 0")
+    if not (np.isfinite(wavelength) and wavelength > 0.0):
+        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and above 0")
+    system = compile_system(lens, wavelength)
+    point = np.array([*field, lens.object_z_mm])
+    plane_z = lens.exit_vertex_z_mm + plane_distance_mm
+    centre, spacing = _bounding_square(lens, field, wavelength, samples)
+    whole = PupilGrid(centre, spacing, np.ones((samples, samples), bool), wavelength)
+    rays, _ = shoot(system, point, whole.cosines.T, plane_z, clip=True)
+    if not np.any(rays.ok):
+        raise InputError(
+            f"no ray from the object point ({field[0]:g}, {field[1]:g}) mm gets through the lens: "
+            "choose a field point that the lens sees"
+        )
+    grid = PupilGrid(centre, spacing, rays.ok.reshape(samples, samples), wavelength)
+    jacobian, direction_jacobian = _derivatives(system, point, grid.cosines.T, plane_z)
+    return PointCharacteristic(
+        grid=grid,
+        status=rays.status.reshape(samples, samples),
+        object_point_mm=point,
+        plane_z_mm=plane_z,
+        index_behind=float(system.index[0, -1]),
+        sensor_points_mm=rays.position[rays.ok, :2],
+        path_mm=rays.opl[rays.ok],
+        directions=rays.direction[rays.ok],
+        jacobian_mm=jacobian,
+        direction_jacobian=direction_jacobian,
+    )
+
+
+def _bounding_square(
+    lens: Lens, field: Array, wavelength_um: float, samples: int
+) -> tuple[tuple[float, float], float]:
+    """Centre and spacing of the grid that covers the cosines of all rays through the stop's rim."""
+    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    _, rim = launch(lens, field, np.column_stack([np.cos(angle), np.sin(angle)]), wavelength_um)
+    low, high = rim[:, :2].min(axis=0), rim[:, :2].max(axis=0)
+    centre = 0.5 * (low + high)
+    return (float(centre[0]), float(centre[1])), float(np.max(high - low)) / samples
+
+
+def _derivatives(
+    system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float
+) -> tuple[Array, Array]:
+    """ds/dp and dq/dp by central differences, one-sided where a neighbour does not arrive."""
+    base, _ = shoot(system, point, cosines, plane_z_mm, clip=False)
+    parts: list[tuple[Array, Array]] = []
+    for axis in np.eye(2):
+        ends = []
+        for sign in (-1.0, 1.0):
+            rays, real = shoot(
+                system, point, cosines + sign * DIFFERENCE_STEP * axis[:, None], plane_z_mm, clip=False
+            )
+            arrived = rays.ok & real
+            values = np.hstack([rays.position[:, :2], rays.direction[:, :2]])
+            fallback = np.hstack([base.position[:, :2], base.direction[:, :2]])
+            ends.append((np.where(arrived[:, None], values, fallback), sign * arrived))
+        width = DIFFERENCE_STEP * (ends[1][1] - ends[0][1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = (ends[1][0] - ends[0][0]) / width[:, None]
+        parts.append((slope[:, :2], slope[:, 2:]))
+    return np.stack([p[0] for p in parts], axis=-1), np.stack([p[1] for p in parts], axis=-1)
+
+
+class PupilSampler:
+    """Reconstruction pupils of perturbed copies of one lens, the nominal part done once.
+
+    What it neglects: the small patch of the object around the point is taken to see one pupil
+    (isoplanatic), and interface losses are those of an ideal coating.
+
+    Parameters
+    ----------
+    lens, field_mm, wavelength_um, plane_distance_mm, samples
+        As in :func:`point_characteristic`. The plane stands still when the lens moves.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or no ray gets through.
+    FoldError
+        If the nominal rays fold on the plane.
+
+    Examples
+    --------
+    >>> sampler = PupilSampler(lens, field_mm=(0.0, 1.0))                   # doctest: +SKIP
+    >>> strehl(refocus(sampler.pupil(Pose(tilt_y_deg=0.1))).pupil)          # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        lens: Lens,
+        field_mm: Sequence[float] = (0.0, 0.0),
+        wavelength_um: float | None = None,
+        plane_distance_mm: float = 3.0,
+        samples: int = 128,
+    ) -> None:
+        self.lens = lens
+        self.nominal = point_characteristic(lens, field_mm, wavelength_um, plane_distance_mm, samples)
+        self.grid = self.nominal.grid
+        self._map = self.nominal.aiming_map()
+
+    def pupil(
+        self,
+        pose: Pose = Pose(),
+        surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
+        object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
+        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
+        wavelength_um: float | None = None,
+    ) -> ReconstructionPupil:
+        """Reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
+
+        The perturbed ray that reaches s(p) is found by a quasi-Newton iteration with the nominal
+        Jacobian, and what is left of the way is bridged by V'(s) = V'(s') + n q'.(s - s').
+
+        Parameters
+        ----------
+        pose, surface_perturbations
+            One perturbed lens, as in :func:`lensdesign.tracing.rays.trace`; no arrays of trials.
+        object_shift_mm, sensor_shift_mm
+            How far object and sensor are shifted (x, y, z). To shift both is to shift the lens the
+            other way.
+        sensor_tilt_deg
+            Right-handed rotation of the sensor about x, then about the y axis that turned with it, about the
+            middle of its plane.
+        wavelength_um
+            Of the light, where it is not what the nominal lens is taken at: what counts is the path in waves,
+            V'/wavelength' - V/wavelength, here as a length at the nominal wavelength. Indices stay those
+            at the nominal one; change them by `surface_perturbations`.
+
+        Raises
+        ------
+        InputError
+            If a value is not usable, or no ray arrives through both lenses.
+        RayAimError
+            If aiming does not converge.
+        """
+        wavelength = self.grid.wavelength_um
+        system = compile_system(self.lens, wavelength, pose, surface_perturbations)
+        if system.trials is not None:
+            raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
+        shifts = (
+            shift_vector(object_shift_mm, "object_shift_mm"),
+            shift_vector(sensor_shift_mm, "sensor_shift_mm"),
+        )
+        aimed = self._map.aim(system, *shifts, sensor_tilt_deg)
+        scale = 1.0 if wavelength_um is None else wavelength / wavelength_um
+        return ReconstructionPupil(self.grid, scale * aimed.path_mm - self.nominal.path_mm, aimed.arrived)

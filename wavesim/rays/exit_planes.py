@@ -1,0 +1,145 @@
+"""The plane behind a lens to which rays carry a field: free of folds, with free space beyond."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.fields.field import Grid
+from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.rays.characteristic import FoldError
+from wavesim.rays.maps import refuse_fold, sample_points
+from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+CANDIDATES = 33
+"""Planes between exit vertex and exit grid that are looked at where rays fold on the exit grid."""
+
+SAMPLE_ORDER = {True: 64, False: 16}
+NARROWEST = 0.6
+"""Share of its cross-section at the exit vertex to which a tube of rays may have come down."""
+
+FINENESS, ZONES = 0.85, 6.0
+
+
+@dataclass(frozen=True)
+class ExitPlane:
+    """Where the tiles' fields are summed, and how the sum goes on to the exit grid.
+
+    Attributes
+    ----------
+    grid : Grid
+        Samples of the plane; the exit grid itself where `beyond` is None.
+    beyond : GridTransfer or None
+        Free space from there to the exit grid.
+    """
+
+    grid: Grid
+    beyond: GridTransfer | None
+
+
+def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
+    """Take the plane asked for, or choose one.
+
+    Raises
+    ------
+    FoldError
+        If rays fold on the plane asked for, or on every plane.
+    """
+    target = scene.exit_grid
+    if plane_z_mm is None:
+        plane_z_mm = _chosen_z_mm(scene)
+    bundles = _bundles(scene, plane_z_mm)
+    for point, bundle in bundles:
+        refuse_fold(bundle, point, plane_z_mm)
+    if plane_z_mm == target.z_mm:
+        return ExitPlane(target, None)
+    grid = _covering_grid(scene, plane_z_mm, [bundle for _, bundle in bundles])
+    index = float(scene.system.index[0, -1])
+    return ExitPlane(grid, GridTransfer(grid, target, scene.wavelength_um, index))
+
+
+def _chosen_z_mm(scene: Scene) -> float:
+    """The exit grid's plane; the one farthest from folds if light comes to a caustic in front of it."""
+    last = scene.exit_grid.z_mm
+    first = scene.lens.exit_vertex_z_mm
+    here = _quality(scene, last)
+    if last == first or (here.narrowing >= NARROWEST and here.caustics == 0):
+        return last
+    planes = [float(z) for z in np.linspace(first, last, CANDIDATES)[:-1]]
+    found = [_quality(scene, z) for z in planes]
+    best = max(range(len(planes)), key=lambda i: found[i].evenness)
+    if max(found[best].evenness, here.evenness) <= 0.0:
+        raise FoldError(
+            f"the rays fold on every plane from the exit vertex, z = {planes[0]:g} mm, to the exit grid, "
+            f"z = {last:g} mm: stop the lens down, or use another engine"
+        )
+    return planes[best] if found[best].evenness > 0.0 else last
+
+
+@dataclass(frozen=True)
+class _Quality:
+    """How far from a fold rays are on a plane.
+
+    Attributes
+    ----------
+    evenness : float
+        Least over largest determinant of the map from stop to plane; 0 where it folds.
+    narrowing : float
+        Least share of its cross-section at the exit vertex that a tube of rays keeps; 0 where the map folds.
+    caustics : int
+        Most that light has touched.
+    """
+
+    evenness: float
+    narrowing: float
+    caustics: int
+
+
+def _quality(scene: Scene, plane_z_mm: float) -> _Quality:
+    evenness, narrowing, most = 1.0, np.inf, 0
+    apart = plane_z_mm - scene.lens.exit_vertex_z_mm
+    for point, bundle in _bundles(scene, plane_z_mm):
+        try:
+            most = max(most, refuse_fold(bundle, point, plane_z_mm))
+        except FoldError:
+            return _Quality(0.0, 0.0, most)
+        size = np.abs(bundle.determinant[bundle.ok])
+        before = np.abs(np.linalg.det(bundle.jacobian_before(apart)))[bundle.ok]
+        evenness = min(evenness, float(size.min() / size.max()))
+        narrowing = min(narrowing, float(np.min(size / np.maximum(before, 1e-300))))
+    return _Quality(evenness, narrowing, most)
+
+
+def _bundles(scene: Scene, plane_z_mm: float) -> list[tuple[tuple[float, float], RayBundle]]:
+    """Rays of the middle and the corners of the object grid."""
+    grid = scene.object_grid
+    ends = [(a[0], a[-1]) for a in (grid.x_mm, grid.y_mm)]
+    points = {grid.centre_mm} | {(float(x), float(y)) for x in ends[0] for y in ends[1]}
+    found = []
+    for point in sorted(points):
+        pupil = open_pupil(scene, point, plane_z_mm)
+        stop = sample_points(pupil, SAMPLE_ORDER[grid.is_line])
+        found.append((point, trace_bundle(scene, np.asarray(point), stop, plane_z_mm)))
+    return found
+
+
+def _covering_grid(scene: Scene, plane_z_mm: float, bundles: list[RayBundle]) -> Grid:
+    """Samples that hold all of the light on the plane."""
+    ends = np.concatenate([b.sensor_mm[b.ok] for b in bundles])
+    sine = max(float(np.abs(b.slopes[b.ok]).max()) for b in bundles)
+    wavelength_mm = 1e-3 * scene.wavelength_um
+    apart = abs(scene.exit_grid.z_mm - plane_z_mm)
+    zone = math.sqrt(wavelength_mm / max(apart, wavelength_mm))
+    pitch = FINENESS * 0.5 * wavelength_mm / (sine + zone)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    room = ZONES * pitch
+    shape = tuple(math.ceil((h - b + 2.0 * room) / pitch) for b, h in zip(low, high, strict=True))
+    middle = 0.5 * (low + high)
+    centre = (0.0 if len(shape) == 1 else float(middle[1]), float(middle[0]))
+    return Grid(shape, pitch, plane_z_mm, centre)

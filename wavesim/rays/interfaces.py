@@ -1,0 +1,178 @@
+"""Refracting surfaces over a transverse grid: their height, their aperture, and how rays cross them.
+
+Engines that carry a field from plane to plane need to know where along z a surface lies at each transverse
+point, and with which angles the light of one object point meets and leaves it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.tracing.bundles import launch_compiled
+from lensdesign.tracing.compiled import CompiledSystem
+from lensdesign.tracing.rays import RayTrace, trace_compiled
+from wavesim.scene.engine import Coating, Scene
+
+Array = NDArray[np.float64]
+
+HEIGHT_TOLERANCE_MM = 1e-12
+FAN_RAYS = 801
+FAN_RINGS, FAN_ARMS = 24, 48
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """One surface over transverse points of the fixed frame.
+
+    Attributes
+    ----------
+    z_mm : ndarray
+        Height of the surface in the fixed frame; NaN where it does not reach.
+    inside : ndarray of bool
+        Whether the surface is there, within its clear semi-diameter.
+    """
+
+    z_mm: Array
+    inside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Rays of one object point at one surface; arrays of shape (n,).
+
+    Attributes
+    ----------
+    x_mm, y_mm : ndarray
+        Where they cross.
+    axial_before, axial_after : ndarray
+        Cosines of the angle to the z axis, in front of the surface and behind it.
+    incidence, refraction : ndarray
+        Cosines of the angle to the surface's normal, in front and behind.
+    """
+
+    x_mm: Array
+    y_mm: Array
+    axial_before: Array
+    axial_after: Array
+    incidence: Array
+    refraction: Array
+
+
+def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) -> SurfaceMap:
+    """Height and aperture of a surface, tilted and decentered as it is, its figure included.
+
+    Parameters
+    ----------
+    system
+        One lens.
+    surface
+        Index from 0.
+    x_mm, y_mm
+        Transverse points; broadcast together.
+    """
+    vertex, rotation = system.vertex[0, surface], system.rotation[0, surface]
+    dx, dy = np.broadcast_arrays(x_mm - vertex[0], y_mm - vertex[1])
+    dz = np.zeros(dx.shape)
+    r2 = dx * dx + dy * dy
+    if not system.tilted[surface]:
+        dz = system.sag(surface, dx, dy)
+    else:
+        for _ in range(20):
+            local = [dx * rotation[0, i] + dy * rotation[1, i] + dz * rotation[2, i] for i in range(3)]
+            r2 = local[0] ** 2 + local[1] ** 2
+            height, by_x, by_y = system.sag_and_slopes(surface, local[0], local[1])
+            rise = rotation[2, 2] - by_x * rotation[2, 0] - by_y * rotation[2, 1]
+            step = (local[2] - height) / rise
+            dz = dz - step
+            if not np.any(np.abs(step) > HEIGHT_TOLERANCE_MM):
+                break
+    inside = np.isfinite(dz) & (r2 <= system.semi_diameter[surface] ** 2)
+    return SurfaceMap(np.asarray(vertex[2] + dz), inside)
+
+
+def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, ...]:
+    """How the rays of one object point cross each surface, those through the whole lens only.
+
+    Raises
+    ------
+    InputError
+        If no ray of the object point gets through.
+    """
+    system, lens = scene.system, scene.lens
+    rim = 1.0 if scene.object_grid.is_line else np.sqrt(np.arange(1, FAN_RINGS + 1) / FAN_RINGS)
+    if scene.object_grid.is_line:
+        pupil = np.column_stack([np.zeros(FAN_RAYS), np.linspace(-rim, rim, FAN_RAYS)])
+    else:
+        angle = 2.0 * np.pi * np.arange(FAN_ARMS) / FAN_ARMS
+        ring = np.stack([np.outer(rim, np.cos(angle)).ravel(), np.outer(rim, np.sin(angle)).ravel()], axis=-1)
+        pupil = np.concatenate([np.zeros((1, 2)), ring])
+    origins, directions = launch_compiled(
+        system,
+        [field_mm],
+        pupil,
+        scene.object_grid.z_mm,
+        lens.stop_index,
+        lens.stop_semi_diameter_mm * (1.0 - 1e-9),
+    )
+    rays = trace_compiled(system, origins, directions, record_hits=True)
+    ok = rays.ok
+    if np.count_nonzero(ok) < 3:
+        raise InputError(f"fewer than three rays from the object point {field_mm} mm get through the lens")
+    assert rays.hits is not None
+    points = np.concatenate([origins[ok, None], rays.hits[ok]], axis=1)
+    legs = np.diff(points, axis=1)
+    headings = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    headings = np.concatenate([headings, rays.direction[ok, None]], axis=1)
+    return tuple(
+        _crossing(system, i, points[:, i + 1], headings[:, i], headings[:, i + 1])
+        for i in range(system.surfaces)
+    )
+
+
+def refuse_skew(scene: Scene, rays: RayTrace) -> None:
+    """InputError if rays of a meridional line do not stay in its plane."""
+    aside = np.abs(np.stack([rays.position[rays.ok, 0], rays.direction[rays.ok, 0]]))
+    if scene.object_grid.is_line and np.any(aside > 1e-9):
+        raise InputError(
+            "the rays of the meridional line leave the plane x = 0: the lens is not symmetric about it; use "
+            "planes in place of lines, or only decenter_y_mm, despace_mm and tilt_x_deg"
+        )
+
+
+def _crossing(system: CompiledSystem, surface: int, points: Array, before: Array, after: Array) -> Crossings:
+    # The normal follows from Snell's law in vector form: n2 q - n1 p is along it.
+    n1, n2 = system.index[0, surface], system.index[0, surface + 1]
+    normal = n2 * after - n1 * before
+    size = np.linalg.norm(normal, axis=-1, keepdims=True)
+    along_z = np.broadcast_to(np.array([0.0, 0.0, 1.0]), normal.shape)
+    normal = np.where(size > 1e-9, normal / np.where(size > 0.0, size, 1.0), along_z)
+    return Crossings(
+        x_mm=points[:, 0],
+        y_mm=points[:, 1],
+        axial_before=before[:, 2],
+        axial_after=after[:, 2],
+        incidence=np.abs(np.sum(normal * before, axis=-1)),
+        refraction=np.abs(np.sum(normal * after, axis=-1)),
+    )
+
+
+def transmission(
+    coating: Coating, n1: float, n2: float, incidence: Array, refraction: Array, is_line: bool
+) -> Array:
+    """Factor of the field at a surface, from the cosines to its normal on both sides.
+
+    An ideal coating keeps the flux, n cos |u|^2. A bare surface has Fresnel's coefficient: that of TE waves
+    in the meridional world, the root of the mean of both flux transmissions on a plane.
+    """
+    keep = np.sqrt(n1 * incidence / (n2 * refraction))
+    if coating == "ideal":
+        return np.asarray(keep)
+    te = 2.0 * n1 * incidence / (n1 * incidence + n2 * refraction)
+    if is_line:
+        return np.asarray(te)
+    tm = 2.0 * n1 * incidence / (n2 * incidence + n1 * refraction)
+    return np.asarray(np.sqrt(0.5 * (te * te + tm * tm)))

@@ -1,0 +1,238 @@
+"""Smooth maps over a plane behind a lens, for the light of one object point.
+
+Rays through a modest set of stop points land where they will; polynomials through what they carry tell path,
+object-side direction and amplitude at every sensor point of the footprint, however the lens is tilted,
+decentered or perturbed. The order of the polynomials is raised until rays that they have not seen agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.linalg import lstsq
+
+from lensdesign.errors import InputError
+from wavesim.rays.characteristic import FoldError
+from wavesim.rays.ray_bundles import STEP, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+PATH_TOLERANCE_WAVES = 1e-4
+AMPLITUDE_TOLERANCE = 1e-4
+"""Relative error of the amplitude that rays which the maps have not seen may show."""
+
+LINE_ORDERS, PLANE_ORDERS = (12, 20, 32, 48, 72, 120, 200), (8, 12, 16, 20, 26)
+RIM_ARMS = 360
+BLOCK = 8192
+"""Scattered points at which polynomials are evaluated at a time."""
+
+
+class RayMapError(InputError):
+    """Polynomials do not follow the rays closely enough."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothMap:
+    """Polynomials of one or two variables over a box, in products of Chebyshev's.
+
+    Attributes
+    ----------
+    middle, half_width : ndarray, shape (d,)
+        Of the box.
+    coefficients : ndarray, shape (functions, order + 1) or (functions, order + 1, order + 1)
+        Real or complex.
+    """
+
+    middle: Array
+    half_width: Array
+    coefficients: NDArray
+
+    def at(self, points: Array) -> NDArray:
+        """Values at scattered points, shape (functions, n) for points of shape (n, d)."""
+        parts = [self._at(points[i : i + BLOCK]) for i in range(0, max(len(points), 1), BLOCK)]
+        return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+
+    def _at(self, points: Array) -> NDArray:
+        scaled = (points - self.middle) / self.half_width
+        basis = [chebyshev.chebvander(column, self.coefficients.shape[1] - 1) for column in scaled.T]
+        if len(basis) == 1:
+            return np.asarray(self.coefficients @ basis[0].T)
+        return np.stack([np.sum((basis[0] @ c) * basis[1], axis=1) for c in self.coefficients])
+
+    def on_axes(self, axes: Sequence[Array]) -> NDArray:
+        """Values on a line, or on the grid of two axes, shape (functions, ny) or (functions, ny, nx)."""
+        return np.stack(list(self.each_on_axes(axes)))
+
+    def each_on_axes(self, axes: Sequence[Array]) -> Iterator[NDArray]:
+        """One function after the other on a line or a grid, where all at once would be too much."""
+        basis = [
+            chebyshev.chebvander((axis - m) / h, self.coefficients.shape[1] - 1)
+            for axis, m, h in zip(axes, self.middle, self.half_width, strict=True)
+        ]
+        for c in self.coefficients:
+            yield c @ basis[0].T if len(basis) == 1 else basis[0] @ c @ basis[1].T
+
+
+def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:
+    """Least-squares polynomials of a total order through values, shape (functions, n), at points (n, d)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half_width = 0.5 * (low + high), 0.5 * (high - low)
+    scaled = (points - middle) / half_width
+    if points.shape[1] == 1:
+        basis = chebyshev.chebvander(scaled[:, 0], order)
+        solution = lstsq(basis, values.T, lapack_driver="gelsy", check_finite=False)[0]
+        return SmoothMap(middle, half_width, np.asarray(solution.T))
+    first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
+    y, x = (chebyshev.chebvander(column, order) for column in scaled.T)
+    solution = lstsq(y[:, first] * x[:, second], values.T, lapack_driver="gelsy", check_finite=False)[0]
+    coefficients = np.zeros((len(values), order + 1, order + 1), solution.dtype)
+    coefficients[:, first, second] = solution.T
+    return SmoothMap(middle, half_width, coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class RayMap:
+    """What the light of one object point does on one plane.
+
+    Attributes
+    ----------
+    plane_z_mm : float
+        z of the plane.
+    pupil : OpenPupil
+        Where it gets through the stop.
+    maps : SmoothMap
+        Of y, or y and x: path V in mm, amplitude in mm^(-d/2), then object-side cosines in the same order.
+    rim_mm : ndarray, shape (arms, d)
+        Border of the footprint; its two ends on a line.
+    caustics : int
+        Touched by the light on its way.
+    bundle : RayBundle
+        The rays that were fitted.
+    """
+
+    plane_z_mm: float
+    pupil: OpenPupil
+    maps: SmoothMap
+    rim_mm: Array
+    caustics: int
+    bundle: RayBundle
+
+    def row_spans(self, axes: Sequence[Array]) -> NDArray[np.intp]:
+        """Samples of a grid inside the footprint: first and end per row, shape (rows, 2); one row on a line.
+
+        Rows outside have an end that is their first. A row that leaves a footprint and comes back into it is
+        taken as inside in between.
+        """
+        if len(axes) == 1:
+            low, high = self.rim_mm.min(), self.rim_mm.max()
+            return np.array([[np.searchsorted(axes[0], low), np.searchsorted(axes[0], high, side="right")]])
+        y, x = axes
+        low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
+        ends = np.roll(self.rim_mm, -1, axis=0)
+        for a, b in zip(self.rim_mm, ends, strict=True):
+            rows = slice(*np.searchsorted(y, [min(a[0], b[0]), max(a[0], b[0])]))
+            if rows.start < rows.stop:
+                cut = a[1] + (b[1] - a[1]) * (y[rows] - a[0]) / (b[0] - a[0])
+                np.minimum(low[rows], cut, out=low[rows])
+                np.maximum(high[rows], cut, out=high[rows])
+        first, end = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
+        return np.column_stack([first, np.maximum(end, first)])
+
+
+def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
+    """Stop points for polynomials of an order, denser towards the rim, shape (n, 2)."""
+    inside = 1.0 - 2.0 * STEP
+    if pupil.is_line:
+        count = 2 * order + 2
+        place = np.cos(np.pi * (np.arange(count) + 0.5 + shift) / (count + 2.0 * shift))
+        return pupil.points(inside * np.abs(place), np.sign(place) * 0.5 * np.pi)
+    rings, arms = order // 2 + 4, 2 * order + 8
+    # Chebyshev points over the diameter, as far as they differ by more than a turn.
+    radius = np.cos(0.5 * np.pi * (np.arange(rings) + 0.5 * (1.0 + shift)) / (rings + 0.5 * shift))
+    angle = 2.0 * np.pi * (np.arange(arms) + shift) / arms
+    grid = np.stack(np.meshgrid(inside * radius, angle, indexing="ij"), axis=-1).reshape(-1, 2)
+    return pupil.points(grid[:, 0], grid[:, 1])
+
+
+def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reach_mm: float) -> RayMap:
+    """Maps of path, amplitude and direction over the footprint of an object point.
+
+    Parameters
+    ----------
+    scene
+        Lens, wavelength and coating; its object grid tells the object plane.
+    point_mm
+        Object point (x, y).
+    plane_z_mm
+        z of the plane behind the lens.
+    reach_mm
+        How far from the point the object extends: the direction p must be known so well that a point
+        so far away errs by no more path than is allowed.
+
+    Raises
+    ------
+    InputError
+        If no light gets through.
+    FoldError
+        If the rays fold on the plane.
+    RayMapError
+        If polynomials do not follow the rays to 1e-4 waves.
+    """
+    pupil = open_pupil(scene, point_mm, plane_z_mm, RIM_ARMS)
+    orders = LINE_ORDERS if pupil.is_line else PLANE_ORDERS
+    wavelength_mm = 1e-3 * scene.wavelength_um
+    errors = np.full(3, np.inf)
+    for order in orders:
+        bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(pupil, order), plane_z_mm)
+        caustics = refuse_fold(bundle, point_mm, plane_z_mm)
+        check = trace_bundle(scene, np.asarray(point_mm), sample_points(pupil, order, 0.37), plane_z_mm)
+        maps = fit_map(bundle.sensor_mm[bundle.ok], _carried(bundle)[:, bundle.ok], order)
+        difference = np.abs(maps.at(check.sensor_mm) - _carried(check))[:, check.ok]
+        errors = np.array(
+            [
+                difference[0].max() / wavelength_mm,
+                (difference[1] / check.amplitude[check.ok]).max(),
+                difference[2:].max() * reach_mm / wavelength_mm,
+            ]
+        )
+        if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
+            points = np.broadcast_to(np.asarray(point_mm, float), pupil.rim.shape)
+            rim = shoot(scene, points, pupil.rim, plane_z_mm, clip=False).position
+            axes = [1] if pupil.is_line else [1, 0]
+            return RayMap(plane_z_mm, pupil, maps, rim[:, axes], caustics, bundle)
+    raise RayMapError(
+        f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
+        f"mm: polynomials of order {orders[-1]} err by {errors[0]:.2g} waves of path, {errors[1]:.2g} of the "
+        f"amplitude and {errors[2]:.2g} waves by direction (allowed: {PATH_TOLERANCE_WAVES:g}, "
+        f"{AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); stop the lens down, or go farther from the "
+        "caustic"
+    )
+
+
+def _carried(bundle: RayBundle) -> Array:
+    return np.concatenate([bundle.path_mm[None], bundle.amplitude[None], bundle.cosines.T])
+
+
+def refuse_fold(bundle: RayBundle, point_mm: tuple[float, float], plane_z_mm: float) -> int:
+    """Number of caustics that the light has touched.
+
+    Raises
+    ------
+    FoldError
+        If the map from stop to plane folds, or parts of the light have touched different numbers.
+    """
+    determinant, caustics = bundle.determinant[bundle.ok], bundle.caustics[bundle.ok]
+    sign = np.sign(determinant)
+    if not len(sign):
+        raise InputError(f"no ray from ({point_mm[0]:g}, {point_mm[1]:g}) mm reaches z = {plane_z_mm:g} mm")
+    if np.any(sign != sign[0]) or sign[0] == 0.0 or np.any(caustics != caustics[0]):
+        raise FoldError(
+            f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm fold on the plane z = {plane_z_mm:g} mm: "
+            "several rays reach one sensor point there; choose a plane before or behind the caustic"
+        )
+    return int(caustics[0])

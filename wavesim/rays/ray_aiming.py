@@ -1,0 +1,193 @@
+"""Rays through a perturbed lens that end at given sensor points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens.poses import rotation_matrix
+from lensdesign.tracing.compiled import CompiledSystem
+from lensdesign.tracing.rays import RayTrace, trace_compiled
+
+Array = NDArray[np.float64]
+
+PATH_TOLERANCE_WAVES = 1e-4
+"""What aiming at a sensor point may leave in an optical path difference."""
+
+AIM_STEPS = 8
+"""Most traces that aiming may take; two suffice for perturbations that a mount allows."""
+
+
+class RayAimError(InputError):
+    """Rays through a perturbed lens could not be aimed at their sensor points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aimed:
+    """Rays that end at, or next to, their sensor points.
+
+    Attributes
+    ----------
+    rays : RayTrace
+        As traced, to the sensor's plane if it is not tilted.
+    cosines : ndarray, shape (2, n)
+        Direction cosines at the object with which they were traced.
+    miss_mm : ndarray, shape (2, n)
+        What is left of the way to the sensor points; 0 for rays that do not arrive.
+    path_mm : ndarray, shape (n,)
+        Optical path to the sensor points themselves: V'(s) = V'(s') + n q'.(s - s').
+    arrived : ndarray of bool, shape (n,)
+        Which rays do.
+    """
+
+    rays: RayTrace
+    cosines: Array
+    miss_mm: Array
+    path_mm: Array
+    arrived: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class AimingMap:
+    """The nominal rays, from which perturbed ones are aimed by a quasi-Newton iteration.
+
+    Attributes
+    ----------
+    cosines : ndarray, shape (2, n)
+        Direction cosines of the nominal rays at the object.
+    points_mm : ndarray, shape (2, n)
+        Where they meet the sensor.
+    inverse_per_mm : ndarray, shape (2, 2, n)
+        Derivatives of the one by the other.
+    object_point_mm : ndarray, shape (3,)
+        Where they start.
+    plane_z_mm : float
+        z of the sensor's plane.
+    reach_mm : float
+        How near to its sensor point a ray must come.
+    """
+
+    cosines: Array
+    points_mm: Array
+    inverse_per_mm: Array
+    object_point_mm: Array
+    plane_z_mm: float
+    reach_mm: float
+
+    def aim(
+        self,
+        system: CompiledSystem,
+        object_shift_mm: Array,
+        sensor_shift_mm: Array,
+        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
+    ) -> Aimed:
+        """Aim rays through a perturbed lens.
+
+        Parameters
+        ----------
+        system
+            The perturbed lens.
+        object_shift_mm, sensor_shift_mm
+            How far object and sensor are shifted (x, y, z).
+        sensor_tilt_deg
+            Rotation of the sensor about x and y, about the middle of its plane.
+
+        Raises
+        ------
+        RayAimError
+            If aiming does not converge.
+        InputError
+            If the tilt is not two finite numbers.
+        """
+        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + float(sensor_shift_mm[2])
+        point, own = self.object_point_mm + object_shift_mm, tilted_points(self.points_mm, sensor_tilt_deg)
+        targets, depth = own[:2] + sensor_shift_mm[:2, None], own[2]
+        flat, cosines = not np.any(depth), self.cosines
+        index = float(system.index[0, -1])
+        for step in range(AIM_STEPS):
+            # Only aimed rays tell what the perturbed stop lets through.
+            rays, real = shoot(system, point, cosines, plane_z, clip=step > 0)
+            arrived = rays.ok & real
+            miss = targets - rays.position[:, :2].T
+            if not flat:
+                further = depth / np.where(arrived, rays.direction[:, 2], 1.0)
+                miss -= further * rays.direction[:, :2].T
+            miss[:, ~arrived] = 0.0
+            if step > 0 and np.max(miss[0] ** 2 + miss[1] ** 2) <= self.reach_mm**2:
+                bridge = rays.direction[:, 0] * miss[0] + rays.direction[:, 1] * miss[1]
+                if not flat:
+                    bridge += further
+                return Aimed(rays, cosines, miss, rays.opl + index * bridge, arrived)
+            cosines = cosines + (inverse[:, 0] * miss[0] + inverse[:, 1] * miss[1])
+        furthest = float(np.sqrt(np.max(miss[0] ** 2 + miss[1] ** 2)))
+        raise RayAimError(
+            f"perturbed rays still miss their sensor points by up to {furthest:.3g} mm after {AIM_STEPS} "
+            f"steps (allowed: {self.reach_mm:.3g} mm): the perturbation is too large for the nominal ray map"
+        )
+
+
+def reach_for(wavelength_um: float, curvature_per_mm: float) -> float:
+    """How near, in mm, a ray must come for its path to err by no more than `PATH_TOLERANCE_WAVES`."""
+    return float(np.sqrt(2e-3 * PATH_TOLERANCE_WAVES * wavelength_um / max(curvature_per_mm, 1e-12)))
+
+
+def shoot(
+    system: CompiledSystem,
+    point: Array,
+    cosines: Array,
+    plane_z_mm: float,
+    clip: bool,
+) -> tuple[RayTrace, NDArray[np.bool_]]:
+    """Trace from one point along direction cosines, shape (2, n).
+
+    Also tells which cosines are those of a real ray; the others go along the axis, and count for nothing.
+    """
+    axial_square = 1.0 - cosines[0] ** 2 - cosines[1] ** 2
+    real = axial_square > 0.0
+    directions = np.empty((cosines.shape[1], 3))
+    directions[:, 0] = np.where(real, cosines[0], 0.0)
+    directions[:, 1] = np.where(real, cosines[1], 0.0)
+    directions[:, 2] = np.sqrt(np.where(real, axial_square, 1.0))
+    return trace_compiled(system, point[None], directions, plane_z_mm, clip=clip, threads=1), real
+
+
+def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
+    """Sensor points on a sensor that is tilted about the middle of its plane.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (2, n)
+        x and y on the sensor.
+    tilt_deg
+        Right-handed rotation about x, then about the y axis that turned with it.
+
+    Returns
+    -------
+    ndarray, shape (3, n)
+        From the middle of the sensor's plane.
+
+    Raises
+    ------
+    InputError
+        If the tilt is not two finite numbers.
+    """
+    tilt = np.asarray(tilt_deg, float)
+    if tilt.shape != (2,) or not np.all(np.isfinite(tilt)):
+        raise InputError(f"sensor_tilt_deg = {tilt_deg!r}: must be two finite numbers, about x and y")
+    flat = np.vstack([points_mm, np.zeros((1, points_mm.shape[1]))])
+    if not np.any(tilt):
+        return flat
+    (rotation,) = rotation_matrix(*np.deg2rad(tilt[:, None]))
+    return np.asarray(rotation @ flat)
+
+
+def shift_vector(values: Sequence[float], name: str) -> Array:
+    """A shift (x, y, z) as an array; an InputError that names it where it is not three finite numbers."""
+    shift = np.asarray(values, float)
+    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
+        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
+    return shift

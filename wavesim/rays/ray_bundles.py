@@ -1,0 +1,311 @@
+"""Rays of object points through a lens, with all that a wave along them needs.
+
+A ray is named by its object point and by the point of the stop through which it goes, as a share of the
+stop's semi-diameter. Beside its end on a plane it carries the optical path V, the object-side direction
+cosines p, and the amplitude a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) that keeps the flux of a tube of
+rays. Each caustic that it has touched on its way turns its phase back by a quarter wave; see Yu. A. Kravtsov
+and Yu. I. Orlov, "Geometrical Optics of Inhomogeneous Media" (1990).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.tracing.bundles import launch_pairs
+from lensdesign.tracing.rays import RayTrace, trace_compiled
+from lensdesign.tracing.status import Status
+from wavesim.rays.interfaces import refuse_skew, transmission
+from wavesim.scene.engine import Scene
+
+Array = NDArray[np.float64]
+
+STEP = 3e-4
+"""In stop coordinates, for central differences of rays; their error is some 1e-8 of the derivative."""
+
+CENTRE_SAMPLES = {True: 401, False: 41}
+"""Along each side of the grid that finds the open part of the stop: on a line, on a plane."""
+
+BISECTIONS = 34
+RIM = 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class OpenPupil:
+    """The part of the stop through which light of one object point gets through the whole lens.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (2,)
+        A point inside, in stop coordinates.
+    reach : ndarray, shape (arms,)
+        From the centre to the rim, along arms at even angles; on a line, the two along y.
+    angles : ndarray, shape (arms,)
+        Of the arms, from x towards y.
+    """
+
+    centre: Array
+    reach: Array
+    angles: Array
+
+    @property
+    def is_line(self) -> bool:
+        """Whether there is only y."""
+        return len(self.angles) == 2
+
+    @cached_property
+    def rim(self) -> Array:
+        """Points where the light ends, shape (arms, 2)."""
+        return self.points(np.ones(len(self.angles)), self.angles)
+
+    def points(self, share: Array, angle: Array) -> Array:
+        """Stop points at shares of the reach along angles, shape (n, 2)."""
+        if self.is_line:
+            reach = np.where(angle > 0.0, self.reach[0], self.reach[1])
+        else:
+            step = 2.0 * np.pi / len(self.angles)
+            closed = np.append(self.reach, self.reach[0])
+            reach = np.interp(np.mod(angle, 2.0 * np.pi), step * np.arange(len(closed)), closed)
+        along = np.column_stack([np.cos(angle) * (not self.is_line), np.sin(angle)])
+        return self.centre + (share * reach)[:, None] * along
+
+
+@dataclass(frozen=True, eq=False)
+class RayBundle:
+    """Rays from object points to one plane; arrays of n rays, `d` is 1 on a line and 2 on a plane.
+
+    Attributes
+    ----------
+    ok : ndarray of bool, shape (n,)
+        Whether the ray and its neighbours arrive; other values of a ray that does not mean nothing.
+    pupil : ndarray, shape (n, 2)
+        Stop coordinates.
+    sensor_mm : ndarray, shape (n, d)
+        Where rays meet the plane: y, or y and x.
+    path_mm : ndarray, shape (n,)
+        Optical path V.
+    cosines, slopes : ndarray, shape (n, d)
+        dV/ds with its sign turned at the object (p), and dV/ds at the plane.
+    amplitude : ndarray, shape (n,)
+        In mm^(-d/2), with what the coating lets through.
+    jacobian, cosine_jacobian : ndarray, shape (n, d, d)
+        Derivatives of `sensor_mm` and `cosines` to the stop coordinates.
+    slope_jacobian : ndarray, shape (n, d, d)
+        Of the rays' slopes to the axis behind the lens, dx/dz and dy/dz.
+    caustics : ndarray of int, shape (n,)
+        Caustics touched between object and plane.
+    """
+
+    ok: NDArray[np.bool_]
+    pupil: Array
+    sensor_mm: Array
+    path_mm: Array
+    cosines: Array
+    slopes: Array
+    amplitude: Array
+    jacobian: Array
+    cosine_jacobian: Array
+    slope_jacobian: Array
+    caustics: NDArray[np.intp]
+
+    def jacobian_before(self, distance_mm: float) -> Array:
+        """Derivatives of the points on a plane so far in front of this one, shape (n, d, d)."""
+        return self.jacobian - distance_mm * self.slope_jacobian
+
+    @cached_property
+    def determinant(self) -> Array:
+        """Determinant of `jacobian`: 0 on a caustic, of one sign where the map does not fold."""
+        return np.asarray(np.linalg.det(self.jacobian))
+
+
+def shoot(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float, *, clip: bool) -> RayTrace:
+    """Trace rays from object points (x, y) through stop points, one of each; with hits on all surfaces.
+
+    Where the stop's surface does not reach, rays count as missed.
+    """
+    lens = scene.lens
+    origins, directions = launch_pairs(
+        scene.system,
+        points_mm,
+        pupil,
+        scene.object_grid.z_mm,
+        lens.stop_index,
+        lens.stop_semi_diameter_mm,
+    )
+    real = np.asarray(np.isfinite(directions).all(axis=-1))
+    directions = np.where(real[..., None], directions, [0.0, 0.0, 1.0])
+    rays = trace_compiled(scene.system, origins, directions, plane_z_mm, clip=clip, record_hits=True)
+    rays.status[~real.reshape(rays.status.shape)] = Status.MISSED
+    return rays
+
+
+def open_pupil(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, arms: int = 180) -> OpenPupil:
+    """Find the part of the stop that is open to an object point.
+
+    Raises
+    ------
+    InputError
+        If no ray of the object point gets through the lens, or the open part has a hole in its middle.
+    """
+    is_line = scene.object_grid.is_line
+    side = np.linspace(-RIM, RIM, CENTRE_SAMPLES[is_line])
+    if is_line:
+        raster = np.column_stack([np.zeros(len(side)), side])
+        angles = np.array([0.5, -0.5]) * np.pi
+    else:
+        raster = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        raster = raster[np.hypot(*raster.T) <= RIM]
+        angles = 2.0 * np.pi * np.arange(arms) / arms
+
+    def passes(pupil: Array) -> NDArray[np.bool_]:
+        points = np.broadcast_to(np.asarray(point_mm, float), pupil.shape)
+        return shoot(scene, points, pupil, plane_z_mm, clip=True).ok
+
+    through = passes(raster)
+    if not np.any(through):
+        raise InputError(
+            f"no ray from the object point ({point_mm[0]:g}, {point_mm[1]:g}) mm gets through the lens: "
+            "choose object points that the lens sees"
+        )
+    centre = raster[through].mean(axis=0)
+    if not passes(centre[None])[0]:
+        raise InputError(
+            f"the light of the object point ({point_mm[0]:g}, {point_mm[1]:g}) mm is stopped in the middle "
+            "of the bundle: maps over its footprint need one without a hole"
+        )
+    along = np.column_stack([np.cos(angles) * (not is_line), np.sin(angles)])
+    dot = along @ centre
+    far = -dot + np.sqrt(dot * dot + RIM * RIM - centre @ centre)
+    near = np.zeros(len(angles))
+    clipped = ~passes(centre + far[:, None] * along)
+    if np.any(clipped):
+        high = far.copy()
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (near + high)
+            good = passes(centre + middle[:, None] * along)
+            near, high = np.where(good, middle, near), np.where(good, high, middle)
+    return OpenPupil(centre, np.where(clipped, near, far), angles)
+
+
+def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float) -> RayBundle:
+    """Rays from object points (x, y) through stop points, with their neighbours.
+
+    Raises
+    ------
+    InputError
+        If the scene is that of a line, and rays leave the meridional plane.
+    """
+    axes = [1] if scene.object_grid.is_line else [1, 0]
+    points = np.broadcast_to(np.asarray(points_mm, float), pupil.shape)
+    rays = shoot(scene, points, pupil, plane_z_mm, clip=False)
+    refuse_skew(scene, rays)
+    first = _first_headings(scene, points, rays)
+    ok = rays.ok.copy()
+    steps = []
+    for axis in axes:
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = pupil + sign * STEP * np.eye(2)[axis]
+            end = shoot(scene, points, moved, plane_z_mm, clip=False)
+            ok &= end.ok
+            tangents = end.direction / end.direction[:, 2:]
+            ends.append((_knots(end), _first_headings(scene, points, end), tangents))
+        steps.append([(a - b) / (2.0 * STEP) for a, b in zip(*ends, strict=True)])
+    n_object, n_image = (float(scene.system.index[0, i]) for i in (0, -1))
+    knots = np.stack([s[0] for s in steps], axis=-1)
+    jacobian = knots[:, -1][:, axes]
+    cosine_jacobian = n_object * np.stack([s[1] for s in steps], axis=-1)[:, axes]
+    ratio = (n_object * first[:, 2]) / (n_image * rays.direction[:, 2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.abs(np.linalg.det(cosine_jacobian) / np.linalg.det(jacobian))
+        amplitude = np.sqrt(spread * ratio) * _losses(scene, first, rays)
+    return RayBundle(
+        ok=ok & np.isfinite(amplitude),
+        pupil=pupil,
+        sensor_mm=rays.position[:, axes],
+        path_mm=rays.opl,
+        cosines=n_object * first[:, axes],
+        slopes=n_image * rays.direction[:, axes],
+        amplitude=amplitude,
+        jacobian=jacobian,
+        cosine_jacobian=cosine_jacobian,
+        slope_jacobian=np.stack([s[2] for s in steps], axis=-1)[:, axes],
+        caustics=_caustics(rays, knots),
+    )
+
+
+def _knots(rays: RayTrace) -> Array:
+    """Points on each surface and on the plane, shape (n, surfaces + 1, 3)."""
+    assert rays.hits is not None
+    return np.concatenate([rays.hits, rays.position[:, None]], axis=1)
+
+
+def _first_headings(scene: Scene, points: Array, rays: RayTrace) -> Array:
+    assert rays.hits is not None
+    way = rays.hits[:, 0] - np.column_stack([points, np.full(len(points), scene.object_grid.z_mm)])
+    return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
+
+
+def _losses(scene: Scene, first: Array, rays: RayTrace) -> Array:
+    """Root of the share of the flux that all surfaces let through, shape (n,)."""
+    result = np.ones(len(first))
+    if scene.coating == "ideal":
+        return result
+    system, knots = scene.system, _knots(rays)
+    legs = np.diff(knots, axis=1)[:, :-1]
+    with np.errstate(invalid="ignore"):
+        inside = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    headings = [first, *np.moveaxis(inside, 1, 0), rays.direction]
+    for i in range(system.surfaces):
+        n1, n2 = float(system.index[0, i]), float(system.index[0, i + 1])
+        if n1 == n2:
+            continue
+        # By Snell's law in vector form the normal lies along the change of n times direction.
+        normal = n2 * headings[i + 1] - n1 * headings[i]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        cosines = [np.abs(np.sum(normal * headings[j], axis=1)) for j in (i, i + 1)]
+        bare, ideal = (
+            transmission(c, n1, n2, cosines[0], cosines[1], scene.object_grid.is_line)
+            for c in (scene.coating, "ideal")
+        )
+        result = result * bare / ideal
+    return np.asarray(result)
+
+
+def _caustics(rays: RayTrace, knots: Array) -> NDArray[np.intp]:
+    """Count the zeros of a ray tube's cross-section behind the first surface.
+
+    Between surfaces points and their derivatives to the stop coordinates are linear along the ray, so that
+    the cross-section is a polynomial of the first (line) or second (plane) degree.
+    """
+    points = _knots(rays)
+    count = np.zeros(len(points), np.intp)
+    for leg in range(points.shape[1] - 1):
+        heading = points[:, leg + 1] - points[:, leg]
+        heading = np.where(np.any(heading != 0.0, axis=1)[:, None], heading, rays.direction)
+        areas = [
+            _cross_section((1.0 - t) * knots[:, leg] + t * knots[:, leg + 1], heading)
+            for t in (0.0, 0.5, 1.0)
+        ]
+        start, half, end = areas
+        bend, slope = 2.0 * (start - 2.0 * half + end), 4.0 * half - 3.0 * start - end
+        turns = np.abs(slope) + np.abs(bend) > 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = np.where(turns & (bend != 0.0), -0.5 * slope / bend, -1.0)
+            lowest = start - 0.25 * np.where(bend != 0.0, slope * slope / bend, 0.0)
+        crossed = np.sign(start) * np.sign(end) < 0.0
+        twice = ~crossed & (place > 0.0) & (place < 1.0) & (np.sign(lowest) * np.sign(start) < 0.0)
+        count += crossed + 2 * twice
+    return count
+
+
+def _cross_section(derivatives: Array, heading: Array) -> Array:
+    """Determinant of the derivatives across the ray and its heading, shape (n,)."""
+    if derivatives.shape[-1] == 1:
+        return np.asarray(derivatives[:, 1, 0] * heading[:, 2] - derivatives[:, 2, 0] * heading[:, 1])
+    return np.asarray(np.linalg.det(np.concatenate([derivatives, heading[..., None]], axis=-1)))

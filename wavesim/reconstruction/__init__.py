@@ -1,0 +1,1 @@
+"""The object from recorded frames: object-domain descent, and the retrieval of Appendix A."""

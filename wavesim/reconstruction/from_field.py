@@ -1,0 +1,370 @@
+"""The paper's dual-plane phase retrieval: a field from intensities alone (Appendix A).
+
+In every iteration the field at the exit vertex is carried to all planes (A1), takes the amplitudes that were
+recorded there (A2), is carried back (A3), smoothed along the gradient of its total variation (A4), averaged
+over the planes, and pushed on by a weighted feedback (A5). The correlation of amplitudes at the first plane
+(A6) tells how well the data are met. It does not tell that the field is right: near 1 it may belong to
+another field with almost the same intensities. A plane that was held out tells more.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from wavesim.fields.field import Field, Grid
+from wavesim.reconstruction.retrieval_state import (
+    Array,
+    ComplexArray,
+    RetrievalState,
+    Start,
+    begun,
+    iterated,
+    passes_for,
+    resumed,
+)
+
+if TYPE_CHECKING:
+    from wavesim.reconstruction.retrieval_steps import Match
+
+FEEDBACK = (0.7, 0.5)
+"""Weights a and b of A5."""
+
+TV_STEP = 0.05
+"""Step t of A4."""
+
+LIT, LARGEST_TV_SHARE = 1e-4, 2e-2
+"""Amplitudes above this share of the largest are lit; the step may be this share of their median at most."""
+
+WATCHED, LEAST_GAIN = 50, 1e-3
+"""Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
+
+BLOCKS = 6
+"""That a thread has at one time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """An amplitude recorded on one plane.
+
+    Attributes
+    ----------
+    distance_mm : float
+        From the plane in which the field is sought.
+    amplitude : ndarray
+        Root of the intensity, of the grid's shape. Two planes are in the same units.
+    sigma : ndarray, optional
+        Standard deviation of each amplitude, in its units; infinite in pixels of which nothing is known, such
+        as saturated or dead ones. Left out: all pixels are alike.
+    """
+
+    distance_mm: float
+    amplitude: Array
+    sigma: Array | None = None
+
+    @property
+    def known(self) -> NDArray[np.bool_] | None:
+        """Pixels that tell something; None where all do."""
+        if self.sigma is None or np.all(np.isfinite(self.sigma)):
+            return None
+        return np.asarray(np.isfinite(self.sigma))
+
+
+def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) -> Recorded:
+    """Amplitude and its standard deviation from an estimated intensity, as of `estimate_intensity`.
+
+    The amplitude is the root of the intensity, 0 where that is negative; its standard deviation is that of
+    the intensity over twice the amplitude. Where it is dark, that ends at the root mean square of the root of
+    normal noise, clipped at 0: 0.63 times the root of the intensity's standard deviation.
+
+    Parameters
+    ----------
+    distance_mm
+        As of :class:`Recorded`.
+    intensity, variance
+        Of one shape; a pixel of infinite variance tells nothing.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, or a variance is not above 0.
+    """
+    if intensity.shape != variance.shape or not np.all(variance > 0.0):
+        raise InputError(
+            f"recorded intensity of shape {intensity.shape}, variance of shape {variance.shape}: must have "
+            "one shape, and variances above 0"
+        )
+    known = np.isfinite(variance)
+    deviation = np.sqrt(np.where(known, variance, 1.0))
+    lowest = 0.25 * math.sqrt(2.0 * math.pi) * deviation
+    sigma = np.where(known, deviation / (2.0 * np.sqrt(np.maximum(intensity, lowest))), np.inf)
+    return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
+
+
+def full_weight_sigma(recorded: Sequence[Recorded]) -> float:
+    """Standard deviation up to which a pixel weighs 1: that of a plane's brightest known pixel, the smallest.
+
+    Where long exposures know faint light better than that, weights by the smallest of all would leave the
+    bright pixels, which hold most of the light, next to none: a descent would not come to them.
+    """
+    at_brightest = []
+    for plane in recorded:
+        if plane.sigma is not None:
+            brightest = np.argmax(np.where(np.isfinite(plane.sigma), plane.amplitude, -1.0))
+            at_brightest.append(float(plane.sigma.flat[int(brightest)]))
+    return min(at_brightest, default=1.0)
+
+
+def weights_of(recorded: Sequence[Recorded]) -> list[Array | None]:
+    """Weights of all planes' pixels: (:func:`full_weight_sigma` / standard deviation) squared, 1 at most.
+
+    None for a plane without standard deviations, whose pixels all weigh 1.
+    """
+    full = full_weight_sigma(recorded)
+    return [None if p.sigma is None else np.asarray(np.minimum(full / p.sigma, 1.0) ** 2) for p in recorded]
+
+
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """A retrieved field, and what speaks for it.
+
+    Attributes
+    ----------
+    field : Field
+        At the plane sought.
+    correlation : tuple of float
+        A6 at the first plane, for every iteration.
+    residuals : tuple of float
+        For each plane, the L2 norm of the difference of amplitudes over that of the recorded one.
+    held_out_residual : float or None
+        The same for the plane that was not used.
+    stagnated_at : int or None
+        Iteration from which on nothing more was gained; None while it still gained.
+    residual_curve : tuple of float
+        For every iteration, the relative L2 difference of amplitudes at the first plane.
+    """
+
+    field: Field
+    correlation: tuple[float, ...]
+    residuals: tuple[float, ...]
+    held_out_residual: float | None
+    stagnated_at: int | None
+    residual_curve: tuple[float, ...] = ()
+
+
+def retrieve(
+    grid: Grid,
+    wavelength_um: float,
+    recorded: Sequence[Recorded],
+    start: Start = "uniform",
+    *,
+    iterations: int = 500,
+    feedback: tuple[float, float] = FEEDBACK,
+    tv_step: float = TV_STEP,
+    held_out: Recorded | None = None,
+    seed: int = 0,
+    progress: Callable[[int, float], None] | None = None,
+    resume: RetrievalState | None = None,
+    keep: Callable[[RetrievalState], None] | None = None,
+) -> Retrieved:
+    """Find the field whose amplitudes were recorded.
+
+    Parameters
+    ----------
+    grid
+        Of the field sought; amplitudes lie on the same samples of their planes.
+    wavelength_um
+        Vacuum wavelength.
+    recorded
+        Two planes or more.
+    start
+        A field on the grid (that of the forward model, amplitude and phase), or an even or a random phase
+        with the first plane's amplitude.
+    iterations
+        Number of iterations, with those of `resume`.
+    feedback
+        Weights a and b of A5.
+    tv_step
+        Step t of A4; 0 leaves it out. It adds up to about t to the field, whatever the field's scale. A
+        bright field spans five decades of intensity: scaled to a peak of 1 it is destroyed by the paper's
+        0.05, scaled to a median of 64 where it is lit it is not.
+    held_out
+        A plane that is not used, to judge the result.
+    seed
+        Of a random start.
+    progress
+        Called after every iteration with its number and correlation.
+    resume
+        Where a run with the same arguments was cut off: it goes on from there, as if it had not been.
+    keep
+        Called after every iteration with what `resume` takes. The next iterations use its arrays again: write
+        or copy them before returning.
+
+    Raises
+    ------
+    InputError
+        If shapes, distances or weights are not usable, there are fewer than two planes, or the step of the
+        total variation is too large for these amplitudes.
+    """
+    _refuse(grid, recorded, iterations, feedback, tv_step)
+    state = begun(grid, start, recorded[0].amplitude, seed) if resume is None else resumed(grid, resume)
+    del start, resume  # copied: who keeps no other reference to their arrays has that memory again
+    with passes_for(grid, wavelength_um, recorded, state.now.dtype) as passes:
+        state = iterated(passes, state, iterations, feedback, tv_step, progress, keep)
+    found = Field(grid, state.now, wavelength_um)
+    correlation, curve = state.correlation, state.residual_curve
+    del state, passes
+    return Retrieved(
+        found,
+        correlation,
+        tuple(residual(found, plane) for plane in recorded),
+        None if held_out is None else residual(found, held_out),
+        stagnation(correlation),
+        curve,
+    )
+
+
+def retrieval_bytes(
+    shape: tuple[int, ...], distances_mm: Sequence[float], dtype: Any = np.complex64, masked: bool = True
+) -> int:
+    """Most bytes that :func:`retrieve` takes at one time, beside its arguments and with its result.
+
+    Parameters
+    ----------
+    shape
+        Of the grid.
+    distances_mm
+        Of the recorded planes from the plane sought. One at 0 takes no transforms.
+    dtype
+        Of the field: complex64 for amplitudes of float32.
+    masked
+        Whether planes have pixels that tell nothing.
+    """
+    from wavesim.reconstruction.retrieval_steps import BLOCK_BYTES
+
+    samples, item = math.prod(shape), np.dtype(dtype).itemsize
+    carried = sum(distance != 0.0 for distance in distances_mm)
+    # This field and the one before; for each plane its field and a quarter of a carrier; rows beside blocks.
+    fields = 2.0 + 1.25 * carried + 2.0 * shape[-1] * item / BLOCK_BYTES
+    masks = len(distances_mm) if masked else 0
+    return round(samples * (fields * item + masks)) + (os.cpu_count() or 1) * BLOCKS * BLOCK_BYTES
+
+
+def amplitude_correlation(a: Array, b: Array) -> float:
+    """Correlation of two amplitudes (A6)."""
+    x, y = a - a.mean(dtype=float), b - b.mean(dtype=float)
+    norm = math.sqrt(float(np.sum(x * x, dtype=float)) * float(np.sum(y * y, dtype=float)))
+    return float(np.sum(x * y, dtype=float)) / norm if norm > 0.0 else 0.0
+
+
+def residual(field: Field, plane: Recorded) -> float:
+    """Relative L2 difference of a field's amplitude on a plane and the recorded one, in known pixels."""
+    return _met(field, plane)[0].residual
+
+
+def residual_and_map(field: Field, plane: Recorded) -> tuple[float, Array]:
+    """The same, and the field's amplitude less the recorded one in every pixel."""
+    met, there = _met(field, plane)
+    left = np.abs(there)
+    left -= plane.amplitude
+    return met.residual, left
+
+
+def _met(field: Field, plane: Recorded) -> tuple[Match, ComplexArray]:
+    """How well a field meets a plane, and the field there."""
+    values = np.ascontiguousarray(field.values)
+    now = values.reshape(-1, values.shape[-1])
+    with passes_for(field.grid, field.wavelength_um, [plane], now.dtype) as passes:
+        passes.begin(now)
+        passes.arrive()
+        met = passes.match(now, passes.planes[0])
+        there = now if passes.planes[0].carrier is None else passes.planes[0].there
+    return met, there.reshape(values.shape)
+
+
+def stagnation(correlation: Sequence[float]) -> int | None:
+    """First iteration from which on hardly anything was gained to the end; None if something was."""
+    missing = 1.0 - np.asarray(correlation, float)
+    found = None
+    for k in reversed(range(max(len(missing) - WATCHED, 0))):
+        if missing[k + WATCHED] <= (1.0 - LEAST_GAIN) * missing[k]:
+            break
+        found = k
+    return found
+
+
+def agreement(fields: Sequence[Field]) -> float:
+    """Smallest correlation of any two fields, those of several starts; 1 where they differ by a factor.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two.
+    """
+    if len(fields) < 2:
+        raise InputError(f"agreement of {len(fields)} field(s): must be of two at least")
+    values = [np.ravel(f.values) / np.linalg.norm(f.values) for f in fields]
+    return min(float(abs(np.vdot(u, v))) for i, u in enumerate(values) for v in values[:i])
+
+
+def replace_amplitude(
+    field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
+) -> None:
+    """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
+    from wavesim.reconstruction.retrieval_kernel import replace
+
+    replace(*(None if values is None else np.atleast_2d(values) for values in (field, amplitude, known)))
+
+
+def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: str) -> None:
+    """Refuse amplitudes that cannot be those of a field; `whose` names the grid that has the shape.
+
+    Raises
+    ------
+    InputError
+        If a shape or a distance does not fit, or amplitudes are not finite, negative, or all dark.
+    """
+    for number, plane in enumerate(recorded, start=1):
+        if plane.amplitude.shape != shape:
+            raise InputError(f"plane {number}: its shape {plane.amplitude.shape} is not {whose} {shape}")
+        if not math.isfinite(plane.distance_mm):
+            raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
+        if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
+            raise InputError(f"plane {number}: amplitudes must be finite and not negative")
+        if not np.any(plane.amplitude > 0.0):
+            raise InputError(f"plane {number}: is all dark")
+        if plane.sigma is not None:
+            if plane.sigma.shape != shape or not np.all(plane.sigma > 0.0):
+                raise InputError(f"plane {number}: sigma must be above 0, of the shape {shape}")
+            if not np.any(np.isfinite(plane.sigma) & (plane.amplitude > 0.0)):
+                raise InputError(f"plane {number}: is dark or not known (infinite sigma) in all pixels")
+
+
+def _refuse(
+    grid: Grid, recorded: Sequence[Recorded], iterations: int, feedback: tuple[float, float], tv_step: float
+) -> None:
+    if len(recorded) < 2:
+        raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
+    refuse_planes(recorded, grid.shape, "the grid's")
+    if len({plane.distance_mm for plane in recorded}) < len(recorded):
+        raise InputError("two planes have the same distance_mm: they must differ")
+    if iterations < 1:
+        raise InputError(f"iterations = {iterations}: must be at least 1")
+    if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
+        raise InputError(
+            f"feedback = {feedback}, tv_step = {tv_step!r}: must be finite, the step not negative"
+        )
+    first = recorded[0].amplitude
+    typical = float(np.median(first[first > LIT * first.max()]))
+    if tv_step > LARGEST_TV_SHARE * typical:
+        raise InputError(
+            f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} "
+            f"where it is lit; scale planes and start by {64.0 / typical:.3g}, or take a smaller step"
+        )

@@ -1,0 +1,201 @@
+"""Compiled loops of :mod:`wavesim.reconstruction.recording_model` and
+:mod:`wavesim.reconstruction.pixel_means`.
+
+Each does some rows, or columns, for a thread. All borders are periodic, as those of spectra are.
+"""
+
+# mypy: disable-error-code="misc"
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+from numpy import conj, empty, sqrt
+from numpy.typing import NDArray
+
+_jit = njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+
+
+@_jit
+def carried_columns(
+    spectrum: NDArray,
+    first: int,
+    factor: NDArray,
+    rows: NDArray,
+    columns: NDArray,
+    phase: NDArray,
+    even: NDArray,
+    odd: NDArray,
+) -> None:
+    """Columns of a spectrum on a plane, and the same half a sample farther."""
+    for i in range(even.shape[0]):
+        row = factor[rows[i]]
+        for j in range(even.shape[1]):
+            value = spectrum[i, first + j] * row[columns[first + j]]
+            even[i, j] = value
+            odd[i, j] = value * phase[i]
+
+
+@_jit
+def add_columns(
+    even: NDArray,
+    odd: NDArray,
+    first: int,
+    factor: NDArray,
+    rows: NDArray,
+    columns: NDArray,
+    phase: NDArray,
+    half: Any,
+    total: NDArray,
+) -> None:
+    """The adjoint of `carried_columns`, with half its size."""
+    for i in range(even.shape[0]):
+        row, back = factor[rows[i]], conj(phase[i])
+        for j in range(even.shape[1]):
+            value = half * (even[i, j] + back * odd[i, j])
+            total[i, first + j] += value * conj(row[columns[first + j]])
+
+
+@_jit
+def means_along_rows(even: NDArray, odd: NDArray, taps: NDArray, result: NDArray) -> None:
+    """Of intensities, from fields in the middles of pixels and at their upper edges."""
+    count = even.shape[1]
+    middle, edge = empty(count + 3, taps.dtype), empty(count + 3, taps.dtype)
+    for i in range(even.shape[0]):
+        for j in range(count):
+            middle[j + 2] = even[i, j].real * even[i, j].real + even[i, j].imag * even[i, j].imag
+            edge[j + 2] = odd[i, j].real * odd[i, j].real + odd[i, j].imag * odd[i, j].imag
+        _wrap(middle, count)
+        _wrap(edge, count)
+        for j in range(count):
+            result[i, j] = (
+                taps[0] * middle[j + 2]
+                + taps[1] * (edge[j + 2] + edge[j + 1])
+                + taps[2] * (middle[j + 3] + middle[j + 1])
+                + taps[3] * (edge[j + 3] + edge[j])
+            )
+
+
+@_jit
+def _wrap(line: NDArray, count: int) -> None:
+    """Fill two samples before and one after a line that begins at index 2."""
+    for k in (0, 1):
+        line[k] = line[2 + (k - 2) % count]
+    line[count + 2] = line[2]
+
+
+@_jit
+def means_along_columns(
+    even: NDArray, odd: NDArray, taps: NDArray, result: NDArray, start: int, stop: int
+) -> None:
+    """Rows `start` to `stop` of the pixels' means; never negative."""
+    count, zero = even.shape[0], taps[0] - taps[0]
+    for i in range(start, stop):
+        below, under, above = (i - 1) % count, (i - 2) % count, (i + 1) % count
+        for j in range(even.shape[1]):
+            total = (
+                taps[0] * even[i, j]
+                + taps[1] * (odd[i, j] + odd[below, j])
+                + taps[2] * (even[above, j] + even[below, j])
+                + taps[3] * (odd[above, j] + odd[under, j])
+            )
+            result[i, j] = max(total, zero)
+
+
+@_jit
+def multiply_spread(
+    even: NDArray, odd: NDArray, factor: NDArray, first: int, between: bool, taps: NDArray
+) -> None:
+    """Rows of a field times the adjoint of the means of each pixel's factor, such that means remain.
+
+    `first` is the first row's number among the pixels; `between`: the rows lie at the pixels' upper edges.
+    `taps` are twice those of the means.
+    """
+    height, width = factor.shape
+    line = empty(width + 4, taps.dtype)
+    for i in range(even.shape[0]):
+        y = first + i
+        below, above, over = (y - 1) % height, (y + 1) % height, (y + 2) % height
+        for j in range(width):
+            if between:
+                value = taps[1] * (factor[y, j] + factor[above, j])
+                value += taps[3] * (factor[below, j] + factor[over, j])
+            else:
+                value = taps[0] * factor[y, j] + taps[2] * (factor[below, j] + factor[above, j])
+            line[j + 1] = value
+        line[0] = line[width]
+        for k in (1, 2):
+            line[width + k] = line[1 + (k - 1) % width]
+        for j in range(width):
+            even[i, j] *= taps[0] * line[j + 1] + taps[2] * (line[j] + line[j + 2])
+            odd[i, j] *= taps[1] * (line[j + 1] + line[j + 2]) + taps[3] * (line[j] + line[j + 3])
+
+
+@_jit
+def change_pixels(
+    intensity: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any, dark: Any
+) -> float:
+    """Replace intensities by the weighted relative changes of amplitude that are wanted; gives the misfit.
+
+    That is the weighted sum of squared differences from recorded amplitudes over the scale. Without `sigma`
+    (of size 0) all weights are 1.
+    """
+    missed, weighted, one = 0.0, sigma.size > 0, least / least
+    share = one
+    for i in range(intensity.shape[0]):
+        row = 0.0
+        for j in range(intensity.shape[1]):
+            if weighted:
+                share = min(least / sigma[i, j], one)
+            wanted, seen = amplitude[i, j] / scale, intensity[i, j]
+            off = share * (wanted - sqrt(seen))
+            row += off * off
+            ratio = sqrt((wanted * wanted + dark) / (seen + dark))
+            intensity[i, j] = share * share * (ratio - one)
+        missed += row
+    return missed
+
+
+@_jit
+def change_samples(field: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any) -> float:
+    """Replace a field by the weighted change that gives it the amplitudes wanted; gives the misfit.
+
+    Where the field vanishes it takes the phase 0.
+    """
+    missed, weighted, one = 0.0, sigma.size > 0, least / least
+    share = one
+    for i in range(field.shape[0]):
+        row = 0.0
+        for j in range(field.shape[1]):
+            if weighted:
+                share = min(least / sigma[i, j], one)
+            wanted, value = amplitude[i, j] / scale, field[i, j]
+            seen = sqrt(value.real * value.real + value.imag * value.imag)
+            off = share * (wanted - seen)
+            row += off * off
+            if seen > 0:
+                field[i, j] = value * (share * off / seen)
+            else:
+                field[i, j] = share * off
+        missed += row
+    return missed
+
+
+@_jit
+def weighted_products(
+    intensity: NDArray, amplitude: NDArray, sigma: NDArray, least: Any
+) -> tuple[float, float]:
+    """Weighted sums of modelled times recorded amplitudes, and of modelled intensities."""
+    met, own, weighted, one = 0.0, 0.0, sigma.size > 0, least / least
+    share = one
+    for i in range(intensity.shape[0]):
+        of_row, own_of_row = 0.0, 0.0
+        for j in range(intensity.shape[1]):
+            if weighted:
+                share = min(least / sigma[i, j], one)
+            pull = share * share
+            of_row += pull * sqrt(intensity[i, j]) * amplitude[i, j]
+            own_of_row += pull * intensity[i, j]
+        met, own = met + of_row, own + own_of_row
+    return met, own

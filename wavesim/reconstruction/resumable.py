@@ -1,0 +1,284 @@
+"""Both ways of reconstruction such that a run which was cut off goes on, and ends as if it had not been.
+
+What the next iteration needs is kept: all of it, in either way.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lensdesign.errors import atomic_path
+from wavesim.fields.field import Field
+from wavesim.reconstruction.from_field import (
+    LIT,
+    Array,
+    Recorded,
+    Retrieved,
+    Start,
+    residual_and_map,
+    retrieve,
+)
+from wavesim.reconstruction.from_object import Kind, Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.retrieval_state import RetrievalState
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.engine import Engine
+
+KEEP_SECONDS = 20.0
+"""Between two iterations that are kept, at least."""
+
+KEEP_SHARE = 0.02
+"""Of the time of Appendix A that keeping may take: its iterations are short, and their fields large."""
+
+MEDIAN = 64.0
+"""Of lit amplitudes, to which recorded ones are scaled for the total-variation step of Appendix A."""
+
+DARKEST = 0.5
+"""Standard deviations below which no amplitude goes into Appendix A. The total-variation step divides by the
+modulus, and pixels that noise has made 0 would destroy their neighbours."""
+
+Progress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a run keeps what its finished parts gave.
+
+    Attributes
+    ----------
+    path : Path
+        File (.npz).
+    key : str
+        Of inputs and settings; what was kept under another one is not used.
+    """
+
+    path: Path
+    key: str
+
+    def load(self) -> dict[str, Any] | None:
+        """What was kept; None if nothing was, or it is of another run or damaged."""
+        try:
+            with np.load(self.path, allow_pickle=False) as kept:
+                if str(kept["key"]) != self.key:
+                    return None
+                return {name: kept[name] for name in kept.files}
+        except Exception:  # of a damaged file, errors of many kinds
+            return None
+
+    @property
+    def kept(self) -> bool:
+        """Whether something of this run was kept; its arrays are not read."""
+        try:
+            with np.load(self.path, allow_pickle=False) as kept:
+                return str(kept["key"]) == self.key
+        except Exception:  # as above
+            return False
+
+    def keep(self, **data: Any) -> None:
+        """Replace what was kept.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, as where the disk is full; what was kept before stays.
+        """
+        with atomic_path(self.path) as temporary:
+            np.savez(temporary, key=np.asarray(self.key), **data)
+
+    def drop(self) -> None:
+        """Remove what was kept."""
+        self.path.unlink(missing_ok=True)
+
+
+def key_of(*parts: bytes | str) -> str:
+    """A digest of inputs and settings."""
+    digest = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        digest.update(len(data).to_bytes(8, "big") + data)
+    return digest.hexdigest()
+
+
+def reconstruct_resumably(
+    engine: Engine,
+    illumination: Field,
+    recorded: Sequence[Recorded],
+    checkpoint: Checkpoint | None = None,
+    *,
+    kind: Kind = "complex",
+    tv_weight: float | Literal["auto"] = 0.0,
+    iterations: int = 30,
+    scale: float | None = None,
+    start: Field | Literal["amplitude"] | None = None,
+    active_width: float = 0.0,
+    progress: Progress | None = None,
+    scratch: Scratch | None = None,
+) -> Reconstructed:
+    """:func:`wavesim.reconstruct`; cut off, the next run goes on as if this one had not been.
+
+    Parameters
+    ----------
+    engine, illumination, recorded, kind, tv_weight, iterations, scale, start, active_width, progress, scratch
+        As of :func:`wavesim.reconstruct`.
+    checkpoint
+        Where the last iteration is kept, no more often than every `KEEP_SECONDS`.
+
+    Raises
+    ------
+    InputError
+        As :func:`wavesim.reconstruct`, or if an iteration cannot be kept.
+    """
+    last = time.monotonic()
+
+    def keep(state: Progressed) -> None:
+        nonlocal last
+        if checkpoint is not None and time.monotonic() - last >= KEEP_SECONDS:
+            checkpoint.keep(**vars(state))
+            last = time.monotonic()
+
+    # What was kept is given away in the call: no name here may hold its arrays to the end.
+    return reconstruct(
+        engine,
+        illumination,
+        recorded,
+        kind=kind,
+        tv_weight=tv_weight,
+        iterations=iterations,
+        scale=scale,
+        start=start,
+        active_width=active_width,
+        progress=progress,
+        resume=_progressed(checkpoint, scratch or Scratch()),
+        keep=keep,
+        scratch=scratch,
+    )
+
+
+def _progressed(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed | None:
+    """Where an earlier run was cut off, if it was."""
+    kept = checkpoint.load() if checkpoint else None
+    if kept is None:
+        return None
+    return Progressed(
+        scratch.moved(kept.pop("transmission"), "what was kept"),
+        scratch.moved(kept.pop("ahead"), "what was kept"),
+        float(kept["momentum"]),
+        tuple(kept["misfit"].tolist()),
+        float(kept["scale"]),
+        int(kept["stage"]),
+        int(kept["began"]),
+    )
+
+
+def retrieve_resumably(
+    engine: Engine,
+    illumination: Field,
+    recorded: Sequence[Recorded],
+    checkpoint: Checkpoint | None = None,
+    *,
+    iterations: int = 500,
+    start: str = "model",
+    progress: Progress | None = None,
+    scratch: Scratch | None = None,
+) -> tuple[Retrieved, tuple[Array, ...]]:
+    """The paper's phase retrieval on the engine's exit grid; cut off, the next run goes on from there.
+
+    Parameters
+    ----------
+    engine, illumination, recorded
+        As of :func:`wavesim.reconstruct`.
+    checkpoint
+        Where the last iteration is kept, no more often than every `KEEP_SECONDS`, and for a share
+        `KEEP_SHARE` of the time at most.
+    iterations
+        In all.
+    start
+        "model": the field of the illumination without object; "uniform" or "random", as of
+        :func:`wavesim.retrieve`.
+    progress
+        Called after every iteration with its number and correlation.
+    scratch
+        Where the amplitudes lie as Appendix A takes them; in memory if left out.
+
+    Returns
+    -------
+    Retrieved
+        With the field in the recorded units.
+    residual_maps : tuple of ndarray
+        As of :func:`wavesim.reconstruct`.
+    """
+    planes, factor = _prepared(recorded, scratch or Scratch())
+    kept = checkpoint.load() if checkpoint else None
+    # Fields are given away in the call, so that the retrieval can let go of them.
+    found = retrieve(
+        engine.scene.exit_grid,
+        illumination.wavelength_um,
+        planes,
+        _first(engine, illumination, start, factor) if kept is None else "uniform",
+        iterations=iterations,
+        progress=progress,
+        resume=None if kept is None else _taken(kept),
+        keep=None if checkpoint is None else _keeper(checkpoint),
+    )
+    values = found.field.values
+    values /= factor
+    left = [residual_and_map(found.field, plane) for plane in recorded]
+    return replace(found, residuals=tuple(one for one, _ in left)), tuple(there for _, there in left)
+
+
+def _first(engine: Engine, illumination: Field, start: str, factor: np.float32) -> Start:
+    """What a retrieval starts from."""
+    if start == "model":
+        return Field(
+            engine.scene.exit_grid, engine.forward(illumination).values * factor, illumination.wavelength_um
+        )
+    return "uniform" if start == "uniform" else "random"
+
+
+def _taken(kept: dict[str, Any]) -> RetrievalState:
+    """Where a retrieval stood, its fields taken out of what was kept."""
+    curves = (tuple(kept[name].tolist()) for name in ("correlation", "residual_curve"))
+    return RetrievalState(kept.pop("now"), kept.pop("before"), *curves)
+
+
+def _keeper(checkpoint: Checkpoint) -> Callable[[RetrievalState], None]:
+    """Keeps states, the less often the longer that takes."""
+    last, pause = time.monotonic(), KEEP_SECONDS
+
+    def keep(state: RetrievalState) -> None:
+        nonlocal last, pause
+        began = time.monotonic()
+        if began - last < pause:
+            return
+        checkpoint.keep(**vars(state))
+        last = time.monotonic()
+        pause = max(KEEP_SECONDS, (last - began) / KEEP_SHARE)
+
+    return keep
+
+
+def _prepared(recorded: Sequence[Recorded], scratch: Scratch) -> tuple[list[Recorded], np.float32]:
+    """Amplitudes for Appendix A, none of them darker than noise, and what they were multiplied by.
+
+    Of standard deviations it asks only whether they are finite: they stay as they are.
+    """
+    planes = []
+    for plane in recorded:
+        lifted = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "the recorded amplitudes")
+        for row in range(len(lifted)):
+            least: Any = 0.0
+            if plane.sigma is not None:
+                least = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
+            lifted[row] = np.maximum(plane.amplitude[row], least)
+        planes.append(Recorded(plane.distance_mm, lifted, plane.sigma))
+    first = planes[0].amplitude
+    factor = np.float32(MEDIAN / float(np.median(first[first > LIT * first.max()])))
+    for plane in planes:
+        np.multiply(plane.amplitude, factor, out=plane.amplitude)
+    return planes, factor

@@ -1,0 +1,1 @@
+"""What calculations run on: threads, memory, scratch files, array libraries, GPUs, checkpoints."""

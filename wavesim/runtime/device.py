@@ -1,0 +1,124 @@
+"""Where arrays lie and are worked on: this computer's memory, or that of a graphics processor (GPU).
+
+Code for a device is written against its array module alone, so that the same lines run with NumPy and with
+CuPy; nonuniform Fourier transforms come from FINUFFT or from cuFINUFFT, whose plans have the same methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.files.design import did_you_mean
+from wavesim.engines.tiles.operator import Precision
+
+DEVICES = ("cpu", "gpu")
+
+HOST_BYTES = 1_000_000_000
+"""That work may take where a device's memory is this computer's."""
+
+NEEDED = ("cupy", "cufinufft")
+INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gpu]')"
+
+MakePlan = Callable[[int, tuple[int, ...], Precision], Any]
+"""Makes a nonuniform Fourier transform of type 2 or 1; shape (transforms, modes along y, modes along x)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """An array module, and what it needs beside.
+
+    Attributes
+    ----------
+    name : str
+        One of `DEVICES`.
+    xp : module
+        NumPy or CuPy.
+    plan : callable
+        Makes a nonuniform Fourier transform; points are given to it by `setpts`.
+    memory : callable
+        Gives the free bytes and all bytes of the device's memory.
+    """
+
+    name: str
+    xp: Any
+    plan: MakePlan
+    memory: Callable[[], tuple[int, int]]
+
+    def to_device(self, values: Any, dtype: Any = None) -> Any:
+        """An array of the device, C-contiguous; not copied where it is one already."""
+        return self.xp.ascontiguousarray(self.xp.asarray(values, dtype=dtype))
+
+    def to_host(self, values: Any) -> NDArray[Any]:
+        """An array of this computer's memory."""
+        return np.asarray(values.get() if hasattr(values, "get") else values)
+
+    @property
+    def memory_bytes(self) -> int:
+        """That one step of work may take: half of what is free."""
+        return self.memory()[0] // 2
+
+
+def device_named(name: str) -> Device:
+    """A device that is there and works.
+
+    Parameters
+    ----------
+    name
+        "cpu": NumPy and FINUFFT, in this computer's memory. "gpu": CuPy and cuFINUFFT.
+
+    Raises
+    ------
+    InputError
+        If there is no device of this name, its packages are not installed, or no GPU answers.
+    """
+    if name == "cpu":
+        plan = _planner(_module("finufft"), nthreads=1, showwarn=0)
+        return Device("cpu", np, plan, lambda: (HOST_BYTES, HOST_BYTES))
+    if name != "gpu":
+        raise InputError(
+            f"device = {name!r}: there is no such device; allowed: {', '.join(DEVICES)}"
+            f"{did_you_mean(name, DEVICES)}"
+        )
+    cupy, cufinufft = (_module(module) for module in NEEDED)
+    try:
+        count = int(cupy.cuda.runtime.getDeviceCount())
+    except cupy.cuda.runtime.CUDARuntimeError as error:
+        raise InputError(f"device = 'gpu': no GPU answers: {error}") from error
+    if count < 1:
+        raise InputError("device = 'gpu': this computer has no GPU that CUDA knows of")
+    return Device("gpu", cupy, _planner(cufinufft), lambda: _gpu_memory(cupy))
+
+
+def _module(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise InputError(f"device = 'gpu': {name} cannot be imported ({error}); {INSTALL}") from error
+
+
+def _gpu_memory(cupy: Any) -> tuple[int, int]:
+    """Free bytes, those that CuPy keeps for its next arrays included, and all."""
+    free, total = cupy.cuda.runtime.memGetInfo()
+    return int(free) + int(cupy.get_default_memory_pool().free_bytes()), int(total)
+
+
+def _planner(module: Any, **options: Any) -> MakePlan:
+    def plan(kind: int, shape: tuple[int, ...], precision: Precision) -> Any:
+        return module.Plan(
+            kind,
+            shape[1:],
+            shape[0],
+            precision.transform_error,
+            -1 if kind == 2 else 1,
+            dtype=precision.dtype.name,
+            **options,
+        )
+
+    return plan

@@ -1,0 +1,127 @@
+"""Scenes of a design: a patch of its object, and all of its light on a plane behind the lens."""
+
+from __future__ import annotations
+
+import math
+
+import scipy.fft
+
+from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.errors import InputError, SamplingError
+from lensdesign.lens.lens import Lens
+from wavesim.fields.field import Grid
+from wavesim.scene.engine import Scene
+
+OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
+"""Pitch of a patch's grids, as shares of half the period of the finest fringes there."""
+
+MARGIN = 1.02
+
+MOST_SAMPLES = 400_000_000
+"""Of one grid; more would not fit a workstation's memory."""
+
+
+def patch_scene(
+    lens: Lens,
+    patch_mm: float,
+    field_mm: float = 0.0,
+    *,
+    plane_distance_mm: float = 2.0,
+    wavelength_um: float | None = None,
+    meridional: bool = False,
+    object_pitch_mm: float | None = None,
+) -> Scene:
+    """A square patch of the object, or its meridional line, and the footprint of the whole field behind.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    patch_mm
+        Side of the patch.
+    field_mm
+        Height of its middle, along y.
+    plane_distance_mm
+        From the exit vertex to the exit plane.
+    wavelength_um
+        The design's first one if left out.
+    meridional
+        A line in place of a plane.
+    object_pitch_mm
+        Of the object grid; left out, what holds light of the design's numerical aperture.
+
+    Raises
+    ------
+    InputError
+        If the patch is wider than the field, or lies outside, or no light arrives.
+    """
+    wavelength = wavelength_of(lens, wavelength_um)
+    _refuse(lens, patch_mm, field_mm)
+    pitch = object_pitch_mm
+    if pitch is None:
+        pitch = OBJECT_FINENESS * 0.5e-3 * wavelength / lens.object.numerical_aperture
+    count = scipy.fft.next_fast_len(max(1, math.ceil(patch_mm / pitch)))
+    dimensions = 1 if meridional else 2
+    return Scene(
+        lens,
+        Grid((count,) * dimensions, pitch, lens.object_z_mm, (0.0, float(field_mm))),
+        exit_grid(lens, wavelength, plane_distance_mm, dimensions),
+        wavelength,
+    )
+
+
+def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimensions: int) -> Grid:
+    """Samples that hold the light of the whole field on a plane behind the lens.
+
+    Parameters
+    ----------
+    lens, wavelength_um
+        Lens and light.
+    plane_distance_mm
+        From the exit vertex.
+    dimensions
+        1 for a meridional line, 2 for a plane.
+
+    Raises
+    ------
+    InputError
+        If no light arrives.
+    SamplingError
+        If the light is so wide that it needs more than `MOST_SAMPLES`.
+    """
+    half = MARGIN * footprint(lens, wavelength_um, plane_distance_mm).radius_mm
+    sine = math.sin(math.radians(largest_spread(lens, wavelength_um).spread_deg))
+    pitch = EXIT_FINENESS * 0.5e-3 * wavelength_um / sine
+    if (2.0 * half / pitch) ** dimensions > MOST_SAMPLES:
+        raise SamplingError(
+            f"plane_distance_mm = {plane_distance_mm:g}: the field's light is {2.0 * half:.3g} mm wide, "
+            f"and needs samples of {1e3 * pitch:.3g} um; more than {MOST_SAMPLES:.3g} are not held"
+        )
+    count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
+    return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
+
+
+def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
+    """The wavelength asked for, or the design's first one.
+
+    Raises
+    ------
+    InputError
+        If it is not finite and above 0.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    if not (math.isfinite(wavelength) and wavelength > 0.0):
+        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and greater than 0")
+    return wavelength
+
+
+def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:
+    if not 0.0 < patch_mm <= lens.object.field_diameter_mm:
+        raise InputError(
+            f"patch_mm = {patch_mm!r}: must be above 0 and at most the field's "
+            f"{lens.object.field_diameter_mm:g} mm"
+        )
+    if not abs(field_mm) <= lens.half_field_mm:
+        raise InputError(
+            f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"
+        )
