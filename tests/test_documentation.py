@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+from lensdesign.common.toml_files import validate
 from lensdesign.fabrication.drawing.sheets import DrawingOptions
-from lensdesign.files.design import validate
 from lensdesign.optimization.specification import Specification
 from tolerancing.study.files import study_from_tables
 

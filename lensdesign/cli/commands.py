@@ -219,7 +219,7 @@ def _with_settings(
     specification: Specification, algorithm: str | None, max_seconds: float | None
 ) -> Specification:
     """The specification with what the command line changes."""
-    from lensdesign.files.design import validate
+    from lensdesign.common.toml_files import validate
     from lensdesign.optimization.specification import Settings
 
     changes = {"algorithm": algorithm, "max_seconds": max_seconds}

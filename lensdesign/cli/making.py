@@ -134,8 +134,9 @@ def drawing(
     as_json: Json = False,
 ) -> None:
     """Draw the lens for the shop, after ISO 10110: a sheet for each glass element."""
+    from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.fabrication.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
-    from lensdesign.files.design import load_design, read_toml, validate
+    from lensdesign.files.design import load_design
 
     options = None if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
     made = lens_drawing(load_design(design), options)

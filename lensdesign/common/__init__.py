@@ -1,1 +1,1 @@
-"""What all three packages share: console, text as it is shown, input files, sections of arrays, clusters."""
+"""What all three packages share: console, text as it is shown, input files, notebooks, clusters."""

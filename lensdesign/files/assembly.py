@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError, MaterialError
-from lensdesign.files.design import validate
 from lensdesign.files.draft import (
     MOST_SURFACES,
     TOLERANCE_MM,

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.files.design import read_text, unknown_key
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
 from lensdesign.lens.lens import Lens, Surface

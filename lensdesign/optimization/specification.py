@@ -13,8 +13,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError
-from lensdesign.files.design import read_toml, validate
 from lensdesign.lens.lens import Finite, Lens, Positive, Section, tuples
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
 from lensdesign.tracing.gradients import Variable

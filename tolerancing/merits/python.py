@@ -93,7 +93,7 @@ class PythonMerit(Merit):
         return self.function.rpartition(":")[0]
 
     def loaded(self, folder: Path) -> Self:
-        from lensdesign.files.design import read_text
+        from lensdesign.common.toml_files import read_text
 
         own = self.model_copy()
         own._source = read_text(folder / self.file_name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lensdesign.files.design import validate
+from lensdesign.common.toml_files import validate
 from tolerancing.merits.base import Merit
 from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.line_pairs import LinePairContrast

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.section import Section, tuples
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
-from lensdesign.files.design import did_you_mean
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
 from tolerancing.perturbations.parameters import UNITS, with_unit
 

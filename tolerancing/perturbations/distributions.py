@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pydantic import PrivateAttr, field_validator, model_validator
 
 from lensdesign.common.section import Finite, Positive, Section, as_path
+from lensdesign.common.toml_files import did_you_mean, read_text
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean, read_text
 
 Array = NDArray[np.float64]
 

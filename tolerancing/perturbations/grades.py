@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import tomli_w
 
 from lensdesign.analysis.matching import match
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.fabrication.drawing.tolerances import GENERAL, DrawingTolerances
-from lensdesign.files.design import did_you_mean
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
+from lensdesign.common.toml_files import unknown_key, validate
 from lensdesign.errors import DesignError
-from lensdesign.files.design import unknown_key, validate
 from lensdesign.lens.lens import Lens, Section
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from tolerancing.perturbations.distributions import DISTRIBUTIONS, Distribution

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
-from lensdesign.files.design import did_you_mean
 
 Entry = TypeVar("Entry")
 

@@ -16,8 +16,8 @@ from pydantic import field_validator
 
 from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.section import Finite, Section, tuples
+from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean, validate
 from lensdesign.lens.poses import Pose, rotation_matrix
 from wavesim.fields.field import Field
 from wavesim.fields.free_space import axial_wavenumber_per_mm

@@ -19,8 +19,8 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 
 from lensdesign.common.input_files import check_input
+from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.files.design import did_you_mean, validate
 from lensdesign.lens.lens import Finite, Positive, Section
 
 Array = NDArray[np.float64]

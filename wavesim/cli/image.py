@@ -243,7 +243,7 @@ def _pixels(text: str | None, lens: Any) -> int | tuple[int, int] | None:
 
 def _recording(lens: Any, options: Any) -> Any:
     """Planes, electronics, noise and errors of the stage."""
-    from lensdesign.files.design import validate
+    from lensdesign.common.toml_files import validate
     from wavesim.camera.exposures import Electronics
     from wavesim.camera.recording import Recording
 

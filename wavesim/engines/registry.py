@@ -10,8 +10,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean
 from wavesim.scene.engine import Engine, Scene
 
 ENGINES: dict[str, str] = {

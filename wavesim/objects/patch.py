@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean
 from lensdesign.lens.lens import Lens
 from wavesim.fields.coverage import rectangle
 from wavesim.fields.field import Field, Grid

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean
 from wavesim.engines.registry import engine_class, make_engine
 from wavesim.fields.field import Field, relative_error
 from wavesim.scene.engine import Cost, Engine, Scene

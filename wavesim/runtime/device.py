@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.files.design import did_you_mean
 from wavesim.engines.tiles.operator import Precision
 
 DEVICES = ("cpu", "gpu")

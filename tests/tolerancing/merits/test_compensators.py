@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lensdesign import DesignError, InputError
-from lensdesign.files.design import validate
+from lensdesign.common.toml_files import validate
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import merit_from_table

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from scipy import stats
 
 from lensdesign import DesignError
-from lensdesign.files.design import validate
+from lensdesign.common.toml_files import validate
 from tolerancing.perturbations.dependence import Correlation, Dependence, lower_factor, study_dependence
 from tolerancing.perturbations.draws import probabilities
 

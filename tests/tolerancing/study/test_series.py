@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lensdesign import DesignError, Pose
-from lensdesign.files.design import validate
+from lensdesign.common.toml_files import validate
 from lensdesign.lens.scaling import scaled
 from tolerancing.analysis.sensitivity import STEPS
 from tolerancing.merits.context import Context, Sampling
