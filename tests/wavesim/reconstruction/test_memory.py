@@ -98,7 +98,7 @@ LIMITED = """
 import pathlib, resource, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
-from test_reconstruction_memory import Nothing, arrays_of
+from test_memory import Nothing, arrays_of
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.memory import reconstruction_bytes
 from wavesim.runtime.scratch import Scratch
