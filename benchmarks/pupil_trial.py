@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from lensdesign import Lens, Pose, load_design
-from wavesim.rays.characteristic import PupilSampler
+from wavesim.pupil.characteristic import PupilSampler
 
 SAMPLES = 144
 COUNTS = (1, 2, 4, 8, 16, 32, 64, 128, 256)

@@ -31,6 +31,7 @@ from wavesim import (
     usaf_chart,
     usaf_elements_within,
 )
+from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.evaluation.metrics import (
     as_passed,
     element_contrasts,
@@ -38,7 +39,6 @@ from wavesim.evaluation.metrics import (
     smallest_resolved_element,
 )
 from wavesim.fields.coverage import rectangle, rectangle_coverage
-from wavesim.reconstruction.from_field import Recorded, recorded_intensity
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
 STOP_MM = 0.98 * SIDE_MM

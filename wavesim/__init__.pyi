@@ -18,6 +18,7 @@ from .camera.frame_sets import (
     recorded_planes,
 )
 from .camera.frames import Frame, FrameSettings, read_frame, write_frame
+from .camera.recorded import Recorded, recorded_intensity
 from .camera.recording import Imaged, Recording, image_patch
 from .camera.sensor import (
     FootprintWarning,
@@ -40,16 +41,15 @@ from .engines.surfaces.grids import TotalReflectionWarning
 from .engines.thin_lens import ThinLens
 from .engines.tiles.engine import EikonalTiles
 from .engines.wpm.engine import WavePropagation
+from .evaluation.accuracy import OracleResult, run_oracle
 from .evaluation.metrics import (
     ElementContrast,
-    SpectrumSupport,
     as_passed,
     bar_contrast,
     element_contrasts,
     object_correlation,
     resolved_elements,
     smallest_resolved_element,
-    spectrum_support,
 )
 from .evaluation.resolving import LineContrast, Resolved, bars_field, resolve
 from .evaluation.similarity import psnr_db, ssim
@@ -61,6 +61,7 @@ from .fields.guards import (
     critical_distance_mm,
     predicted_relative_error,
 )
+from .fields.spectrum import SpectrumSupport, spectrum_support
 from .fields.tilted_planes import from_tilted_plane, to_tilted_plane
 from .fields.windowed import propagate_to, propagate_to_adjoint
 from .objects.illumination import field_stop, gaussian_beam, measured_field, plane_wave
@@ -81,10 +82,11 @@ from .objects.targets import (
     siemens_star,
 )
 from .objects.usaf import usaf_chart, usaf_elements, usaf_elements_within, usaf_line_width_um
-from .oracles.registry import OracleCase, OracleResult, oracle_case, run_oracle
+from .oracles.registry import OracleCase, oracle_case
 from .pictures.layers import PictureLayer, field_layers, frame_layer
 from .pictures.page import write_zoom_page
 from .pictures.pyramid import write_pyramid
+from .pupil.characteristic import PointCharacteristic, PupilSampler
 from .pupil.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -104,21 +106,10 @@ from .pupil.pupil import (
     rms_waves,
     strehl,
 )
-from .rays.characteristic import (
-    FoldError,
-    PointCharacteristic,
-    PupilSampler,
-)
-from .rays.ray_aiming import RayAimError
+from .pupil.ray_aiming import RayAimError
+from .rays.ray_bundles import FoldError
 from .reconstruction.bootstrap import uncertainty
-from .reconstruction.from_field import (
-    Recorded,
-    Retrieved,
-    agreement,
-    recorded_intensity,
-    retrieval_bytes,
-    retrieve,
-)
+from .reconstruction.from_field import Retrieved, agreement, retrieval_bytes, retrieve
 from .reconstruction.from_object import Reconstructed, prox_tv, reconstruct
 from .reconstruction.memory import MemoryRange, reconstruction_bytes
 from .reconstruction.refocusing import Refocusing, refocus_field, svfg

@@ -28,9 +28,9 @@ from lensdesign.lens.lens import Lens
 from wavesim.calibration.mounting import DECENTERS, TILTS, Mounting, refuse_parameters
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum, interpolated_minimum
+from wavesim.camera.recorded import Recorded, weights_of
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import Recorded, weights_of
 from wavesim.reconstruction.from_object import Kind, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine, Scene

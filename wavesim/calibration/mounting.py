@@ -19,10 +19,10 @@ from lensdesign.common.section import Finite, Section, tuples
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, rotation_matrix
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
 from wavesim.fields.free_space import axial_wavenumber_per_mm
 from wavesim.fields.plane_waves import fft_frequencies
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.scene.engine import Scene
 
 ComplexArray = NDArray[np.complexfloating]

@@ -25,7 +25,7 @@ from wavesim.camera.exposures import (
     merged_intensity,
 )
 from wavesim.camera.frames import Frame, read_frame
-from wavesim.reconstruction.from_field import Recorded, recorded_intensity
+from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.runtime.threads import row_blocks
 
 SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02

@@ -28,11 +28,10 @@ from wavesim.camera.sensor import frames_of_light, record_exposures, sensor_grid
 from wavesim.camera.windows import OVERSAMPLING
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.kept import KeptTiles
-from wavesim.evaluation.metrics import spectrum_support
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.spectrum import BlockSpectrum
+from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.fields.windowed import propagate_to
-from wavesim.reconstruction.resumable import key_of
+from wavesim.runtime.checkpoint import key_of
 from wavesim.runtime.memory import BASE_BYTES, Need
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Scene

@@ -128,7 +128,7 @@ def _calibrated(options: Any) -> Any:
     from wavesim.camera.frame_sets import recorded_planes
     from wavesim.camera.windows import exit_scene, imaging_engine
     from wavesim.cli.reconstruct_results import read_truth
-    from wavesim.reconstruction.resumable import Checkpoint
+    from wavesim.runtime.checkpoint import Checkpoint
 
     lens = load_design(options.design)
     frames, planes, sensor, patch, light, _ = framed_patch(lens, options)

@@ -58,9 +58,9 @@ def pupil(
     The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
     the reconstruction pupil, and with it contrast and MTF.
     """
+    from wavesim.pupil.characteristic import PupilSampler
     from wavesim.pupil.pupil import refocus as to_best_focus
     from wavesim.pupil.pupil import remove_shift
-    from wavesim.rays.characteristic import PupilSampler
 
     field = numbers(field_mm, "--field-mm", 2)
     widths = numbers(linewidths_um, "--linewidths-um")

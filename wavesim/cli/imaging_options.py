@@ -190,7 +190,7 @@ def framed_patch(lens: Lens, options: Any, pose: Pose = Pose()) -> Framed:
 
 def key_of_frames(lens: Lens, frames: Any, light: Any, *told: str | bytes) -> str:
     """Digest of all that a result depends on, under which parts of a run are kept."""
-    from wavesim.reconstruction.resumable import key_of
+    from wavesim.runtime.checkpoint import key_of
 
     pictures = [
         part for frame in frames for part in (_digest(frame.counts), frame.settings.model_dump_json())

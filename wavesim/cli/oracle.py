@@ -43,7 +43,7 @@ def oracle(
     The error is the L2 norm of the difference of both exit fields over that of the exact one; neither phase
     nor amplitude is fitted. What is left out stays at the oracle's and the engine's own choice.
     """
-    from wavesim.oracles.registry import run_oracle
+    from wavesim.evaluation.accuracy import run_oracle
 
     of_oracle = {"semi_diameter_mm": semi_diameter_mm, "incidence_deg": incidence_deg}
     result = run_oracle(

@@ -13,6 +13,7 @@ from lensdesign.common.console import progress_bar
 from lensdesign.errors import InputError
 from wavesim.calibration.mounting import read_mounting
 from wavesim.camera.frame_sets import planes_of_frames, recorded_planes
+from wavesim.camera.recorded import Recorded
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.cli.imaging_options import engine_options, framed_patch, key_of_frames, pose_of, tiles_in
 from wavesim.cli.reconstruct_results import read_truth, truth_figures
@@ -21,10 +22,10 @@ from wavesim.engines.whole_field.on_cluster import ClusterError, refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, transmission_of, usaf_charts_of
 from wavesim.objects.region import cut_field, region_grid, soft_rim, widened
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.need import held, run_need
 from wavesim.reconstruction.refocusing import refocus_field
-from wavesim.reconstruction.resumable import Checkpoint, reconstruct_resumably, retrieve_resumably
+from wavesim.reconstruction.resumable import reconstruct_resumably, retrieve_resumably
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import (
     BASE_BYTES,
     Memory,

@@ -110,8 +110,9 @@ def _layers(
 
 
 def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
+    from wavesim.objects.region import cut_out
     from wavesim.pictures.field_files import read_centre_um, read_field
-    from wavesim.pictures.layers import cut_out, field_layers
+    from wavesim.pictures.layers import field_layers
 
     values, pitch_um = read_field(path)
     centre_um = read_centre_um(path)
@@ -124,7 +125,8 @@ def _frame(path: Path, region: list[float] | None, pixel_pitch_um: float | None)
     from dataclasses import replace
 
     from wavesim.camera.frames import read_frame
-    from wavesim.pictures.layers import cut_out, frame_layer
+    from wavesim.objects.region import cut_out
+    from wavesim.pictures.layers import frame_layer
 
     if pixel_pitch_um is not None:
         frame = read_frame(path, pixel_pitch_um=pixel_pitch_um, **CAMERA)

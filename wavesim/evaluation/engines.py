@@ -18,8 +18,9 @@ from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, SamplingError, atomic_path
 from lensdesign.lens.lens import Lens
 from wavesim.engines.registry import make_engine
+from wavesim.evaluation.accuracy import hold_against
 from wavesim.fields.field import Field
-from wavesim.oracles.registry import OracleCase, hold_against, oracle_case
+from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.scene.patches import patch_scene
 
 Progress = Callable[[int, int, str], None]

@@ -19,7 +19,7 @@ from wavesim.fields.free_space import propagate
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase, oracle_case
-from wavesim.rays.characteristic import FoldError
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Engine
 
 Array = NDArray[np.float64]

@@ -12,26 +12,21 @@ scikit-image.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.evaluation.similarity import Mask, Picture
-from wavesim.fields.coverage import refuse_finer, refuse_not_positive
+from wavesim.fields.coverage import refuse_finer
 from wavesim.fields.field import Array, Field, Grid
-from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.objects.bar_sets import SetContrast, set_contrast
 from wavesim.objects.targets import Ground, band_limit
 from wavesim.objects.usaf import UsafElement
 from wavesim.runtime.threads import row_blocks
 from wavesim.scene.engine import Engine
-
-RADIAL_BINS = 8192
-"""Of a spectrum, into which distances from frequency 0 are sorted first."""
 
 RESOLVED_CONTRAST = 0.2
 """From which contrast on lines count as resolved, as in `smallest_resolved_line_width_um`."""
@@ -65,22 +60,6 @@ class ElementContrast:
         neither counts.
         """
         return all(one.contrast >= threshold and one.weakest_contrast > 0.0 for one in (self.x, self.y))
-
-
-@dataclass(frozen=True)
-class SpectrumSupport:
-    """How far a spectrum reaches.
-
-    Attributes
-    ----------
-    share_beyond : float
-        Of the energy, mean taken out, beyond the frequency asked for.
-    frequency_within_per_mm : float
-        Radius in cycles per mm of the circle about 0 that holds the share of the energy asked for.
-    """
-
-    share_beyond: float
-    frequency_within_per_mm: float
 
 
 def bar_contrast(
@@ -245,74 +224,6 @@ def _products(rows: slice, inside: Mask, fields: tuple[Field, ...]) -> NDArray:
     chosen = inside[rows]
     parts = np.stack([np.asarray(one.values[rows][chosen], complex) for one in fields])
     return np.asarray(parts.conj() @ parts.T)
-
-
-def spectrum_support(
-    values: Picture, pitch_mm: float, beyond_per_mm: float, share: float = 0.999
-) -> SpectrumSupport:
-    """How far the spectrum of a field or an intensity reaches.
-
-    The mean is taken out first. The light should end within the window, which is taken to repeat. Samples of
-    pitch p hold 1 / (2 p) along each axis: what lies beyond folds back and is not seen, so give a field on a
-    grid finer than the limit that is tested. The intensity of a field reaches twice as far as the field.
-
-    Parameters
-    ----------
-    values
-        Complex field or real intensity, on a line or a plane.
-    pitch_mm
-        Of the samples.
-    beyond_per_mm
-        Frequency, in cycles per mm, beyond which the share of the energy is told: 1 / (2 pixel pitch) is what
-        a sensor holds, 156 per mm at 3.2 um.
-    share
-        Of the energy, whose circle is told.
-
-    Raises
-    ------
-    InputError
-        If values are not usable, or nothing but their mean is there.
-    """
-    refuse_not_positive("pitch_mm", pitch_mm)
-    refuse_not_positive("beyond_per_mm", beyond_per_mm)
-    if not 0.0 < share < 1.0:
-        raise InputError(f"share = {share!r}: must lie between 0 and 1")
-    if values.ndim not in (1, 2) or not np.all(np.isfinite(values)):
-        raise InputError("spectrum_support: values must be finite, on a line or a plane")
-    spectrum = scipy.fft.fftn(values - values.mean(), workers=-1, overwrite_x=True)
-    cycles = [np.ravel(c) for c in fft_frequencies(values.shape, pitch_mm, np)]
-    width = math.hypot(*(float(np.max(np.abs(c))) for c in cycles)) / RADIAL_BINS
-    held, beyond = np.zeros(RADIAL_BINS + 1), 0.0
-    for radius, power in _spectral_rows(spectrum, cycles):
-        held += np.bincount((radius / width).astype(np.int64), power, RADIAL_BINS + 1)[: RADIAL_BINS + 1]
-        beyond += float(power[radius > beyond_per_mm].sum())
-    total = float(held.sum())
-    if not total > 1e-12 * float(np.sum(np.abs(values) ** 2, dtype=float)) * values.size:
-        raise InputError("spectrum_support: the values have nothing but their mean")
-    before = np.cumsum(held)
-    place = int(np.searchsorted(before, share * total))
-    radius, power = _within_bin(spectrum, cycles, width, place)
-    up_to = before[place] - held[place] + np.cumsum(power)
-    within = float(radius[min(int(np.searchsorted(up_to, share * total)), len(radius) - 1)])
-    return SpectrumSupport(beyond / total, within)
-
-
-def _spectral_rows(spectrum: NDArray, cycles: list[Array]) -> Iterator[tuple[Array, Array]]:
-    """Distance from frequency 0 and power, row by row: all of a sensor's at once would fill a memory."""
-    rows = spectrum.reshape(-1, spectrum.shape[-1])
-    for row, other in zip(rows, cycles[0] if spectrum.ndim == 2 else (0.0,), strict=True):
-        yield np.hypot(cycles[-1], other), np.square(np.abs(row), dtype=float)
-
-
-def _within_bin(spectrum: NDArray, cycles: list[Array], width: float, place: int) -> tuple[Array, Array]:
-    """Distances from frequency 0 that fall into one bin, ascending, and their powers."""
-    found = []
-    for radius, power in _spectral_rows(spectrum, cycles):
-        inside = (radius / width).astype(np.int64) == place
-        found.append(np.stack([radius[inside], power[inside]]))
-    radius, power = np.concatenate(found, axis=1)
-    order = np.argsort(radius)
-    return radius[order], power[order]
 
 
 def _intensity(picture: Picture, grid: Grid) -> Array:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.errors import InputError, SamplingError
-from wavesim.fields.field import Array, Grid
-from wavesim.pupil.pupil import Orientation, axis_of
+from wavesim.fields.field import Array, Grid, Orientation, axis_of
 
 SAMPLES_PER_FEATURE = 2.0
 """Fewest samples across the narrowest feature of an object; fewer would not show it."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from lensdesign.errors import InputError
 from wavesim.runtime.arrays import array_module
 
 Array = NDArray[np.float64]
+Orientation = Literal["x", "y"]
 
 ON_SAMPLE = 1e-6
 """Of a pitch: nearer to a sample than this is on it."""
@@ -181,3 +182,10 @@ def correlation(field: Any, truth: Any) -> float:
     """Modulus of the normalized inner product of two fields: 1 where they differ by a constant factor."""
     a, b = np.ravel(field), np.ravel(truth)
     return float(abs(np.vdot(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
+
+
+def axis_of(orientation: str) -> int:
+    """0 for x and 1 for y; InputError for anything else."""
+    if orientation not in ("x", "y"):
+        raise InputError(f"orientation = {orientation!r}: must be 'x' or 'y', the axis along which it varies")
+    return int(orientation == "y")

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wavesim.fields.coverage import Rectangle, bar_rectangles, rectangle_coverage
-from wavesim.fields.field import Array, Grid
+from wavesim.fields.field import Array, Grid, Orientation, axis_of
 from wavesim.objects.targets import Ground
 from wavesim.objects.usaf import BARS, UsafElement
-from wavesim.pupil.pupil import Orientation, axis_of
 
 MIDDLE_ACROSS, MIDDLE_ALONG = 0.5, 3.0
 """Part of each bar and gap that is averaged, in line widths: the middle, away from edges and ends."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.fields.coverage import Rectangle
 from wavesim.fields.field import Field, Grid
-from wavesim.pictures.layers import cut_out
 
 LEAST_SAMPLES = 16
 """Along each side of a region; structural similarity and refocusing need some."""
@@ -120,3 +120,56 @@ def _between(grid: Grid, rows: slice, columns: slice) -> Grid:
     x_mm, y_mm = middles
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     return replace(grid, shape=shape, centre_mm=(float(x_mm), float(y_mm)))
+
+
+def cut_out(
+    values: Any,
+    pitch_um: float,
+    region_mm: Sequence[float],
+    named: str = "region_mm",
+    centre_um: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Any, tuple[float, float]]:
+    """Samples within a region, and the middle of these.
+
+    Parameters
+    ----------
+    values
+        Shape (ny, nx), y increasing with the row.
+    pitch_um
+        Of the samples.
+    region_mm
+        x and y of its centre, width and height.
+    named
+        What messages call the region.
+    centre_um
+        Middle of the values (x, y).
+
+    Returns
+    -------
+    ndarray, (x, y)
+        A view of the values, and its middle in um.
+
+    Raises
+    ------
+    InputError
+        If the region has no size, or reaches beyond the samples.
+    """
+    said = f"{named} = {','.join(f'{n:g}' for n in region_mm)}"
+    x_mm, y_mm, width_mm, height_mm = region_mm
+    if not (all(map(math.isfinite, region_mm)) and min(width_mm, height_mm) > 0.0):
+        raise InputError(f"{said}: must be finite, and the sides greater than 0")
+    found, middles_um = [], []
+    for axis, count, middle_um, middle, side in (
+        ("x", values.shape[1], centre_um[0], x_mm, width_mm),
+        ("y", values.shape[0], centre_um[1], y_mm, height_mm),
+    ):
+        half, own = 0.5e-3 * count * pitch_um, 1e-3 * middle_um
+        if abs(middle - own) + 0.5 * side > half + 1e-3 * pitch_um:
+            raise InputError(
+                f"{said}: along {axis} there are samples from {own - half:.4g} to {own + half:.4g} mm alone"
+            )
+        first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + 1e-6), 0)
+        last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - 1e-6), count)
+        found.append(slice(first, max(last, first + 1)))
+        middles_um.append(middle_um + (0.5 * (first + found[-1].stop) - 0.5 * count) * pitch_um)
+    return values[found[1], found[0]], (middles_um[0], middles_um[1])

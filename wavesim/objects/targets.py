@@ -30,9 +30,8 @@ from wavesim.fields.coverage import (
     refuse_not_positive,
     refuse_outside,
 )
-from wavesim.fields.field import Array, Grid
+from wavesim.fields.field import Array, Grid, Orientation
 from wavesim.fields.plane_waves import fft_frequencies
-from wavesim.pupil.pupil import Orientation
 from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.threads import row_blocks
 

@@ -23,9 +23,8 @@ from wavesim.fields.coverage import (
     refuse_line,
     refuse_not_positive,
 )
-from wavesim.fields.field import Grid
+from wavesim.fields.field import Grid, Orientation, axis_of
 from wavesim.objects.targets import ComplexArray, Ground, on_ground
-from wavesim.pupil.pupil import Orientation, axis_of
 
 GROUPS = range(4, 11)
 ELEMENTS = range(1, 7)

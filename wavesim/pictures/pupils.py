@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from lensdesign.common.text import visible
+from wavesim.fields.field import Orientation
 from wavesim.pupil.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
     line_pair_image,
     line_pair_profile,
 )
-from wavesim.pupil.pupil import Orientation, ReconstructionPupil, mtf, psf, rms_waves, strehl
+from wavesim.pupil.pupil import ReconstructionPupil, mtf, psf, rms_waves, strehl
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,16 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from wavesim.pupil.pupil import (
-    Array,
-    ComplexArray,
-    Orientation,
-    PupilGrid,
-    ReconstructionPupil,
-    axis_of,
-    plane_waves,
-    refuse_wide,
-)
+from wavesim.fields.field import Orientation, axis_of
+from wavesim.pupil.pupil import Array, ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
 
 
 def line_pair_contrast(

@@ -30,11 +30,12 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import compile_system
+from wavesim.fields.field import Orientation, axis_of
+from wavesim.pupil.characteristic import point_characteristic
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
 from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch
-from wavesim.pupil.pupil import Array, ComplexArray, Orientation, ReconstructionPupil, axis_of
-from wavesim.rays.characteristic import point_characteristic
-from wavesim.rays.ray_aiming import shift_vector
+from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil
+from wavesim.pupil.ray_aiming import shift_vector
 from wavesim.scene.engine import Neglected
 
 WINDOW = {True: 6.0, False: 3.0}

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from wavesim.rays.characteristic import FoldError, PointCharacteristic, point_characteristic
-from wavesim.rays.ray_aiming import Aimed, AimingMap, shoot
+from wavesim.pupil.characteristic import PointCharacteristic, point_characteristic
+from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
+from wavesim.rays.ray_bundles import FoldError
 
 Array = NDArray[np.float64]
 
@@ -195,7 +196,7 @@ def nominal_rays(
     Raises
     ------
     InputError
-        As :func:`wavesim.rays.characteristic.point_characteristic`; or, on a line, if the field point
+        As :func:`wavesim.pupil.characteristic.point_characteristic`; or, on a line, if the field point
         lies beside x = 0 or the lens is not symmetric about it.
     FoldError
         If the nominal rays fold on the plane.

@@ -12,17 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError
+from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
-from wavesim.pupil.pupil import (
-    Array,
-    ComplexArray,
-    Orientation,
-    ReconstructionPupil,
-    axis_of,
-    plane_waves,
-    refocus,
-    remove_shift,
-)
+from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
 
 Registration = Literal["none", "shift", "focus"]
 

@@ -14,16 +14,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.field import Orientation, axis_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Orientation = Literal["x", "y"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,13 +357,6 @@ def mtf(
     lag = frequencies * 1e-3 * pupil.wavelength_um / pupil.grid.spacing
     at = [np.interp(lag, np.arange(samples + 1), part) for part in (correlation.real, correlation.imag)]
     return np.asarray(np.hypot(*at) / correlation[0].real)
-
-
-def axis_of(orientation: str) -> int:
-    """0 for x and 1 for y; InputError for anything else."""
-    if orientation not in ("x", "y"):
-        raise InputError(f"orientation = {orientation!r}: must be 'x' or 'y', the axis along which it varies")
-    return int(orientation == "y")
 
 
 def refuse_wide(grid: PupilGrid, width_um: float, what: str) -> None:

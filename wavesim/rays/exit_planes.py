@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
 from wavesim.fields.grid_transfer import GridTransfer
-from wavesim.rays.characteristic import FoldError
 from wavesim.rays.maps import refuse_fold, sample_points
-from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
+from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
 from lensdesign.errors import InputError
-from wavesim.rays.characteristic import FoldError
-from wavesim.rays.ray_bundles import STEP, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
+from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]

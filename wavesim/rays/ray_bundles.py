@@ -34,6 +34,10 @@ BISECTIONS = 34
 RIM = 1.0 - 1e-9
 
 
+class FoldError(InputError):
+    """The map from directions at the object to sensor points folds: no single ray per sensor point."""
+
+
 @dataclass(frozen=True)
 class OpenPupil:
     """The part of the stop through which light of one object point gets through the whole lens.

@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Array, Field
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RealArray, RecordingModel
 from wavesim.scene.engine import Engine

@@ -11,28 +11,20 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.retrieval_state import (
-    Array,
-    ComplexArray,
-    RetrievalState,
-    Start,
-    begun,
-    iterated,
-    passes_for,
-    resumed,
-)
-
-if TYPE_CHECKING:
-    from wavesim.reconstruction.retrieval_steps import Match
+from wavesim.reconstruction.retrieval_state import Array, ComplexArray, RetrievalState, Start, begun, resumed
+from wavesim.reconstruction.retrieval_steps import BLOCK_BYTES, Match, Passes, plane_for
 
 FEEDBACK = (0.7, 0.5)
 """Weights a and b of A5."""
@@ -48,87 +40,6 @@ WATCHED, LEAST_GAIN = 50, 1e-3
 
 BLOCKS = 6
 """That a thread has at one time."""
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """An amplitude recorded on one plane.
-
-    Attributes
-    ----------
-    distance_mm : float
-        From the plane in which the field is sought.
-    amplitude : ndarray
-        Root of the intensity, of the grid's shape. Two planes are in the same units.
-    sigma : ndarray, optional
-        Standard deviation of each amplitude, in its units; infinite in pixels of which nothing is known, such
-        as saturated or dead ones. Left out: all pixels are alike.
-    """
-
-    distance_mm: float
-    amplitude: Array
-    sigma: Array | None = None
-
-    @property
-    def known(self) -> NDArray[np.bool_] | None:
-        """Pixels that tell something; None where all do."""
-        if self.sigma is None or np.all(np.isfinite(self.sigma)):
-            return None
-        return np.asarray(np.isfinite(self.sigma))
-
-
-def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) -> Recorded:
-    """Amplitude and its standard deviation from an estimated intensity, as of `estimate_intensity`.
-
-    The amplitude is the root of the intensity, 0 where that is negative; its standard deviation is that of
-    the intensity over twice the amplitude. Where it is dark, that ends at the root mean square of the root of
-    normal noise, clipped at 0: 0.63 times the root of the intensity's standard deviation.
-
-    Parameters
-    ----------
-    distance_mm
-        As of :class:`Recorded`.
-    intensity, variance
-        Of one shape; a pixel of infinite variance tells nothing.
-
-    Raises
-    ------
-    InputError
-        If shapes differ, or a variance is not above 0.
-    """
-    if intensity.shape != variance.shape or not np.all(variance > 0.0):
-        raise InputError(
-            f"recorded intensity of shape {intensity.shape}, variance of shape {variance.shape}: must have "
-            "one shape, and variances above 0"
-        )
-    known = np.isfinite(variance)
-    deviation = np.sqrt(np.where(known, variance, 1.0))
-    lowest = 0.25 * math.sqrt(2.0 * math.pi) * deviation
-    sigma = np.where(known, deviation / (2.0 * np.sqrt(np.maximum(intensity, lowest))), np.inf)
-    return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
-
-
-def full_weight_sigma(recorded: Sequence[Recorded]) -> float:
-    """Standard deviation up to which a pixel weighs 1: that of a plane's brightest known pixel, the smallest.
-
-    Where long exposures know faint light better than that, weights by the smallest of all would leave the
-    bright pixels, which hold most of the light, next to none: a descent would not come to them.
-    """
-    at_brightest = []
-    for plane in recorded:
-        if plane.sigma is not None:
-            brightest = np.argmax(np.where(np.isfinite(plane.sigma), plane.amplitude, -1.0))
-            at_brightest.append(float(plane.sigma.flat[int(brightest)]))
-    return min(at_brightest, default=1.0)
-
-
-def weights_of(recorded: Sequence[Recorded]) -> list[Array | None]:
-    """Weights of all planes' pixels: (:func:`full_weight_sigma` / standard deviation) squared, 1 at most.
-
-    None for a plane without standard deviations, whose pixels all weigh 1.
-    """
-    full = full_weight_sigma(recorded)
-    return [None if p.sigma is None else np.asarray(np.minimum(full / p.sigma, 1.0) ** 2) for p in recorded]
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +142,47 @@ def retrieve(
     )
 
 
+@contextmanager
+def passes_for(
+    grid: Grid, wavelength_um: float, recorded: Sequence[Recorded], dtype: Any
+) -> Iterator[Passes]:
+    """The passes of iterations over recorded planes, for fields of a complex type, with their threads."""
+    from wavesim.reconstruction.retrieval_steps import Passes
+
+    planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield Passes(planes, pool)
+
+
+def iterated(
+    passes: Passes,
+    state: RetrievalState,
+    iterations: int,
+    feedback: tuple[float, float],
+    tv_step: float,
+    progress: Callable[[int, float], None] | None,
+    keep: Callable[[RetrievalState], None] | None,
+) -> RetrievalState:
+    """Iterations up to their number; the arrays of `state` are used for them."""
+    a, b = feedback
+    rows = (-1, state.now.shape[-1])
+    passes.begin(state.now.reshape(rows))
+    for k in range(len(state.correlation), iterations):
+        weights = (1.0, 0.0, 0.0) if k < 2 else (1.0 + a + b, a, b)
+        met = passes.step(state.now.reshape(rows), state.before.reshape(rows), weights, tv_step)
+        state = RetrievalState(
+            state.before,
+            state.now,
+            (*state.correlation, met.correlation),
+            (*state.residual_curve, met.residual),
+        )
+        if progress is not None:
+            progress(k, met.correlation)
+        if keep is not None:
+            keep(state)
+    return state
+
+
 def retrieval_bytes(
     shape: tuple[int, ...], distances_mm: Sequence[float], dtype: Any = np.complex64, masked: bool = True
 ) -> int:
@@ -247,8 +199,6 @@ def retrieval_bytes(
     masked
         Whether planes have pixels that tell nothing.
     """
-    from wavesim.reconstruction.retrieval_steps import BLOCK_BYTES
-
     samples, item = math.prod(shape), np.dtype(dtype).itemsize
     carried = sum(distance != 0.0 for distance in distances_mm)
     # This field and the one before; for each plane its field and a quarter of a carrier; rows beside blocks.

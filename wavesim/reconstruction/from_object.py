@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import Recorded, refuse_planes
+from wavesim.reconstruction.from_field import refuse_planes
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch

@@ -1,7 +1,7 @@
 """From an object's transmission to the amplitudes recorded behind the lens, and the step back.
 
 Amplitudes a with standard deviations s pull with the weight (s of a plane's brightest pixel / s)^2, 1 at most
-(:func:`wavesim.reconstruction.from_field.weights_of`): where s is infinite, nothing is known and nothing is
+(:func:`wavesim.camera.recorded.weights_of`): where s is infinite, nothing is known and nothing is
 replaced.
 
 A pixel takes the mean of |u|^2 over its square. The step is that of the misfit's gradient: each pixel's ratio
@@ -21,9 +21,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded, full_weight_sigma, weights_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_way import PlaneWay
-from wavesim.reconstruction.from_field import Recorded, full_weight_sigma, weights_of
 from wavesim.reconstruction.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_kernel import change_pixels, change_samples, weighted_products
 from wavesim.runtime.scratch import Scratch

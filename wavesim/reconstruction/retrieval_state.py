@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-
-if TYPE_CHECKING:
-    from wavesim.reconstruction.from_field import Recorded
-    from wavesim.reconstruction.retrieval_steps import Passes
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -66,44 +58,3 @@ def resumed(grid: Grid, state: RetrievalState) -> RetrievalState:
         raise InputError(f"resume: its shape {state.now.shape} is not that of the field sought, {grid.shape}")
     now, before = (np.array(values, order="C") for values in (state.now, state.before))
     return RetrievalState(now, before, state.correlation, state.residual_curve)
-
-
-@contextmanager
-def passes_for(
-    grid: Grid, wavelength_um: float, recorded: Sequence[Recorded], dtype: Any
-) -> Iterator[Passes]:
-    """The passes of iterations over recorded planes, for fields of a complex type, with their threads."""
-    from wavesim.reconstruction.retrieval_steps import Passes, plane_for
-
-    planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield Passes(planes, pool)
-
-
-def iterated(
-    passes: Passes,
-    state: RetrievalState,
-    iterations: int,
-    feedback: tuple[float, float],
-    tv_step: float,
-    progress: Callable[[int, float], None] | None,
-    keep: Callable[[RetrievalState], None] | None,
-) -> RetrievalState:
-    """Iterations up to their number; the arrays of `state` are used for them."""
-    a, b = feedback
-    rows = (-1, state.now.shape[-1])
-    passes.begin(state.now.reshape(rows))
-    for k in range(len(state.correlation), iterations):
-        weights = (1.0, 0.0, 0.0) if k < 2 else (1.0 + a + b, a, b)
-        met = passes.step(state.now.reshape(rows), state.before.reshape(rows), weights, tv_step)
-        state = RetrievalState(
-            state.before,
-            state.now,
-            (*state.correlation, met.correlation),
-            (*state.residual_curve, met.residual),
-        )
-        if progress is not None:
-            progress(k, met.correlation)
-        if keep is not None:
-            keep(state)
-    return state

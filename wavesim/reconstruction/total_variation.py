@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.tiles.operator import THREADS
 from wavesim.reconstruction.total_variation_kernel import project, slope_line, subtract
-from wavesim.runtime.threads import for_blocks
+from wavesim.runtime.threads import THREADS, for_blocks
 
 Values = NDArray[np.inexact[Any]]
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from wavesim.engines.tiles.operator import Precision
 
 DEVICES = ("cpu", "gpu")
 
@@ -25,6 +24,26 @@ HOST_BYTES = 1_000_000_000
 
 NEEDED = ("cupy", "cufinufft")
 INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gpu]')"
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How finely a tile is computed.
+
+    Attributes
+    ----------
+    dtype : numpy dtype
+        complex64 or complex128.
+    transform_error : float
+        Of the nonuniform Fourier transform.
+    interpolation_error : float
+        Of the interpolation from the coarse grid.
+    """
+
+    dtype: np.dtype[Any]
+    transform_error: float
+    interpolation_error: float
+
 
 MakePlan = Callable[[int, tuple[int, ...], Precision], Any]
 """Makes a nonuniform Fourier transform of type 2 or 1; shape (transforms, modes along y, modes along x)."""

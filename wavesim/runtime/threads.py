@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from wavesim.engines.tiles.operator import THREADS
-
 Part = TypeVar("Part")
+
+MOST_THREADS = 16
+
+
+THREADS = min(
+    MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+)
+"""That share the work: one for each core that may be used."""
 
 BLOCK = 1024
 """Rows that are worked on at one time: all of a whole field's, in double precision, would fill a memory."""

@@ -12,9 +12,9 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.estimation import Calibrated, calibrate, eikonal_tiles, noise_misfit
 from wavesim.calibration.mounting import Mounting
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
 from wavesim.pictures.calibrations import calibration_figure
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Scene
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.mounting import Mounting, motion, parameter_names, plane_of, refuse_parameters
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.scene.engine import Scene
 
 numbers = st.floats(-1.0, 1.0)

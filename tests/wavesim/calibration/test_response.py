@@ -8,9 +8,9 @@ import pytest
 from lensdesign import load_design, scaled
 from wavesim.calibration.mounting import Mounting, parameter_names
 from wavesim.calibration.response import mounting_response
+from wavesim.camera.recorded import Recorded
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Scene
 

@@ -129,17 +129,6 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
 
 
-def test_what_was_kept_of_another_run_is_not_used(tmp_path: Path) -> None:
-    kept = resumable.Checkpoint(tmp_path / "checkpoint.npz", resumable.key_of("a", b"b"))
-    kept.keep(values=np.ones(3))
-    found = kept.load()
-    assert found is not None
-    assert found["values"].tolist() == [1.0, 1.0, 1.0]
-    assert resumable.Checkpoint(kept.path, resumable.key_of("ab", b"")).load() is None
-    kept.path.write_bytes(b"damaged")
-    assert kept.load() is None
-
-
 def changed(frame: Frame, path: Path, counts: Any = None, **settings: Any) -> Path:
     write_frame(Frame(frame.counts if counts is None else counts, frame.settings.replaced(**settings)), path)
     return path

@@ -19,7 +19,7 @@ from wavesim.engines.thin_lens import ThinLens
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
-from wavesim.rays.characteristic import PupilSampler
+from wavesim.pupil.characteristic import PupilSampler
 from wavesim.rays.interfaces import surface_map
 from wavesim.scene.engine import Scene
 

@@ -19,7 +19,6 @@ from wavesim.evaluation.metrics import (
     object_correlation,
     resolved_elements,
     smallest_resolved_element,
-    spectrum_support,
 )
 from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field, Grid
@@ -196,18 +195,6 @@ def test_ssim_of_constants_is_its_luminance_term() -> None:
     assert found == pytest.approx((2 * a * b + c) / (a * a + b * b + c))
 
 
-def test_spectrum_of_known_waves() -> None:
-    """Two cosines of 40 and 170 cycles per mm with energies 9 and 1."""
-    count, pitch = 500, 2e-3
-    x = pitch * np.arange(count)
-    values = 7.0 + 3.0 * np.cos(2 * np.pi * 40.0 * x) + np.cos(2 * np.pi * 170.0 * x)
-    found = spectrum_support(np.tile(values, (300, 1)), pitch, 156.25)
-    assert found.share_beyond == pytest.approx(0.1)
-    assert found.frequency_within_per_mm == pytest.approx(170.0)
-    assert spectrum_support(values, pitch, 156.25, share=0.89).frequency_within_per_mm == pytest.approx(40.0)
-    assert spectrum_support(values, pitch, 171.0).share_beyond == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -222,9 +209,6 @@ def test_spectrum_of_known_waves() -> None:
         (lambda: psnr_db(np.full((3, 3), np.nan), np.ones((3, 3))), "finite"),
         (lambda: psnr_db(np.ones((3, 3)), np.ones((3, 3)), full_scale=0.0), "full_scale"),
         (lambda: ssim(np.ones((3, 3)), np.ones((3, 3))), "11 x 11"),
-        (lambda: spectrum_support(np.ones((9, 9)), 1e-3, 100.0), "mean"),
-        (lambda: spectrum_support(np.ones((9, 9)), 0.0, 100.0), "pitch_mm"),
-        (lambda: spectrum_support(np.eye(9), 1e-3, 100.0, share=1.0), "share"),
     ],
 )
 def test_refused(call, message: str) -> None:

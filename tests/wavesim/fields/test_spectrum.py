@@ -1,14 +1,15 @@
-"""Spectra from bands against those of the whole."""
+"""Spectra of known waves, and from bands against those of the whole."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from wavesim.evaluation.metrics import spectrum_support
-from wavesim.fields.spectrum import BlockSpectrum
+from lensdesign.errors import InputError
+from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 
 
 @pytest.mark.parametrize("rows", [256, 700, 5000])
@@ -42,3 +43,28 @@ def test_darkness_has_no_spectrum() -> None:
     blocks = BlockSpectrum(1e-3)
     blocks.add(np.zeros((100, 90), np.complex64))
     assert math.isnan(blocks.share_beyond(10.0))
+
+
+def test_spectrum_of_known_waves() -> None:
+    """Two cosines of 40 and 170 cycles per mm with energies 9 and 1."""
+    count, pitch = 500, 2e-3
+    x = pitch * np.arange(count)
+    values = 7.0 + 3.0 * np.cos(2 * np.pi * 40.0 * x) + np.cos(2 * np.pi * 170.0 * x)
+    found = spectrum_support(np.tile(values, (300, 1)), pitch, 156.25)
+    assert found.share_beyond == pytest.approx(0.1)
+    assert found.frequency_within_per_mm == pytest.approx(170.0)
+    assert spectrum_support(values, pitch, 156.25, share=0.89).frequency_within_per_mm == pytest.approx(40.0)
+    assert spectrum_support(values, pitch, 171.0).share_beyond == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: spectrum_support(np.ones((9, 9)), 1e-3, 100.0), "mean"),
+        (lambda: spectrum_support(np.ones((9, 9)), 0.0, 100.0), "pitch_mm"),
+        (lambda: spectrum_support(np.eye(9), 1e-3, 100.0, share=1.0), "share"),
+    ],
+)
+def test_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        call()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +16,7 @@ from wavesim.objects.region import (
     LEAST_SAMPLES,
     around,
     cut_field,
+    cut_out,
     holds,
     part_of,
     region_grid,
@@ -82,3 +85,40 @@ def test_a_region_of_a_few_samples_or_beyond_the_plane_is_refused() -> None:
         region_grid(GRID, (0.0, 0.0, 2e-3, 2e-3))
     with pytest.raises(InputError, match=r"along x there are samples from -0\.024 to"):
         region_grid(GRID, (0.02, 0.0, 0.02, 0.01))
+
+
+@given(
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    where=st.tuples(*[st.floats(0.0, 1.0)] * 4),
+    pitch_um=st.floats(0.1, 10.0),
+)
+def test_a_region_is_where_it_says(shape: tuple[int, int], where: tuple[float, ...], pitch_um: float) -> None:
+    rows, columns = shape
+    y, x = (pitch_um * (np.arange(n) - 0.5 * (n - 1)) for n in shape)
+    width, height = (max(s, 0.01) * n * pitch_um for s, n in zip(where[2:], (columns, rows), strict=True))
+    middle_x = (where[0] - 0.5) * (columns * pitch_um - width)
+    middle_y = (where[1] - 0.5) * (rows * pitch_um - height)
+    region = [1e-3 * n for n in (middle_x, middle_y, width, height)]
+    for values, middle, side, axis in (
+        (x[None, :] + 0 * y[:, None], middle_x, width, 0),
+        (y[:, None] + 0 * x[None, :], middle_y, height, 1),
+    ):
+        cut, centre_um = cut_out(values, pitch_um, region)
+        assert np.mean(cut) == pytest.approx(centre_um[axis], abs=1e-9)
+        assert cut.min() - 0.5 * pitch_um <= middle - 0.5 * side + 1e-4 * pitch_um
+        assert cut.max() + 0.5 * pitch_um >= middle + 0.5 * side - 1e-4 * pitch_um
+        assert np.ptp(cut) <= side + 1.01 * pitch_um
+
+
+@pytest.mark.parametrize(
+    ("region", "words"),
+    [
+        ((0.0, 0.0, 0.0, 1.0), "sides greater than 0"),
+        ((0.0, math.nan, 1.0, 1.0), "must be finite"),
+        ((0.016, 0.0, 0.012, 0.01), r"region_mm = 0\.016,0,0\.012,0\.01: along x .* -0\.02 to 0\.02 mm"),
+        ((0.0, 0.0, 0.01, 0.03), r"along y .* -0\.01 to 0\.01 mm"),
+    ],
+)
+def test_regions_beyond_the_picture_are_refused(region: tuple[float, ...], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        cut_out(np.zeros((20, 40)), 1.0, region)

@@ -21,7 +21,7 @@ from PIL import Image
 
 from lensdesign.errors import InputError
 from wavesim import Frame, FrameSettings, field_layers, frame_layer, write_zoom_page
-from wavesim.pictures.layers import cut_out
+from wavesim.objects.region import cut_out
 from wavesim.pictures.page import STEPS
 from wavesim.pictures.pyramid import TILE, halved
 
@@ -145,43 +145,6 @@ def test_dark_fields_are_shown(tmp_path: Path) -> None:
     write_zoom_page(field_layers(np.zeros((5, 5), complex), 0.4), tmp_path / "view.html")
     (layer,) = embedded(tmp_path / "view.html")
     assert np.all(layer["pixels"][0] == 1)
-
-
-@given(
-    shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
-    where=st.tuples(*[st.floats(0.0, 1.0)] * 4),
-    pitch_um=st.floats(0.1, 10.0),
-)
-def test_a_region_is_where_it_says(shape: tuple[int, int], where: tuple[float, ...], pitch_um: float) -> None:
-    rows, columns = shape
-    y, x = (pitch_um * (np.arange(n) - 0.5 * (n - 1)) for n in shape)
-    width, height = (max(s, 0.01) * n * pitch_um for s, n in zip(where[2:], (columns, rows), strict=True))
-    middle_x = (where[0] - 0.5) * (columns * pitch_um - width)
-    middle_y = (where[1] - 0.5) * (rows * pitch_um - height)
-    region = [1e-3 * n for n in (middle_x, middle_y, width, height)]
-    for values, middle, side, axis in (
-        (x[None, :] + 0 * y[:, None], middle_x, width, 0),
-        (y[:, None] + 0 * x[None, :], middle_y, height, 1),
-    ):
-        cut, centre_um = cut_out(values, pitch_um, region)
-        assert np.mean(cut) == pytest.approx(centre_um[axis], abs=1e-9)
-        assert cut.min() - 0.5 * pitch_um <= middle - 0.5 * side + 1e-4 * pitch_um
-        assert cut.max() + 0.5 * pitch_um >= middle + 0.5 * side - 1e-4 * pitch_um
-        assert np.ptp(cut) <= side + 1.01 * pitch_um
-
-
-@pytest.mark.parametrize(
-    ("region", "words"),
-    [
-        ((0.0, 0.0, 0.0, 1.0), "sides greater than 0"),
-        ((0.0, math.nan, 1.0, 1.0), "must be finite"),
-        ((0.016, 0.0, 0.012, 0.01), r"region_mm = 0\.016,0,0\.012,0\.01: along x .* -0\.02 to 0\.02 mm"),
-        ((0.0, 0.0, 0.01, 0.03), r"along y .* -0\.01 to 0\.01 mm"),
-    ],
-)
-def test_regions_beyond_the_picture_are_refused(region: tuple[float, ...], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        cut_out(np.zeros((20, 40)), 1.0, region)
 
 
 def test_what_has_no_room_is_left_out_and_the_region_that_has_is_named(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import j1
 
 from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.field import Orientation
 from wavesim.pupil.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -18,7 +19,7 @@ from wavesim.pupil.line_pairs import (
     line_pair_profile,
     smallest_resolved_line_width_um,
 )
-from wavesim.pupil.pupil import Orientation, PupilGrid, ReconstructionPupil
+from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,15 @@ from places import DESIGNS
 from lensdesign import InputError, Pose, SurfacePerturbation, load_design, scaled
 from lensdesign.errors import SamplingError
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.fields.field import Field, Grid, correlation
+from wavesim.fields.field import Field, Grid, Orientation, correlation
 from wavesim.objects.targets import band_limit
+from wavesim.pupil.characteristic import PupilSampler
 from wavesim.pupil.line_pairs import line_pair_contrast
 from wavesim.pupil.patch_chain import PatchChain, chain_contrast
 from wavesim.pupil.patch_return import PerturbedPatch, ReturnedPatch
-from wavesim.pupil.pupil import Orientation, refocus
-from wavesim.rays.characteristic import FoldError, PupilSampler
-from wavesim.rays.ray_aiming import RayAimError
+from wavesim.pupil.pupil import refocus
+from wavesim.pupil.ray_aiming import RayAimError
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Scene
 from wavesim.scene.patches import exit_grid
 

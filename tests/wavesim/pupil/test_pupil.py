@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import j1
 
 from lensdesign.errors import InputError, SamplingError
+from wavesim.fields.field import Orientation
 from wavesim.pupil.pupil import (
-    Orientation,
     PupilGrid,
     ReconstructionPupil,
     mtf,

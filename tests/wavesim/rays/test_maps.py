@@ -7,9 +7,8 @@ import pytest
 
 from lensdesign import Lens, Pose
 from wavesim.fields.field import Grid
-from wavesim.rays.characteristic import FoldError
 from wavesim.rays.maps import fit_map, ray_map
-from wavesim.rays.ray_bundles import trace_bundle
+from wavesim.rays.ray_bundles import FoldError, trace_bundle
 from wavesim.scene.engine import Scene
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.free_space import transfer_function
 from wavesim.reconstruction.bootstrap import uncertainty
-from wavesim.reconstruction.from_field import Recorded, recorded_intensity
 from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine, Scene
 

@@ -7,24 +7,22 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.free_space import propagate, transfer_function
 from wavesim.reconstruction import retrieval_steps
 from wavesim.reconstruction.from_field import (
     FEEDBACK,
     WATCHED,
-    Recorded,
     Retrieved,
     agreement,
     amplitude_correlation,
-    recorded_intensity,
     replace_amplitude,
     residual,
     residual_and_map,
     retrieval_bytes,
     retrieve,
     stagnation,
-    weights_of,
 )
 from wavesim.reconstruction.retrieval_state import RetrievalState
 
@@ -203,45 +201,6 @@ def test_pixels_that_are_not_known_are_left_as_they_are() -> None:
     assert found[1].residuals[0] == pytest.approx(found[1].residual_curve[-1], rel=0.2)
     assert found[1].correlation[-1] > 0.99
     assert len(found[1].residual_curve) == 150
-
-
-def test_amplitudes_of_an_estimated_intensity() -> None:
-    """Bright pixels: half the intensity's deviation over the amplitude. Dark ones: what noise leaves."""
-    rng = np.random.default_rng(6)
-    for intensity, deviation in ((400.0, 3.0), (0.0, 2.0)):
-        drawn = intensity + deviation * rng.standard_normal(200_000)
-        made = recorded_intensity(0.5, drawn, np.full(drawn.shape, deviation**2))
-        error = np.sqrt(np.mean((made.amplitude - np.sqrt(intensity)) ** 2))
-        at_truth = recorded_intensity(0.5, np.array([intensity]), np.array([deviation**2]))
-        assert at_truth.sigma is not None
-        assert at_truth.sigma[0] == pytest.approx(error, rel=0.03)
-    saturated = recorded_intensity(0.5, np.array([4.0, 9.0]), np.array([1.0, np.inf]))
-    assert saturated.sigma is not None
-    assert saturated.known is not None
-    np.testing.assert_array_equal(saturated.known, [True, False])
-    np.testing.assert_allclose(saturated.amplitude, [2.0, 3.0])
-    assert saturated.sigma[0] == pytest.approx(0.25)
-
-
-def test_weights_are_relative_to_the_brightest_pixel_and_none_exceeds_1() -> None:
-    planes = [
-        # The brightest is clipped, the faintest known far better than the brightest that is not.
-        Recorded(0.0, np.array([9.0, 4.0, 2.0, 0.5]), np.array([np.inf, 0.5, 1.0, 0.01])),
-        Recorded(1.0, np.array([3.0, 1.0]), np.array([2.0, np.inf])),
-        Recorded(2.0, np.ones(2)),
-    ]
-    first, second, third = weights_of(planes)
-    assert first is not None
-    assert second is not None
-    assert third is None
-    np.testing.assert_allclose(first, [0.0, 1.0, 0.25, 1.0])
-    np.testing.assert_allclose(second, [0.0625, 0.0])
-
-
-def test_an_intensity_without_a_usable_variance_is_refused() -> None:
-    for variance in (np.zeros(3), np.ones(4), np.full(3, np.nan)):
-        with pytest.raises(InputError, match="variance"):
-            recorded_intensity(0.0, np.ones(3), variance)
 
 
 def plainly(

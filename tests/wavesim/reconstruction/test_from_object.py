@@ -11,10 +11,10 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.free_space import transfer_function
-from wavesim.reconstruction.from_field import Recorded, recorded_intensity
 from wavesim.reconstruction.from_object import LEAST_TV, Kind, Progressed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
+from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.from_object import Kind, reconstruct
 from wavesim.reconstruction.memory import reconstruction_bytes
 from wavesim.runtime.scratch import Scratch

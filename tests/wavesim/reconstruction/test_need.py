@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design
+from wavesim.camera.recorded import Recorded
 from wavesim.cli.reconstruct_results import truth_figures
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, make_illumination
 from wavesim.reconstruction import need as reconstruction_need
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.need import run_need
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
+from wavesim.camera.recorded import Recorded
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Scene
 

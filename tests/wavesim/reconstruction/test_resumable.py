@@ -7,12 +7,13 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import load_design, scaled
+from wavesim.camera.recorded import Recorded
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_field import Recorded
-from wavesim.reconstruction.resumable import Checkpoint, retrieve_resumably
+from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.reconstruction.retrieval_state import RetrievalState
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Scene
 
 DESIGN = DESIGNS / "paper_singlet.toml"

@@ -14,13 +14,14 @@ import pytest
 
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
+from wavesim.camera.recorded import Recorded
 from wavesim.engines.registry import make_engine
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.illumination import field_stop
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_field import Recorded
 from wavesim.reconstruction.from_object import Progressed
-from wavesim.reconstruction.resumable import Checkpoint, reconstruct_resumably
+from wavesim.reconstruction.resumable import reconstruct_resumably
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Scene
 

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import edge_error, shared_spans
-from wavesim.engines.tiles.operator import Precision, TileOperator, precision_for
+from wavesim.engines.tiles.operator import TileOperator, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, ray_map
 from wavesim.runtime.blas import one_blas_thread
+from wavesim.runtime.device import Precision
 from wavesim.scene.engine import Cost, Engine, Neglected, Scene
 
 EXPANSION_SHARE = 0.5

@@ -8,7 +8,6 @@ on a coarse grid and interpolated, where that grid has fewer samples.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,15 +28,12 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import RayBundle
+from wavesim.runtime.device import Precision
+from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]
 
-MOST_THREADS = 16
-THREADS = min(
-    MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-)
-"""That share the work: one for each core that may be used."""
 
 BAND_MARGIN = 1.1
 """Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
@@ -74,25 +70,6 @@ class Tile:
         """From where to where the tile extends about its centre, shape (d, 2)."""
         half = 0.5 * self.pitch_mm
         return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
-
-
-@dataclass(frozen=True)
-class Precision:
-    """How finely a tile is computed.
-
-    Attributes
-    ----------
-    dtype : numpy dtype
-        complex64 or complex128.
-    transform_error : float
-        Of the nonuniform Fourier transform.
-    interpolation_error : float
-        Of the interpolation from the coarse grid.
-    """
-
-    dtype: np.dtype[Any]
-    transform_error: float
-    interpolation_error: float
 
 
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wavesim.engines.tiles.operator import THREADS
 from wavesim.engines.whole_field.tiles import FieldSettings, SuperTile
 from wavesim.runtime.speed import pass_seconds
+from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost, Scene
 
 COMPLEX64 = 8

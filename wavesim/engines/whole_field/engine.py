@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.engines.tiles.edge import edge_error, rim_share
-from wavesim.engines.tiles.operator import THREADS, Precision, Tile
+from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import COMPLEX64, two_level_cost
 from wavesim.engines.whole_field.factors import field_factors
@@ -32,7 +32,8 @@ from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMapError, ray_map
 from wavesim.runtime.blas import one_blas_thread
-from wavesim.runtime.device import Device, device_named
+from wavesim.runtime.device import Device, Precision, device_named
+from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost, Engine, Neglected, Scene
 
 Array = NDArray[np.float64]

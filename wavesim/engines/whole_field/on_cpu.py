@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.tiles.operator import THREADS
 from wavesim.engines.whole_field.tiles import FieldTile, SuperTile
 from wavesim.runtime.blas import one_blas_thread
+from wavesim.runtime.threads import THREADS
 
 Way = Literal["forward", "adjoint"]
 

@@ -21,13 +21,14 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from wavesim.engines.tiles.operator import THREADS, Tile
+from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.whole_field.on_cpu import Way
 from wavesim.engines.whole_field.tiles import TAPER, Carried, SuperTile, Ways, ways_between, window_between
 from wavesim.fields.resampling import Weights, coarse_axis
 from wavesim.rays.maps import SmoothMap
 from wavesim.runtime.blas import one_blas_thread
 from wavesim.runtime.device import Device
+from wavesim.runtime.threads import THREADS
 
 Array = NDArray[np.float64]
 Axes = tuple[Array, Array]

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.tiles.operator import BAND_MARGIN, Precision, Tile, folded, fourier_plan
+from wavesim.engines.tiles.operator import BAND_MARGIN, Tile, folded, fourier_plan
 from wavesim.engines.whole_field.factors import FieldFactors
 from wavesim.engines.whole_field.kernel import collector, expander
 from wavesim.engines.whole_field.ray_maps import REACH, FieldMaps
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, Weights, coarse_axis, interpolation
 from wavesim.fields.resampling_kernel import collect_along_y
 from wavesim.rays.maps import SmoothMap
+from wavesim.runtime.device import Precision
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]

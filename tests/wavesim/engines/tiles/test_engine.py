@@ -18,11 +18,12 @@ from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
+from wavesim.evaluation.accuracy import peak_bytes
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.oracles.registry import oracle_case, peak_bytes
-from wavesim.rays.characteristic import FoldError
+from wavesim.oracles.registry import oracle_case
 from wavesim.rays.maps import ray_map
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Scene
 
 WAVELENGTH_UM = 0.532

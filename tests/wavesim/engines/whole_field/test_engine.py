@@ -19,8 +19,8 @@ from wavesim.engines.whole_field.ray_maps import field_maps, field_region
 from wavesim.engines.whole_field.tiles import Carried, ways_between
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
-from wavesim.rays.characteristic import FoldError
 from wavesim.rays.maps import RayMapError
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Scene
 
 WAVELENGTH_UM = 0.532

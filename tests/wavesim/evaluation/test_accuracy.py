@@ -9,8 +9,9 @@ import pytest
 
 from lensdesign.errors import InputError
 from wavesim.engines.registry import ENGINES
+from wavesim.evaluation.accuracy import run_oracle
 from wavesim.fields.field import relative_error
-from wavesim.oracles.registry import ORACLES, oracle_case, run_oracle
+from wavesim.oracles.registry import ORACLES, oracle_case
 from wavesim.scene.engine import Cost, Engine, Neglected, Scene
 
 BALLAST_BYTES = 24_000_000

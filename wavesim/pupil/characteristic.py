@@ -21,7 +21,8 @@ from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.bundles import launch
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
-from wavesim.rays.ray_aiming import AimingMap, reach_for, shift_vector, shoot
+from wavesim.pupil.ray_aiming import AimingMap, reach_for, shift_vector, shoot
+from wavesim.rays.ray_bundles import FoldError
 
 Array = NDArray[np.float64]
 
@@ -29,10 +30,6 @@ DIFFERENCE_STEP = 1e-4
 """Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""
 
 RIM_POINTS = 256
-
-
-class FoldError(InputError):
-    """The map from directions at the object to sensor points folds: no single ray per sensor point."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,9 +25,10 @@ from lensdesign import (
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import RayTrace, trace, trace_compiled
 from lensdesign.tracing.status import Status
+from wavesim.pupil.characteristic import PupilSampler, point_characteristic
 from wavesim.pupil.pupil import ReconstructionPupil, refocus, rms_waves
-from wavesim.rays.characteristic import FoldError, PupilSampler, point_characteristic
-from wavesim.rays.ray_aiming import RayAimError
+from wavesim.pupil.ray_aiming import RayAimError
+from wavesim.rays.ray_bundles import FoldError
 
 Array = NDArray[np.float64]
 Surfaces = Mapping[int, SurfacePerturbation] | None

@@ -1,0 +1,71 @@
+"""What finished parts of a run gave, kept in a file until the run is done."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import atomic_path
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a run keeps what its finished parts gave.
+
+    Attributes
+    ----------
+    path : Path
+        File (.npz).
+    key : str
+        Of inputs and settings; what was kept under another one is not used.
+    """
+
+    path: Path
+    key: str
+
+    def load(self) -> dict[str, Any] | None:
+        """What was kept; None if nothing was, or it is of another run or damaged."""
+        try:
+            with np.load(self.path, allow_pickle=False) as kept:
+                if str(kept["key"]) != self.key:
+                    return None
+                return {name: kept[name] for name in kept.files}
+        except Exception:  # of a damaged file, errors of many kinds
+            return None
+
+    @property
+    def kept(self) -> bool:
+        """Whether something of this run was kept; its arrays are not read."""
+        try:
+            with np.load(self.path, allow_pickle=False) as kept:
+                return str(kept["key"]) == self.key
+        except Exception:  # as above
+            return False
+
+    def keep(self, **data: Any) -> None:
+        """Replace what was kept.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, as where the disk is full; what was kept before stays.
+        """
+        with atomic_path(self.path) as temporary:
+            np.savez(temporary, key=np.asarray(self.key), **data)
+
+    def drop(self) -> None:
+        """Remove what was kept."""
+        self.path.unlink(missing_ok=True)
+
+
+def key_of(*parts: bytes | str) -> str:
+    """A digest of inputs and settings."""
+    digest = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        digest.update(len(data).to_bytes(8, "big") + data)
+    return digest.hexdigest()
