@@ -17,6 +17,9 @@ from wavesim.fields.field import Field, Grid
 LEAST_SAMPLES = 16
 """Along each side of a region; structural similarity and refocusing need some."""
 
+SLACK = 1e-6
+"""Of a sample: by less than this nothing reaches into the next one."""
+
 Part = tuple[slice, slice]
 
 
@@ -87,7 +90,7 @@ def around(rectangle: Rectangle, grid: Grid) -> Grid:
 def holds(grid: Grid, rectangle: Rectangle) -> bool:
     """Whether a rectangle lies within the cells of a plane."""
     (half_y, half_x), (x, y) = grid.half_widths_mm, grid.centre_mm
-    slack = 1e-9 * grid.pitch_mm
+    slack = 2.0 * SLACK * grid.pitch_mm
     return (
         rectangle.left_mm >= x - half_x - slack
         and rectangle.right_mm <= x + half_x + slack
@@ -168,8 +171,8 @@ def cut_out(
             raise InputError(
                 f"{said}: along {axis} there are samples from {own - half:.4g} to {own + half:.4g} mm alone"
             )
-        first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + 1e-6), 0)
-        last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - 1e-6), count)
+        first = max(math.floor((middle - own - 0.5 * side + half) * 1e3 / pitch_um + SLACK), 0)
+        last = min(math.ceil((middle - own + 0.5 * side + half) * 1e3 / pitch_um - SLACK), count)
         found.append(slice(first, max(last, first + 1)))
         middles_um.append(middle_um + (0.5 * (first + found[-1].stop) - 0.5 * count) * pitch_um)
     return values[found[1], found[0]], (middles_um[0], middles_um[1])

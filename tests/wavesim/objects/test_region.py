@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
@@ -38,6 +38,7 @@ def region_of(share: tuple[float, ...]) -> tuple[float, ...]:
 
 
 @given(shares)
+@example((1e-9, 0.0, 0.5, 1.0))
 def test_a_region_holds_what_is_asked_for_and_less_than_a_sample_more(share: tuple[float, ...]) -> None:
     x, y, width, height = region = region_of(share)
     part = region_grid(GRID, region)
