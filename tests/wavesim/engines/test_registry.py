@@ -73,7 +73,7 @@ def test_engines_have_the_same_key_only_where_they_do_the_same(paper_lens: Lens)
 
     def key(values: np.ndarray, **settings: Any) -> str:
         figure = SurfaceFigure(8.5, 0.45, values)
-        scene = Scene(paper_lens, *ends, 0.532, surface_perturbations={1: SurfacePerturbation(figure=figure)})
+        scene = Scene(paper_lens, *ends, 0.532, surface_perturbations={0: SurfacePerturbation(figure=figure)})
         engine = make_engine("slices", scene, **settings)
         before = engine.key()
         scene.system  # noqa: B018
