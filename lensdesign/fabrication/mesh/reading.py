@@ -1,14 +1,21 @@
-"""Mesh files of whatever origin: STL, PLY, OBJ and 3MF, read without trust in what they say of themselves.
+"""Mesh files of whatever origin, read without trust in what they say of themselves.
 
-Counts in headers are held against the size of the file before anything is allocated, and nothing that a file
+STL, PLY and 3MF are read by trimesh. What a file promises is held against bounds before, and against what
+came of it behind: of a text that was cut short trimesh takes what is left, in silence. OBJ is read here:
+trimesh counts indices from the end of the file where they count from their own line. Nothing that a file
 names is opened. Lengths are taken as mm where a format has no unit (all but 3MF).
 """
 
 from __future__ import annotations
 
+import io
+import logging
 import os
+import re
+import warnings
+import zipfile
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,15 +26,33 @@ from numpy.typing import NDArray
 from lensdesign.common.input_files import MESH_BYTES, TABLE_BYTES, read_input
 from lensdesign.errors import InputError
 
+Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+# What trimesh would tell the terminal of a damaged file, tracebacks and all, our own message says.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
+
 MOST_TRIANGLES = 20_000_000
 
 MOST_MM = 1e6
 """Largest coordinate: what lies farther out is no lens, and its squares lose their digits."""
 
-LONGEST_LINE = 10_000
+LONGEST_HEADER = 65536
+"""Of a PLY file."""
 
-_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_STL_HEADER = 84
+MOST_ENTRIES = 1000
+"""Of a 3MF archive."""
+
+MOST_PLACED = 10_000
+"""Objects that a 3MF file places: ten components in ten levels would be ten billion."""
+
+UNITS_MM = {
+    "micron": 1e-3,
+    "millimeter": 1.0,
+    "centimeter": 10.0,
+    "inch": 25.4,
+    "foot": 304.8,
+    "meter": 1000.0,
+}
 
 
 @dataclass(frozen=True)
@@ -53,7 +78,7 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     ----------
     path
         A ``.stl`` (binary or text), ``.ply`` (text or binary), ``.obj`` or ``.3mf`` file of at most 1 GB (256
-        MB if it is text or packed) and 20 million triangles. Polygons of an OBJ file are cut into triangles.
+        MB if it is OBJ or 3MF) and 20 million triangles. Polygons are cut into triangles.
 
     Returns
     -------
@@ -63,131 +88,156 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     ------
     InputError
         If the suffix is unknown, the file is no regular one, is too large, cut short or malformed, or holds
-        no triangle; the message names the file, and the line or element where it can.
+        no triangle; the message names the file.
     """
-    from lensdesign.fabrication.mesh.ply import read_ply
-    from lensdesign.fabrication.mesh.three_mf import read_three_mf
-
-    readers: dict[str, Callable[[bytes], TriangleMesh]] = {
-        ".stl": _read_stl,
-        ".ply": read_ply,
-        ".obj": _read_obj,
-        ".3mf": read_three_mf,
+    readers: dict[str, Callable[[bytes], Triangles]] = {
+        ".stl": _stl_triangles,
+        ".ply": _ply_triangles,
+        ".obj": _obj_triangles,
+        ".3mf": _three_mf_triangles,
     }
     suffix = Path(path).suffix.lower()
     if suffix not in readers:
         raise InputError(f"cannot read {path}: unknown suffix {suffix!r}; allowed: {', '.join(readers)}")
     data = read_input(path, MESH_BYTES if suffix in (".stl", ".ply") else TABLE_BYTES)
     try:
-        return _checked(readers[suffix](data))
+        return _checked(*readers[suffix](data))
     except InputError as error:
         raise InputError(f"cannot read {path}: {error}") from error
+    except Exception as error:  # whatever a parser stumbles over
+        said = f"no {suffix[1:].upper()} file, or a damaged one: {str(error)[:200]}"
+        raise InputError(f"cannot read {path}: {said}") from error
 
 
-def _checked(mesh: TriangleMesh) -> TriangleMesh:
-    count = len(mesh.vertices_mm)
-    if not len(mesh.faces):
+def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> TriangleMesh:
+    if not len(faces):
         raise InputError("no triangle in it")
-    if not np.all(np.isfinite(mesh.vertices_mm)):
+    if not np.all(np.isfinite(vertices)):
         raise InputError("a coordinate is no finite number")
-    largest = float(np.max(np.abs(mesh.vertices_mm)))
+    largest = float(np.max(np.abs(vertices)))
     if largest > MOST_MM:
         raise InputError(f"a coordinate of {largest:.3g} mm; at most {MOST_MM:g} can belong to a lens")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= count:
-        raise InputError(f"a triangle has a vertex that does not exist; there are {count}")
-    return mesh
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"a triangle has a vertex that does not exist; there are {len(vertices)}")
+    return TriangleMesh(vertices, faces)
 
 
-def refuse_count(triangles: int) -> None:
-    """Refuse more triangles than are read."""
+def _refuse_count(triangles: int) -> None:
     if triangles > MOST_TRIANGLES:
         raise InputError(f"{triangles} triangles; at most {MOST_TRIANGLES} are read")
 
 
-def text_lines(data: bytes) -> Iterator[tuple[str, list[bytes]]]:
-    """Where each line of a text stands, and its words; a line has at most 10,000 bytes."""
-    if len(data) > TABLE_BYTES:
-        raise InputError(f"{len(data)} bytes; at most {TABLE_BYTES} of text are read")
-    for number, line in enumerate(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n"), start=1):
-        if len(line) > LONGEST_LINE:
-            raise InputError(f"line {number}: {len(line)} bytes; a line has at most {LONGEST_LINE}")
-        yield f"line {number}", line.split()
+def _stl_triangles(data: bytes) -> Triangles:
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) != 84 + 50 * count:
+        if data[:512].lstrip()[:5].lower() != b"solid":
+            raise InputError(
+                f"{len(data)} bytes; {count} triangles, as its header has, are {84 + 50 * count}"
+            )
+        count = len(re.findall(rb"^\s*facet\b", data, re.MULTILINE | re.IGNORECASE))
+    return _by_trimesh(data, "stl", count)
 
 
-def coordinates(words: list[bytes], where: str) -> list[float]:
-    """Three numbers at the start of a line."""
-    try:
-        values = [float(word) for word in words[:3]]
-    except ValueError:
-        values = []
-    if len(values) < 3 or any(b"_" in word for word in words[:3]):
-        said = b" ".join(words)[:40].decode("ascii", "replace")
-        raise InputError(f"{where}: {said!r} stands where three coordinates must")
-    return values
+def _ply_triangles(data: bytes) -> Triangles:
+    if data.find(b"end_header", 0, LONGEST_HEADER) < 0:
+        raise InputError(f"no PLY file: end_header must come within {LONGEST_HEADER} bytes")
+    found = re.findall(rb"^element (\w+) (\d{1,18})\s", data[:LONGEST_HEADER], re.MULTILINE)
+    rows = {name: int(count) for name, count in found}
+    most = max(rows.values(), default=0)
+    if most > len(data):
+        raise InputError(f"{most} rows promised, in {len(data)} bytes")
+    return _by_trimesh(data, "ply", rows.get(b"face", 0), skip_materials=True)
 
 
-def _read_stl(data: bytes) -> TriangleMesh:
-    count = int.from_bytes(data[80:_STL_HEADER], "little")
-    if len(data) < _STL_HEADER or len(data) != _STL_HEADER + count * _STL_TRIANGLE.itemsize:
-        if data[:512].lstrip()[:5].lower() == b"solid":
-            return _read_stl_text(data)
-        raise InputError(
-            f"{len(data)} bytes, where its header promises {count} triangles in "
-            f"{_STL_HEADER + count * _STL_TRIANGLE.itemsize} bytes"
-        )
-    refuse_count(count)
-    corners = np.frombuffer(data, _STL_TRIANGLE, count, _STL_HEADER)["corners"]
-    with np.errstate(invalid="ignore"):  # signalling NaNs, which are refused by and by
-        vertices = corners.reshape(-1, 3).astype(float)
-    return TriangleMesh(vertices, np.arange(3 * count).reshape(-1, 3))
+def _by_trimesh(data: bytes, kind: str, promised: int, **options: bool) -> Triangles:
+    """Triangles of a file that has at least as many of them as promised."""
+    import trimesh
+
+    _refuse_count(promised)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        # Older releases of NumPy only warn of a text that is no number, and leave out what follows.
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, **options)
+    if len(mesh.faces) < promised:
+        raise InputError(f"{promised} faces promised, {len(mesh.faces)} found; is the file cut short?")
+    return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
 
 
-def _read_stl_text(data: bytes) -> TriangleMesh:
-    values = array("d")
-    facets, word = 0, b""
-    for where, words in text_lines(data):
-        if not words:
-            continue
-        word = words[0].lower()
-        if word == b"facet":
-            facets += 1
-        elif word == b"vertex":
-            values.extend(coordinates(words[1:], where))
-        elif word == b"endfacet" and len(values) != 9 * facets:
-            raise InputError(f"{where}: a facet without three corners")
-    if word != b"endsolid" or len(values) != 9 * facets:
-        raise InputError("text without endsolid behind its facets; is the file cut short?")
-    return TriangleMesh(np.array(values).reshape(-1, 3), np.arange(3 * facets).reshape(-1, 3))
+def _three_mf_triangles(data: bytes) -> Triangles:
+    if data.count(b"PK\x01\x02") > MOST_ENTRIES:
+        raise InputError(f"an archive of more than {MOST_ENTRIES} entries")
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = archive.infolist()
+        for entry in entries:
+            parts = entry.filename.replace("\\", "/").split("/")
+            if not parts[0] or ".." in parts or ":" in parts[0]:
+                raise InputError(f"an archive with the path {entry.filename[:60]!r}, which leads out of it")
+        unpacked = sum(entry.file_size for entry in entries)
+        if unpacked > TABLE_BYTES:
+            raise InputError(f"an archive of {unpacked} bytes; at most {TABLE_BYTES} are unpacked")
+        models = [entry for entry in entries if entry.filename.lower().endswith(".model")]
+        if len(models) != 1:
+            raise InputError(f"{len(models)} models in it; there must be one")
+        promised, unit_mm = _promised_by_model(archive.read(models[0]))
+    vertices, faces = _by_trimesh(data, "3mf", promised)
+    return unit_mm * vertices, faces
 
 
-def _read_obj(data: bytes) -> TriangleMesh:
+def _promised_by_model(model: bytes) -> tuple[int, float]:
+    """Number of triangles that a 3MF model places, and its unit in mm.
+
+    Refused is also what trimesh would leave out, or place without end.
+    """
+    from lxml import etree
+
+    triangles: dict[str, int] = {}
+    parts: dict[str, list[str]] = {}
+    waiting: list[str] = []
+    elements = etree.iterparse(io.BytesIO(model), tag=("{*}object", "{*}item"), resolve_entities=False)
+    for _, element in elements:
+        key = element.get("id", "")
+        if element.tag.endswith("item"):
+            waiting.append(element.get("objectid", ""))
+        elif key in parts:
+            raise InputError(f"object {key[:40]!r} stands twice")
+        else:
+            triangles[key] = sum(1 for _ in element.iter("{*}triangle"))
+            parts[key] = [part.get("objectid", "") for part in element.iter("{*}component")]
+        element.clear()
+    if elements.root.getroottree().docinfo.doctype:
+        raise InputError("its model has a document type, which may hold entities")
+    unit = elements.root.get("unit", "millimeter")
+    if unit not in UNITS_MM:
+        raise InputError(f"unit {unit[:40]!r}; known are {', '.join(UNITS_MM)}")
+    placed = promised = 0
+    while waiting:
+        key, placed = waiting.pop(), placed + 1
+        if key not in parts:
+            raise InputError(f"object {key[:40]!r} is placed, and does not exist")
+        if placed > MOST_PLACED:
+            raise InputError(f"more than {MOST_PLACED} objects placed, or some within themselves")
+        promised += triangles[key]
+        waiting += parts[key]
+    if not promised:
+        raise InputError("no triangle in it")
+    return promised, UNITS_MM[unit]
+
+
+def _obj_triangles(data: bytes) -> Triangles:
     """Vertices and faces; materials, textures, normals and groups say nothing of the shape."""
     values, faces = array("d"), array("q")
-    for where, words in text_lines(data):
-        if not words:
-            continue
-        if words[0] == b"v":
-            values.extend(coordinates(words[1:], where))
-        elif words[0] == b"f":
-            corners = [_obj_index(word, len(values) // 3, where) for word in words[1:]]
-            if len(corners) < 3:
-                raise InputError(f"{where}: a face of {len(corners)} corners")
-            for second, third in pairwise(corners[1:]):
-                faces.extend((corners[0], second, third))
-            refuse_count(len(faces) // 3)
-    if b"\0" in data:
-        raise InputError("not a text file")
-    return TriangleMesh(
-        np.array(values, float).reshape(-1, 3), np.array(faces, dtype=np.int64).reshape(-1, 3)
-    )
-
-
-def _obj_index(word: bytes, known: int, where: str) -> int:
-    """Index from 0 of a corner such as 7, 7/2/3 or -1; only vertices that stand before it are known."""
-    text = word.partition(b"/")[0]
-    digits = text.removeprefix(b"-")
-    index = int(text) if digits.isdigit() and len(digits) < 12 else 0
-    if not 0 < abs(index) <= known:
-        said = word[:40].decode("ascii", "replace")
-        raise InputError(f"{where}: face corner {said!r}, with {known} vertices before it")
-    return index - 1 if index > 0 else known + index
+    for line in data.splitlines():
+        words = line.split()
+        if words[:1] == [b"v"]:
+            values.extend(float(word) for word in words[1:4])
+        elif words[:1] == [b"f"]:
+            known = len(values) // 3
+            corners = [int(word.partition(b"/")[0]) for word in words[1:]]
+            if len(corners) < 3 or not all(0 < abs(corner) <= known for corner in corners):
+                said = line[:60].decode("ascii", "replace")
+                raise InputError(f"{said!r} is no face, with {known} vertices before it")
+            first, *others = (corner - 1 if corner > 0 else known + corner for corner in corners)
+            for second, third in pairwise(others):
+                faces.extend((first, second, third))
+            _refuse_count(len(faces) // 3)
+    return np.array(values, float).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3)
