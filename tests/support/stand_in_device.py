@@ -82,7 +82,7 @@ def _in_place(name: str) -> Any:
     return change
 
 
-for _name in ("add", "sub", "mul", "truediv", "matmul", "and_", "pow"):
+for _name in ("add", "sub", "mul", "truediv", "matmul", "and_", "mod", "pow"):
     _short = _name.strip("_")
     setattr(DeviceArray, f"__{_short}__", _operation(_name))
     setattr(DeviceArray, f"__r{_short}__", _reflected(_name))

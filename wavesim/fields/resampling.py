@@ -7,10 +7,7 @@ window; see A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing"
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +16,7 @@ from scipy.sparse import csr_array
 from scipy.special import i0
 
 from wavesim.fields import resampling_kernel
+from wavesim.runtime.threads import share
 
 Array = NDArray[np.float64]
 
@@ -116,7 +114,7 @@ def add_interpolated(
     """
     along_y, along_x = ways
     fixed = (coarse, along_y.first, along_y.weight, along_x.first, along_x.weight, carried, result)
-    _share(lambda start, stop: resampling_kernel.expand(*fixed, start, stop), len(carried), threads)
+    share(lambda start, stop: resampling_kernel.expand(*fixed, start, stop), len(carried), threads)
 
 
 def gathered(field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, threads: int) -> NDArray:
@@ -124,21 +122,8 @@ def gathered(field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, th
     along_y, along_x = ways
     middle = np.zeros((len(field), along_x.coarse), carried.dtype)
     across = (field, carried, along_x.first, along_x.weight, middle)
-    _share(lambda start, stop: resampling_kernel.collect_along_x(*across, start, stop), len(field), threads)
+    share(lambda start, stop: resampling_kernel.collect_along_x(*across, start, stop), len(field), threads)
     coarse = np.zeros((along_y.coarse, along_x.coarse), carried.dtype)
     down = (middle, along_y.first, along_y.weight, coarse)
-    _share(lambda start, stop: resampling_kernel.collect_along_y(*down, start, stop), along_x.coarse, threads)
+    share(lambda start, stop: resampling_kernel.collect_along_y(*down, start, stop), along_x.coarse, threads)
     return coarse
-
-
-def _share(work: Callable[[int, int], None], count: int, threads: int) -> None:
-    """Do parts of a range in threads, the first part in this one."""
-    (first, *others) = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
-    if not others:
-        work(*first)
-        return
-    with ThreadPoolExecutor(len(others)) as pool:
-        running = [pool.submit(work, *part) for part in others]
-        work(*first)
-        for part in running:
-            part.result()

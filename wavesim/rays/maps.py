@@ -7,8 +7,9 @@ decentered or perturbed. The order of the polynomials is raised until rays that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -65,16 +66,44 @@ class SmoothMap:
 
     def on_axes(self, axes: Sequence[Array]) -> NDArray:
         """Values on a line, or on the grid of two axes, shape (functions, ny) or (functions, ny, nx)."""
-        return np.stack(list(self.each_on_axes(axes)))
+        return np.stack(list(self.along(axes).each()))
 
-    def each_on_axes(self, axes: Sequence[Array]) -> Iterator[NDArray]:
-        """One function after the other on a line or a grid, where all at once would be too much."""
-        basis = [
-            chebyshev.chebvander((axis - m) / h, self.coefficients.shape[1] - 1)
-            for axis, m, h in zip(axes, self.middle, self.half_width, strict=True)
-        ]
-        for c in self.coefficients:
-            yield c @ basis[0].T if len(basis) == 1 else basis[0] @ c @ basis[1].T
+    def along(self, axes: Sequence[Array]) -> MapOnAxes:
+        """What its values on a line or a grid follow from."""
+        order = self.coefficients.shape[1] - 1
+        terms = (
+            chebyshev.chebvander((axis - middle) / half, order)
+            for axis, middle, half in zip(axes, self.middle, self.half_width, strict=True)
+        )
+        return MapOnAxes(self.coefficients, tuple(terms))
+
+
+@dataclass(frozen=True, eq=False)
+class MapOnAxes:
+    """Polynomials, and their terms along the axes of a line or a grid.
+
+    Attributes
+    ----------
+    coefficients : ndarray
+        As of :class:`SmoothMap`.
+    terms : tuple of ndarray, shape (samples, order + 1)
+        Along y (and x).
+    """
+
+    coefficients: NDArray
+    terms: tuple[Array, ...]
+
+    def each(self, place: Callable[[NDArray], Any] = np.asarray) -> Iterator[Any]:
+        """One function after the other, where all at once would be too much.
+
+        Parameters
+        ----------
+        place
+            Puts an array where the work is done.
+        """
+        y, *x = (place(terms) for terms in self.terms)
+        for c in place(self.coefficients):
+            yield y @ c @ x[0].T if x else y @ c
 
 
 def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:

@@ -28,7 +28,7 @@ INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gp
 
 @dataclass(frozen=True)
 class Precision:
-    """How finely a tile is computed.
+    """How finely a part of a field is computed.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Precision:
     transform_error : float
         Of the nonuniform Fourier transform.
     interpolation_error : float
-        Of the interpolation from the coarse grid.
+        Of the interpolation from a coarse grid.
     """
 
     dtype: np.dtype[Any]
@@ -98,8 +98,7 @@ def device_named(name: str) -> Device:
         If there is no device of this name, its packages are not installed, or no GPU answers.
     """
     if name == "cpu":
-        plan = _planner(_module("finufft"), nthreads=1, showwarn=0)
-        return Device("cpu", np, plan, lambda: (HOST_BYTES, HOST_BYTES))
+        return Device("cpu", np, fourier_plan, lambda: (HOST_BYTES, HOST_BYTES))
     if name != "gpu":
         raise InputError(
             f"device = {name!r}: there is no such device; allowed: {', '.join(DEVICES)}"
@@ -112,7 +111,11 @@ def device_named(name: str) -> Device:
         raise InputError(f"device = 'gpu': no GPU answers: {error}") from error
     if count < 1:
         raise InputError("device = 'gpu': this computer has no GPU that CUDA knows of")
-    return Device("gpu", cupy, _planner(cufinufft), lambda: _gpu_memory(cupy))
+
+    def plan(kind: int, shape: tuple[int, ...], precision: Precision) -> Any:
+        return cufinufft.Plan(*_described(kind, shape, precision), dtype=precision.dtype.name)
+
+    return Device("gpu", cupy, plan, lambda: _gpu_memory(cupy))
 
 
 def _module(name: str) -> Any:
@@ -128,16 +131,37 @@ def _gpu_memory(cupy: Any) -> tuple[int, int]:
     return int(free) + int(cupy.get_default_memory_pool().free_bytes()), int(total)
 
 
-def _planner(module: Any, **options: Any) -> MakePlan:
-    def plan(kind: int, shape: tuple[int, ...], precision: Precision) -> Any:
-        return module.Plan(
-            kind,
-            shape[1:],
-            shape[0],
-            precision.transform_error,
-            -1 if kind == 2 else 1,
-            dtype=precision.dtype.name,
-            **options,
-        )
+def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
+    """A nonuniform transform of FINUFFT of type 2, or of type 1, its conjugate transpose.
 
-    return plan
+    Parameters
+    ----------
+    kind
+        2 or 1.
+    shape
+        Number of transforms, then of modes along each axis.
+    precision
+        How finely.
+    threads
+        Number of threads.
+    """
+    import finufft  # type: ignore[import-untyped]
+
+    return finufft.Plan(
+        *_described(kind, shape, precision),
+        dtype=precision.dtype.name,
+        nthreads=threads,
+        upsampfac=1.25 if precision.transform_error > 9e-5 else 2.0,
+        showwarn=0,
+    )
+
+
+def _described(kind: int, shape: tuple[int, ...], precision: Precision) -> tuple[Any, ...]:
+    """Type, modes, number of transforms, error and sign, as both libraries take them."""
+    return kind, shape[1:], shape[0], precision.transform_error, -1 if kind == 2 else 1
+
+
+def folded(angles: Any, dtype: np.dtype[Any]) -> Any:
+    """Angles of points within half a turn; folded in float64, for the sake of single precision."""
+    real = np.float32 if dtype == np.complex64 else np.float64
+    return ((angles + np.pi) % (2.0 * np.pi) - np.pi).astype(real)

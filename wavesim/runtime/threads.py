@@ -1,17 +1,20 @@
-"""Work on a large array in parts, by threads."""
+"""Threads: how many share the work, and work on a large array in parts."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from functools import cache
+from itertools import pairwise
+from typing import Any, TypeVar
+
+import numpy as np
 
 Part = TypeVar("Part")
 
 MOST_THREADS = 16
-
-
 THREADS = min(
     MOST_THREADS, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 )
@@ -53,3 +56,34 @@ def for_blocks(work: Callable[[int, int], Part], count: int, block: int) -> list
 def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:
     """How many rows a block may have, so that it stays in a core's cache."""
     return max(1, most_bytes // bytes_of_row)
+
+
+def share(work: Callable[[int, int], None], count: int, threads: int = THREADS) -> None:
+    """Do even parts of a range, from a start to a stop, in threads; the first part in this one."""
+    (first, *others) = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
+    if not others:
+        work(*first)
+        return
+    with ThreadPoolExecutor(len(others)) as pool:
+        running = [pool.submit(work, *part) for part in others]
+        work(*first)
+        for part in running:
+            part.result()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Keep BLAS and LAPACK to one thread, where linear algebra comes in many small parts.
+
+    Its threads would wait for each other longer than they work, and where other processes run beside they
+    would wait ten times as long as the work takes. Fourier transforms and compiled loops keep theirs.
+    """
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+@cache
+def _controller() -> Any:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

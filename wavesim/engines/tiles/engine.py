@@ -24,8 +24,8 @@ from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expan
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, ray_map
-from wavesim.runtime.blas import one_blas_thread
 from wavesim.runtime.device import Precision
+from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected, Scene
 
 EXPANSION_SHARE = 0.5

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,12 +27,11 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import RayBundle
-from wavesim.runtime.device import Precision
+from wavesim.runtime.device import Precision, folded, fourier_plan
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]
-
 
 BAND_MARGIN = 1.1
 """Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
@@ -207,50 +205,13 @@ class TileOperator:
         return np.asarray(np.sum(self._tile_factors.conj() * modes, axis=0))
 
 
-def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[finufft.Plan, finufft.Plan]:
+def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[Any, Any]:
     """Transforms of types 2 and 1 that are each other's conjugate transpose."""
     points, threads = folded(angles, precision.dtype), THREADS if len(shape) == 3 else 1
-    first, second = (fourier_plan(kind, points, shape, precision, threads) for kind in (2, 1))
+    first, second = (fourier_plan(kind, shape, precision, threads) for kind in (2, 1))
+    for plan in (first, second):
+        plan.setpts(*points)
     return first, second
-
-
-def folded(angles: Array, dtype: np.dtype[Any]) -> NDArray[np.floating[Any]]:
-    """Angles within half a turn, shape (d, n); folded in float64, for the sake of single precision."""
-    real = np.float32 if dtype == np.complex64 else np.float64
-    return np.ascontiguousarray(np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi, real)
-
-
-def fourier_plan(
-    kind: int, points: NDArray[np.floating[Any]], shape: tuple[int, ...], precision: Precision, threads: int
-) -> finufft.Plan:
-    """A nonuniform transform of type 2, or of type 1, its conjugate transpose.
-
-    Parameters
-    ----------
-    kind
-        2 or 1.
-    points
-        As of :func:`folded`.
-    shape
-        Number of transforms, then of modes along each axis.
-    precision
-        How finely.
-    threads
-        Number of threads.
-    """
-    plan = finufft.Plan(
-        kind,
-        shape[1:],
-        shape[0],
-        precision.transform_error,
-        -1 if kind == 2 else 1,
-        dtype=precision.dtype.name,
-        nthreads=threads,
-        upsampfac=1.25 if precision.transform_error > 9e-5 else 2.0,
-        showwarn=0,
-    )
-    plan.setpts(*points)
-    return plan
 
 
 def _carrier(

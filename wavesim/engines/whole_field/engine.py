@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,16 +22,23 @@ from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import COMPLEX64, two_level_cost
 from wavesim.engines.whole_field.factors import field_factors
-from wavesim.engines.whole_field.on_cpu import Perform, Task, Way, carry
-from wavesim.engines.whole_field.on_gpu import add_on, carry_on, collect_on
+from wavesim.engines.whole_field.on_cpu import OnCpu
+from wavesim.engines.whole_field.on_gpu import OnDevice
 from wavesim.engines.whole_field.ray_maps import FieldMaps, Region, field_maps, field_region
-from wavesim.engines.whole_field.tiles import TAPER, TAPER_LOSS, FieldSettings, SuperTile
+from wavesim.engines.whole_field.tiles import (
+    TAPER,
+    TAPER_LOSS,
+    FieldSettings,
+    Perform,
+    SuperTile,
+    Task,
+    Way,
+)
 from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMapError, ray_map
-from wavesim.runtime.blas import one_blas_thread
 from wavesim.runtime.device import Device, Precision, device_named
-from wavesim.runtime.threads import THREADS
+from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected, Scene
 
 Array = NDArray[np.float64]
@@ -76,9 +81,9 @@ class TwoLevelTiles(Engine):
     report : callable or None
         Told after every super-tile how many are done and how many there are, as (done, all).
     perform : callable or None
-        Does super-tiles' work elsewhere (:mod:`wavesim.engines.whole_field.on_cpu`); None is here.
+        Does super-tiles' work elsewhere (:data:`wavesim.engines.whole_field.tiles.Perform`); None is here.
     device : Device or None
-        Does the work in place of this computer's processor.
+        Does the work in place of the compiled loops.
 
     Parameters
     ----------
@@ -210,22 +215,22 @@ class TwoLevelTiles(Engine):
 
     def _forward(self, values: Any) -> Any:
         height, width = self.scene.exit_grid.shape
-        if self.device is not None and COMPLEX64 * height * width > self.device.memory_bytes:
-            rows = max(self.device.memory_bytes // (COMPLEX64 * width), 1)
+        most_bytes = self._worker.memory_bytes
+        if COMPLEX64 * height * width > most_bytes:
+            rows = max(int(most_bytes) // (COMPLEX64 * width), 1)
             return np.concatenate([band for _, band in self._in_bands(values, rows, {})])
         result = self._zeros(height)
         for number, total in self._performed("forward", self._parts_of(values)):
-            self._add(number, total, result)
+            self._worker.add(self.groups[number].carried, total, result)
         return self._finished(result)
 
     def _zeros(self, rows: int) -> Any:
         """Rows of the exit grid, in the memory of what does the work."""
-        xp = np if self.device is None else self.device.xp
-        return xp.zeros((rows, self.scene.exit_grid.shape[1]), dtype=np.complex64)
+        return self._worker.device.xp.zeros((rows, self.scene.exit_grid.shape[1]), dtype=np.complex64)
 
     def _finished(self, rows: Any) -> NDArray[np.complex64]:
         rows *= np.float32(self.scene.object_grid.cell)
-        return rows if self.device is None else self.device.to_host(rows)
+        return self._worker.device.to_host(rows)
 
     def forward_in_bands(
         self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
@@ -264,8 +269,8 @@ class TwoLevelTiles(Engine):
         height = self.scene.exit_grid.shape[0]
         for start in range(0, height, rows):
             band = self._zeros(min(rows, height - start))
-            for number in range(len(self.groups)):
-                self._add(number, sums[number], band, start)
+            for number, group in enumerate(self.groups):
+                self._worker.add(group.carried, sums[number], band, start)
             yield slice(start, start + len(band)), self._finished(band)
 
     def _sum_all(self, values: Any, sums: MutableMapping[int, NDArray]) -> None:
@@ -274,15 +279,6 @@ class TwoLevelTiles(Engine):
         done = len(self.groups) - len(lacking)
         for number, total in self._performed("forward", self._parts_of(values, lacking), done):
             sums[number] = total
-
-    def _add(self, number: int, total: NDArray, plane: Any, first_row: int = 0) -> None:
-        """Add a super-tile's field to rows of the plane."""
-        carried = self.groups[number].carried
-        if self.device is not None:
-            add_on(self.device, carried, total, plane, first_row)
-            return
-        with ThreadPoolExecutor(THREADS) as pool:
-            list(pool.map(lambda part: carried.add(total, plane, part, first_row), _parts()))
 
     def _adjoint(self, values: Any) -> Any:
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
@@ -301,18 +297,10 @@ class TwoLevelTiles(Engine):
     def _collected(self, values: Any) -> Iterator[Task]:
         """What super-tiles get of an exit field."""
         field = np.asarray(values).astype(np.complex64, copy=False)
-        if self.device is not None:
-            plane = field if field.nbytes > self.device.memory_bytes else self.device.to_device(field)
-            for number, group in enumerate(self.groups):
-                yield number, collect_on(self.device, group.carried, plane)
-            return
+        worker = self._worker
+        plane = field if field.nbytes > worker.memory_bytes else worker.device.to_device(field)
         for number, group in enumerate(self.groups):
-            carried = group.carried
-            between, coarse = (np.zeros(shape, np.complex64) for shape in carried.shapes)
-            with ThreadPoolExecutor(THREADS) as pool:
-                list(pool.map(lambda p, c=carried, b=between: c.collect_rows(field, b, p), _parts()))
-                list(pool.map(lambda p, c=carried, b=between, o=coarse: c.collect_columns(b, o, p), _parts()))
-            yield number, coarse
+            yield number, worker.collect(group.carried, plane)
 
     def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
         """Which samples of a part of the object lie within the field."""
@@ -333,12 +321,13 @@ class TwoLevelTiles(Engine):
             yield number, self.carry(way, number, values)
 
     def carry(self, way: Way, number: int, values: NDArray) -> NDArray[np.complex64]:
-        """Do one super-tile's task here, as :func:`wavesim.engines.whole_field.on_cpu.carry`, on the engine's
-        device.
-        """
-        if self.device is not None:
-            return carry_on(self.device, way, self.groups[number], values)
-        return carry(way, self.groups[number], values)
+        """Do one super-tile's task here, as :meth:`wavesim.engines.whole_field.on_cpu.OnCpu.carry`."""
+        return self._worker.carry(way, self.groups[number], values)
+
+    @property
+    def _worker(self) -> OnCpu | OnDevice:
+        """What does super-tiles' work."""
+        return OnCpu() if self.device is None else OnDevice(self.device)
 
     def settings(self) -> dict[str, Any]:
         return {
@@ -386,8 +375,3 @@ def _shared_spans(tiles: Cut) -> Array:
 def _reach_mm(spans_mm: Array) -> float:
     """How far a tile extends from its centre."""
     return float(np.linalg.norm(np.max(np.abs(spans_mm), axis=1)))
-
-
-def _parts() -> list[tuple[float, float]]:
-    """Even parts of rows or columns, one for each thread."""
-    return [(float(a), float(b)) for a, b in pairwise(np.linspace(0.0, 1.0, THREADS + 1))]

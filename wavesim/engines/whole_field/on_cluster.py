@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from lensdesign.common.clusters import RETRIES, cluster_client, thread_counter, toolkit_version
 from lensdesign.errors import InputError, TransferLensError
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.on_cpu import Task, Way
+from wavesim.engines.whole_field.tiles import Task, Way
 from wavesim.scene.engine import Engine, Scene
 
 if TYPE_CHECKING:

@@ -1,65 +1,72 @@
-"""The work of super-tiles: tiles summed on a super-tile's grid, and taken from there. Most time goes there.
-
-Each super-tile is a task of its own, for the threads of this process or for another machine.
-"""
+"""The work of super-tiles by compiled loops, in all threads. Most time goes there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.whole_field.tiles import FieldTile, SuperTile
-from wavesim.runtime.blas import one_blas_thread
-from wavesim.runtime.threads import THREADS
-
-Way = Literal["forward", "adjoint"]
-
-Task = tuple[int, NDArray[np.complexfloating]]
-"""Number of a super-tile; values on its part of the object (forward), or on its own grid (adjoint)."""
-
-Perform = Callable[[Way, Iterable[Task]], Iterator[Task]]
-"""Does tasks, in their order, with the same numbers in what comes back: values of the other kind."""
+from wavesim.engines.whole_field.carried import Carried
+from wavesim.engines.whole_field.tiles import SuperTile, Way, carry_tiles, tile_frame
+from wavesim.runtime.device import device_named
+from wavesim.runtime.threads import THREADS, one_blas_thread
 
 
-def carry(way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
-    """Do one super-tile's task with all threads.
+class OnCpu:
+    """Does super-tiles' work in this computer's memory.
 
-    Parameters
+    Attributes
     ----------
-    way
-        Forward or adjoint.
-    group
-        The super-tile.
-    values
-        On `group.part` of the object, or on its own grid.
-
-    Returns
-    -------
-    ndarray of complex64
-        On its own grid, or on `group.part`; 0 there where it has no tile.
+    device : Device
+        Whose arrays it works on.
+    memory_bytes : float
+        That a plane may take.
     """
-    with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-        if way == "forward":
-            shares = pool.map(lambda thread: _sum_of(group, thread, values), range(THREADS))
-            result = next(shares)
-            for share in shares:
-                result += share
+
+    memory_bytes = math.inf
+
+    def __init__(self) -> None:
+        self.device = device_named("cpu")
+
+    def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
+        """Do one super-tile's task.
+
+        Parameters
+        ----------
+        way
+            Forward or adjoint.
+        group
+            The super-tile.
+        values
+            On `group.part` of the object, or on its own grid; in this computer's memory, as the result.
+
+        Returns
+        -------
+        ndarray of complex64
+            On its own grid, or on `group.part`; 0 there where it has no tile.
+        """
+        shape = group.shape_of(way)
+        back = np.zeros(shape, np.complex64)
+
+        def one_thread(thread: int) -> NDArray[np.complex64]:
+            # Forward, the fields of tiles overlap; back, each has a part of its own.
+            result = np.zeros(shape, np.complex64) if way == "forward" else back
+            frames = (tile_frame(group, tile) for tile in group.tiles[thread::THREADS])
+            carry_tiles(self.device, lambda carried: carried, way, frames, values, result)
             return result
-        height, width = (part.stop - part.start for part in group.part)
-        back = np.zeros((height, width), np.complex64)
-        found = pool.map(lambda tile: FieldTile(group, tile).collect(values), group.tiles)
-        for tile, part in zip(group.tiles, found, strict=True):
-            back[group.within(tile)] = part
-        return back
 
+        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
+            first, *others = pool.map(one_thread, range(THREADS))
+        for other in others if way == "forward" else ():
+            first += other
+        return first
 
-def _sum_of(group: SuperTile, thread: int, values: NDArray) -> NDArray[np.complex64]:
-    """What one thread adds to a super-tile's grid."""
-    result = np.zeros(group.shape, np.complex64)
-    for tile in group.tiles[thread::THREADS]:
-        FieldTile(group, tile).add(values[group.within(tile)], result)
-    return result
+    def add(self, carried: Carried, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
+        """Add a super-tile's field to rows of the plane."""
+        carried.add(total, plane, first_row, THREADS)
+
+    def collect(self, carried: Carried, plane: NDArray) -> NDArray[np.complex64]:
+        """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
+        return carried.collect(plane, THREADS)

@@ -8,24 +8,31 @@ both carriers, and a super-tile from there to the plane with the super-tile's ca
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.engines.tiles.operator import BAND_MARGIN, Tile, folded, fourier_plan
+from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
+from wavesim.engines.whole_field.carried import Carried, Ways, ways_between
 from wavesim.engines.whole_field.factors import FieldFactors
-from wavesim.engines.whole_field.kernel import collector, expander
 from wavesim.engines.whole_field.ray_maps import REACH, FieldMaps
-from wavesim.fields.resampling import OVERSAMPLING, Kernel, Weights, coarse_axis, interpolation
-from wavesim.fields.resampling_kernel import collect_along_y
-from wavesim.rays.maps import SmoothMap
-from wavesim.runtime.device import Precision
+from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
+from wavesim.rays.maps import MapOnAxes, SmoothMap
+from wavesim.runtime.device import Device, Precision, folded
 from wavesim.scene.engine import Scene
 
 Array = NDArray[np.float64]
+
+Way = Literal["forward", "adjoint"]
+
+Task = tuple[int, NDArray[np.complexfloating]]
+"""Number of a super-tile; values on its part of the object (forward), or on its own grid (adjoint)."""
+
+Perform = Callable[[Way, Iterable[Task]], Iterator[Task]]
+"""Does tasks, in their order, with the same numbers in what comes back: values of the other kind."""
 
 TAPER = 3.0
 """Samples of a super-tile's grid over which the aperture's edge rises."""
@@ -35,141 +42,6 @@ TAPER_LOSS = 0.059
 
 SMOOTH_SAMPLES = 150
 """Of phase and edge over half of a footprint."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ways:
-    """Interpolation from a coarse grid to a part of a fine one: of the field, and of what is smooth.
-
-    Attributes
-    ----------
-    field : (Weights, Weights)
-        Along y and x, in float32.
-    first, share : two ndarrays each
-        First of four samples and their shares, along y and x, on the grid of what is smooth.
-    """
-
-    field: tuple[Weights, Weights]
-    first: tuple[NDArray[np.int64], NDArray[np.int64]]
-    share: tuple[Array, Array]
-
-
-def ways_between(
-    coarse: tuple[Array, Array], smooth: tuple[Array, Array], fine: tuple[Array, Array], kernel: Kernel
-) -> Ways:
-    """Weights from axes (y, x) of two coarse grids to those of a fine one."""
-    field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
-    cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
-    return Ways((field[0], field[1]), (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1]))
-
-
-def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
-    """First of four samples for each fine one, and Lagrange's weights of them."""
-    place = (fine - coarse[0]) / (coarse[1] - coarse[0])
-    first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(coarse) - 4)
-    t = place - first - 1.0
-    shares = [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2, -(t + 1) * t * (t - 2) / 2]
-    return first, np.stack([*shares, (t + 1) * t * (t - 1) / 6], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """One step from a coarse grid to a window of a fine one, with its carrier.
-
-    Attributes
-    ----------
-    ways : Ways
-    turns : ndarray
-        Phase of the carrier over 2 pi, on the smooth grid.
-    edge : ndarray of float32
-        0 where the aperture is dark, from 1 on where it is open, on the smooth grid.
-    window : (slice, slice)
-        Of the fine grid.
-    """
-
-    ways: Ways
-    turns: Array
-    edge: NDArray[np.float32]
-    window: tuple[slice, slice]
-
-    def add(
-        self, coarse: NDArray, fine: NDArray, rows: tuple[float, float] = (0.0, 1.0), first_row: int = 0
-    ) -> None:
-        """Add a coarse field to a fine one.
-
-        Parameters
-        ----------
-        coarse, fine
-            The fields.
-        rows
-            From one share of the window's rows to another.
-        first_row
-            Of the fine grid, where `fine` holds some of its rows.
-        """
-        inside, across = self.window
-        start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
-        if start >= stop:
-            return
-        part, w = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
-        along_y, along_x = w.field
-        begin, end = (round(share * part.shape[0]) for share in rows)
-        expander(along_y.weight.shape[1])(
-            coarse,
-            along_y.first,
-            along_y.weight,
-            along_x.first,
-            along_x.weight,
-            self.turns,
-            self.edge,
-            w.first[0],
-            w.share[0],
-            w.first[1],
-            w.share[1],
-            part,
-            begin,
-            end,
-        )
-
-    def _ways_of(self, start: int, stop: int) -> Ways:
-        """To some of the fine grid's rows."""
-        w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
-        along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
-        first, share = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
-        return Ways((along_y, w.field[1]), first, share)
-
-    def collect_rows(self, fine: NDArray, middle: NDArray, rows: tuple[float, float] = (0.0, 1.0)) -> None:
-        """Fine rows onto coarse columns, without the carrier: the first half of the conjugate transpose."""
-        part, w = fine[self.window], self.ways
-        begin, end = (round(share * part.shape[0]) for share in rows)
-        along_x = w.field[1]
-        collector(along_x.weight.shape[1])(
-            part,
-            self.turns,
-            self.edge,
-            w.first[0],
-            w.share[0],
-            w.first[1],
-            w.share[1],
-            along_x.first,
-            along_x.weight,
-            middle,
-            begin,
-            end,
-        )
-
-    def collect_columns(
-        self, middle: NDArray, coarse: NDArray, columns: tuple[float, float] = (0.0, 1.0)
-    ) -> None:
-        """Rows of the first half onto coarse rows: the second half."""
-        begin, end = (round(share * coarse.shape[1]) for share in columns)
-        along_y = self.ways.field[0]
-        collect_along_y(middle, along_y.first, along_y.weight, coarse, begin, end)
-
-    @property
-    def shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Of the array between both halves, and of the coarse one."""
-        along_y, along_x = self.ways.field
-        return (len(along_y.first), along_x.coarse), (along_y.coarse, along_x.coarse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +128,11 @@ class SuperTile:
         """Of its grid."""
         return len(self.axes[0]), len(self.axes[1])
 
+    def shape_of(self, way: Way) -> tuple[int, int]:
+        """Of what a way leads to: its grid, or its part of the object."""
+        height, width = (part.stop - part.start for part in self.part)
+        return self.shape if way == "forward" else (height, width)
+
     def within(self, tile: Tile) -> tuple[slice, slice]:
         """Where a tile's samples lie among those of `part`."""
         rows, columns = (
@@ -295,71 +172,177 @@ def _smooth_axis(fine: Array, settings: FieldSettings) -> Array:
     return np.asarray(0.5 * (fine[0] + fine[-1]) + step * (np.arange(count) - 0.5 * (count - 1)))
 
 
+@dataclass(frozen=True, eq=False)
+class TileFrame:
+    """A tile as far as this computer makes it ready for any array library; small arrays only.
+
+    Attributes
+    ----------
+    group : SuperTile
+    tile : Tile
+    window : (slice, slice)
+        Of the super-tile's grid.
+    ways : Ways
+        From the tile's own grid.
+    carrier, shared, factors : MapOnAxes
+        On its own grid: the tile's carrier, the super-tile's, and sensor factors.
+    tile_factors : ndarray of complex64
+    rise : float
+        Over which the edge's square of a share rises.
+    reach : float
+        By which interpolation looks beyond the edge, in the same measure.
+    """
+
+    group: SuperTile
+    tile: Tile
+    window: tuple[slice, slice]
+    ways: Ways
+    carrier: MapOnAxes
+    shared: MapOnAxes
+    factors: MapOnAxes
+    tile_factors: NDArray[np.complex64]
+    rise: float
+    reach: float
+
+
+def tile_frame(group: SuperTile, tile: Tile) -> TileFrame:
+    """Make a tile ready."""
+    settings = group.settings
+    centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), settings.half_width_mm
+    carrier = settings.maps.carriers.at(centre)
+    window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
+    fine = group.axes[0][window[0]], group.axes[1][window[1]]
+    steps = settings.tile_steps_mm
+    y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
+    expansion = settings.factors.at(centre)
+    assert expansion.sensor_factors is not None
+    # The edge's square of a share falls by 2 over half a footprint.
+    per_mm = 2.0 / float(np.max(half_mm))
+    return TileFrame(
+        group,
+        tile,
+        window,
+        ways_between((y, x), (y, x), fine, settings.kernel),
+        carrier.along((y, x)),
+        group.carrier.along((y, x)),
+        expansion.sensor_factors.along((y, x)),
+        expansion.tile_factors(list(tile.offsets_mm)).astype(np.complex64),
+        per_mm * TAPER * float(np.max(group.steps_mm)),
+        per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
+    )
+
+
+class Step(Protocol):
+    """Moves values between a tile's grid and its super-tile's, in the memory of what does the work."""
+
+    def add(self, coarse: Any, fine: Any, /) -> None:
+        """Add a coarse field to a fine one."""
+
+    def collect(self, fine: Any, /) -> Any:
+        """Conjugate transpose: the coarse field of a fine one."""
+
+
 class FieldTile:
-    """One tile on its super-tile's grid.
+    """One tile on its super-tile's grid, for any array library.
 
     Parameters
     ----------
-    group
-        Its super-tile.
-    tile
-        Part of the object.
+    device
+        Whose arrays it takes.
+    step
+        Makes of a :class:`wavesim.engines.whole_field.carried.Carried` what moves the device's values.
+    frame
+        The tile.
+    plans
+        Transforms of tiles of the same shape, for use again; added to.
     """
 
-    def __init__(self, group: SuperTile, tile: Tile) -> None:
-        settings, scene = group.settings, group.settings.scene
-        centre = (tile.centre_mm[1], tile.centre_mm[0])
-        carrier = settings.maps.carriers.at(centre)
-        low, high = carrier.middle - settings.half_width_mm, carrier.middle + settings.half_width_mm
-        window = window_between(group.axes, low, high)
-        fine = tuple(a[w] for a, w in zip(group.axes, window, strict=True))
-        steps = settings.tile_steps_mm
-        axes = tuple(coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
-        path, amplitude, py, px, edge = carrier.each_on_axes(axes)
+    def __init__(
+        self,
+        device: Device,
+        step: Callable[[Carried], Step],
+        frame: TileFrame,
+        plans: dict[tuple[int, ...], Any],
+    ) -> None:
+        self._device, self._plans = device, plans
+        settings, scene = frame.group.settings, frame.group.settings.scene
         wavelength_mm = 1e-3 * scene.wavelength_um
-        turns = (path - next(group.carrier.each_on_axes(axes))) / wavelength_mm
+        path, amplitude, py, px, edge = frame.carrier.each(device.to_device)
+        turns = (path - next(frame.shared.each(device.to_device))) / wavelength_mm
         turns += -0.25 - 0.25 * settings.maps.caustics
-        # The edge's square of a share falls by 2 over half a footprint.
-        per_mm = 2.0 / float(np.max(settings.half_width_mm))
-        rise = per_mm * TAPER * float(np.max(group.steps_mm))
-        opening = (0.5 + (1.0 - edge) / rise).astype(np.float32)
-        ways = ways_between((axes[0], axes[1]), (axes[0], axes[1]), (fine[0], fine[1]), settings.kernel)
-        self.carried = Carried(ways, turns, opening, window)
-        limit = np.pi / (scene.wavenumber_per_mm * tile.pitch_mm)
-        reach = per_mm * 0.5 * settings.kernel.taps * float(np.max(steps))
-        self.needed = (edge < 1.0 + 0.5 * rise + reach) & (np.abs(py) <= limit) & (np.abs(px) <= limit)
-        expansion = settings.factors.at(centre)
-        self.tile_factors = expansion.tile_factors(list(tile.offsets_mm)).astype(np.complex64)
-        assert expansion.sensor_factors is not None
-        scale = (amplitude[self.needed] / wavelength_mm).astype(np.float32)
-        self.weights = np.empty((expansion.rank, len(scale)), np.complex64)
-        for r, factor in enumerate(expansion.sensor_factors.each_on_axes(axes)):
-            self.weights[r] = scale * factor[self.needed]
-        angles = scene.wavenumber_per_mm * tile.pitch_mm * np.stack([py[self.needed], px[self.needed]])
-        self.precision = settings.precision
-        self.angles = folded(angles, self.precision.dtype)
+        opening = (0.5 + (1.0 - edge) / frame.rise).astype(np.float32)
+        self._step = step(Carried(frame.ways, turns, opening, frame.window))
+        per_turn = scene.wavenumber_per_mm * frame.tile.pitch_mm
+        needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
+        needed &= (abs(py) <= math.pi / per_turn) & (abs(px) <= math.pi / per_turn)
+        self._shape, self._places = needed.shape, device.xp.flatnonzero(needed)
+        self._tile_factors = device.to_device(frame.tile_factors)
+        scale = (self._needed(amplitude) / wavelength_mm).astype(np.float32)
+        self._weights = device.xp.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
+        for number, factor in enumerate(frame.factors.each(device.to_device)):
+            self._weights[number] = scale * self._needed(factor)
+        self._precision = settings.precision
+        self._angles = [folded(per_turn * self._needed(p), self._precision.dtype) for p in (py, px)]
+
+    def _needed(self, values: Any) -> Any:
+        return values.ravel()[self._places]
 
     def _plan(self, kind: int) -> Any:
-        return fourier_plan(kind, self.angles, self.tile_factors.shape, self.precision, 1)
+        key = (kind, *self._tile_factors.shape)
+        if key not in self._plans:
+            self._plans[key] = self._device.plan(kind, self._tile_factors.shape, self._precision)
+        self._plans[key].setpts(*self._angles)
+        return self._plans[key]
 
-    def add(self, values: NDArray, result: NDArray) -> None:
+    def add(self, values: Any, result: Any) -> None:
         """Add the field of the tile's part of the object to the super-tile's grid."""
-        if not np.any(self.needed):
+        xp = self._device.xp
+        if not len(self._places):
             return
-        modes = np.ascontiguousarray(self.tile_factors * values)
-        spectrum = np.atleast_2d(self._plan(2).execute(modes if len(modes) > 1 else modes[0]))
-        field = np.zeros(self.needed.shape, np.complex64)
-        field[self.needed] = np.einsum("rn,rn->n", self.weights, spectrum)
-        self.carried.add(field, result)
+        modes = xp.ascontiguousarray(self._tile_factors * values)
+        spectrum = self._plan(2).execute(modes if len(modes) > 1 else modes[0])
+        field = xp.zeros(self._shape, dtype=np.complex64)
+        field.ravel()[self._places] = (self._weights * spectrum).sum(axis=0)
+        self._step.add(field, result)
 
-    def collect(self, values: NDArray) -> NDArray:
+    def collect(self, values: Any) -> Any:
         """Conjugate transpose: from the super-tile's grid to the tile's part of the object."""
-        if not np.any(self.needed):
-            return np.zeros(self.tile_factors.shape[1:], np.complex64)
-        between, coarse = (np.zeros(shape, np.complex64) for shape in self.carried.shapes)
-        self.carried.collect_rows(values, between)
-        self.carried.collect_columns(between, coarse)
-        strength = self.weights.conj() * coarse[self.needed]
-        strength = np.ascontiguousarray(strength if len(strength) > 1 else strength[0])
-        modes = self._plan(1).execute(strength).reshape(self.tile_factors.shape)
-        return np.asarray(np.sum(self.tile_factors.conj() * modes, axis=0))
+        xp = self._device.xp
+        if not len(self._places):
+            return xp.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
+        strength = self._weights.conj() * self._needed(self._step.collect(values))
+        strength = xp.ascontiguousarray(strength if len(strength) > 1 else strength[0])
+        modes = self._plan(1).execute(strength).reshape(self._tile_factors.shape)
+        return (self._tile_factors.conj() * modes).sum(axis=0)
+
+
+def carry_tiles(
+    device: Device,
+    step: Callable[[Carried], Step],
+    way: Way,
+    frames: Iterable[TileFrame],
+    values: Any,
+    result: Any,
+) -> None:
+    """Carry tiles of one super-tile, one after the other; all arrays are the device's.
+
+    Parameters
+    ----------
+    device, step
+        As of :class:`FieldTile`.
+    way
+        Forward or adjoint.
+    frames
+        The tiles.
+    values
+        On the super-tile's part of the object, or on its own grid.
+    result
+        On its own grid, where forward tiles add up, or on its part of the object.
+    """
+    plans: dict[tuple[int, ...], Any] = {}
+    for frame in frames:
+        tile, place = FieldTile(device, step, frame, plans), frame.group.within(frame.tile)
+        if way == "forward":
+            tile.add(values[place], result)
+        else:
+            result[place] = tile.collect(values)

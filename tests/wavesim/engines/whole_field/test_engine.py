@@ -14,9 +14,9 @@ from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.whole_field.carried import Carried, ways_between
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.ray_maps import field_maps, field_region
-from wavesim.engines.whole_field.tiles import Carried, ways_between
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.rays.maps import RayMapError
@@ -243,10 +243,6 @@ def test_carried_loops_against_plain_numpy() -> None:
     expected[2:63, 1:54] = carrier * (ways[0] @ field @ ways[1].T)
     assert found == pytest.approx(expected, abs=2e-5)
     other = (rng.normal(size=found.shape) + 1j * rng.normal(size=found.shape)).astype(np.complex64)
-    between, back = (np.zeros(s, np.complex64) for s in carried.shapes)
-    for rows in ((0.0, 0.4), (0.4, 1.0)):
-        carried.collect_rows(other, between, rows)
-    for columns in ((0.0, 0.7), (0.7, 1.0)):
-        carried.collect_columns(between, back, columns)
     wanted = ways[0].T @ (carrier.conj() * other[2:63, 1:54]) @ ways[1]
-    assert back == pytest.approx(wanted, abs=1e-4)
+    for threads in (1, 3):
+        assert carried.collect(other, threads) == pytest.approx(wanted, abs=1e-4)

@@ -16,9 +16,9 @@ from places import ROOT
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from wavesim.engines.registry import make_engine
+from wavesim.engines.whole_field.carried import Carried, ways_between
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.on_gpu import DeviceStep, blocks_of
-from wavesim.engines.whole_field.tiles import Carried, ways_between
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.runtime.device import Device, device_named
@@ -131,8 +131,7 @@ def test_a_step_against_the_compiled_loop(first_row: int) -> None:
     field = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
     expected, found = (np.zeros((45, 60), np.complex64) for _ in range(2))
     Carried(ways, turns, edge, window).add(field, expected, first_row=first_row)
-    device = device_named("cpu")
-    DeviceStep(device, ways, turns, edge, window).add(field, found, first_row)
+    DeviceStep(device_named("cpu"), Carried(ways, turns, edge, window)).add(field, found, first_row)
     assert np.any(expected)
     assert found == pytest.approx(expected, abs=2e-5)
 

@@ -1,0 +1,115 @@
+"""One step of a field from a coarse grid to a window of a fine one, with its carrier, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.engines.whole_field.kernel import collector, expander
+from wavesim.fields.resampling import Kernel, Weights, interpolation
+from wavesim.fields.resampling_kernel import collect_along_y
+from wavesim.runtime.threads import share
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Interpolation from a coarse grid to a part of a fine one: of the field, and of what is smooth.
+
+    Attributes
+    ----------
+    field : (Weights, Weights)
+        Along y and x, in float32.
+    first, share : two ndarrays each
+        First of four samples and their shares, along y and x, on the grid of what is smooth.
+    """
+
+    field: tuple[Weights, Weights]
+    first: tuple[NDArray[np.int64], NDArray[np.int64]]
+    share: tuple[Array, Array]
+
+
+def ways_between(
+    coarse: tuple[Array, Array], smooth: tuple[Array, Array], fine: tuple[Array, Array], kernel: Kernel
+) -> Ways:
+    """Weights from axes (y, x) of two coarse grids to those of a fine one."""
+    field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
+    cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
+    return Ways((field[0], field[1]), (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1]))
+
+
+def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
+    """First of four samples for each fine one, and Lagrange's weights of them."""
+    place = (fine - coarse[0]) / (coarse[1] - coarse[0])
+    first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(coarse) - 4)
+    t = place - first - 1.0
+    shares = [-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2, -(t + 1) * t * (t - 2) / 2]
+    return first, np.stack([*shares, (t + 1) * t * (t - 1) / 6], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """One step from a coarse grid to a window of a fine one, with its carrier.
+
+    Attributes
+    ----------
+    ways : Ways
+    turns : array
+        Phase of the carrier over 2 pi, on the smooth grid; of whichever library does the step.
+    edge : array of float32
+        0 where the aperture is dark, from 1 on where it is open, on the smooth grid.
+    window : (slice, slice)
+        Of the fine grid.
+    """
+
+    ways: Ways
+    turns: Any
+    edge: Any
+    window: tuple[slice, slice]
+
+    def add(self, coarse: NDArray, fine: NDArray, first_row: int = 0, threads: int = 1) -> None:
+        """Add a coarse field to a fine one, or to its rows from `first_row` on."""
+        inside, across = self.window
+        start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
+        if start >= stop:
+            return
+        part, w = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
+        along_y, along_x = w.field
+        fixed = (
+            coarse,
+            along_y.first,
+            along_y.weight,
+            along_x.first,
+            along_x.weight,
+            *self._carrier(w),
+            part,
+        )
+        expand = expander(along_y.weight.shape[1])
+        share(lambda begin, end: expand(*fixed, begin, end), len(part), threads)
+
+    def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
+        """Conjugate transpose: the coarse field of a fine one."""
+        along_y, along_x = self.ways.field
+        middle = np.zeros((len(along_y.first), along_x.coarse), np.complex64)
+        across = (fine[self.window], *self._carrier(self.ways), along_x.first, along_x.weight, middle)
+        collect = collector(along_x.weight.shape[1])
+        share(lambda begin, end: collect(*across, begin, end), len(middle), threads)
+        coarse = np.zeros((along_y.coarse, along_x.coarse), np.complex64)
+        down = (middle, along_y.first, along_y.weight, coarse)
+        share(lambda begin, end: collect_along_y(*down, begin, end), along_x.coarse, threads)
+        return coarse
+
+    def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
+        """What the loops take of it."""
+        return self.turns, self.edge, ways.first[0], ways.share[0], ways.first[1], ways.share[1]
+
+    def _ways_of(self, start: int, stop: int) -> Ways:
+        """To some of the fine grid's rows."""
+        w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
+        along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
+        first, part = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
+        return Ways((along_y, w.field[1]), first, part)
