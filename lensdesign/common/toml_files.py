@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +15,7 @@ from lensdesign.common.input_files import TABLE_BYTES, TOML_BYTES, read_input
 from lensdesign.errors import DesignError
 
 Model = TypeVar("Model", bound=BaseModel)
+Entry = TypeVar("Entry")
 
 MOST_PARTS = 8
 """Of a dotted key: the time that tomllib takes grows with more than their square."""
@@ -70,6 +71,33 @@ def validate(model: type[Model], data: dict[str, Any], source: str | Path) -> Mo
         lines = sorted(_fault_lines(error.errors(include_url=False)[:MOST_FAULTS], model))
         lines += [f"and {count - MOST_FAULTS} more faults"] if count > MOST_FAULTS else []
         raise DesignError("\n".join(f"{source}: {line}" for line in lines)) from None
+
+
+def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, source: str) -> Entry:
+    """The registry's entry that a table asks for by name.
+
+    Parameters
+    ----------
+    registry
+        What there is, by name.
+    table, key
+        The table, and the key under which it gives the name.
+    source
+        What to call the table in messages.
+
+    Raises
+    ------
+    DesignError
+        If the key is missing, or names nothing that there is; the message lists what there is.
+    """
+    allowed = ", ".join(registry)
+    if key not in table:
+        raise DesignError(f"{source}: {key}: missing key; allowed values: {allowed}")
+    name = table[key]
+    if isinstance(name, str) and name in registry:
+        return registry[name]
+    hint = did_you_mean(str(name), registry)
+    raise DesignError(f"{source}: {key} = {name!r}: there is no such {key}; allowed: {allowed}{hint}")
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from tests_studies import DESIGN, FULL_STUDY, RAY_STUDY
+
+from tolerancing.run.run import run_study
+from tolerancing.store.store import Store, open_store
+from tolerancing.study.files import load_study
 
 
 @pytest.fixture
@@ -32,3 +36,17 @@ def ray_study() -> str:
 def full_study() -> str:
     """Text of a study with a merit of rays, one of the pupil, and a sweep with a picture."""
     return FULL_STUDY
+
+
+@pytest.fixture(scope="module")
+def small_store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
+    """A store of six trials of the study with all kinds of merits, whose files are gone."""
+    folder = tmp_path_factory.mktemp("single")
+    (folder / "design.toml").write_text(DESIGN)
+    (folder / "study.toml").write_text(FULL_STUDY)
+    run_study(load_study(folder / "study.toml"), folder / "a.db", workers=1, trials=6)
+    # What the store says must not depend on the files that it was made from.
+    (folder / "design.toml").unlink()
+    (folder / "study.toml").unlink()
+    with open_store(folder / "a.db") as opened:
+        yield opened

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from tolerancing.analysis.sensitivity import Sensitivity, sensitivities
 from tolerancing.merits.context import Context
-from tolerancing.perturbations.batch import batch_of
 from tolerancing.perturbations.distributions import Distribution
-from tolerancing.study.evaluate import score_batch
 from tolerancing.study.results import StepResults
+from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
+from tolerancing.study.sweep import SENSITIVITY, OneAtATime
 
 Array = NDArray[np.float64]
 Report = Callable[[int], None]
@@ -45,7 +45,7 @@ class StudyScorer:
         study, parts = self.study, []
         for start in range(0, len(values), ROWS_AT_ONCE):
             rows = np.ascontiguousarray(values[start : start + ROWS_AT_ONCE])
-            batch = batch_of(study.perturbations, rows, study.pivot_z_mm, study.seed)
+            batch = self.context.perturbed(study.perturbations, rows)
             parts.append(score_batch(study.merits, self.context, batch)[0])
             if self.report is not None:
                 self.report(len(rows))
@@ -107,11 +107,9 @@ def study_sensitivities(
     InputError
         If the study leaves sensitivities out, or the run has not got to them.
     """
-    from tolerancing.study.one_at_a_time import LABEL, OneAtATime
-
     if not study.sensitivity:
         raise InputError("the study has sensitivity = false: there are no sensitivities")
-    own = sorted((s for s in steps if s.series == LABEL), key=lambda s: s.step)
+    own = sorted((s for s in steps if s.series == SENSITIVITY), key=lambda s: s.step)
     wanted = len(OneAtATime(study.perturbations))
     if len(own) < wanted:
         raise InputError(f"the store holds {len(own)} of {wanted} steps of the sensitivities: finish its run")

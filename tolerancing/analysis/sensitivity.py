@@ -16,11 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from lensdesign.errors import InputError
 from tolerancing.analysis.yields import Yield, yield_of
 from tolerancing.merits.base import Merit
+from tolerancing.study.sweep import STEPS
 
 Array = NDArray[np.float64]
-
-STEPS = (-1.0, -0.5, 0.5, 1.0)
-"""Where each perturbation is evaluated alone, in fractions of its tolerance."""
 
 NORMAL_KURTOSIS = 3.0
 """Fourth central moment of a normal distribution over its squared variance; a uniform one has 1.8."""

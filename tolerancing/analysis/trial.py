@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, TransferLensError, atomic_path
+from lensdesign.errors import InputError
 from tolerancing.merits.context import Context
-from tolerancing.merits.pupil import Axis, PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.store.store import Store
 from tolerancing.study.evaluate import context_of, realise, score_dear, score_trials
 from tolerancing.study.results import RANDOM, TrialResults
 from tolerancing.study.study import Study
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-
-POINTS = 161
-SPREAD_HALF_WIDTH_UM = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,104 +118,6 @@ def single_trial(store: Store, number: int, *, dear: bool = False) -> SingleTria
         stored=stored if len(stored) else None,
         dear=scores,
     )
-
-
-def trial_figure(trial: SingleTrial) -> Figure:
-    """What a trial does at each field point of the pupil merits: path, point spread, line pairs.
-
-    Raises
-    ------
-    TransferLensError
-        If no field point can be drawn.
-    """
-    from tolerancing.report.figures.style import styled, styled_figure
-
-    pictured = _pictured(trial.study)
-    rows: list[tuple[tuple[float, float], PupilMerit]] = list(pictured.items())
-    with styled({"axes.grid": False}):
-        figure = styled_figure(9.0, 2.9 * len(rows) + 0.4)
-        figure.suptitle(
-            f"Trial {trial.number} of {trial.study.title or trial.study.design}", fontweight="bold"
-        )
-        axes = figure.subplots(len(rows), 3, squeeze=False)
-        for row, (point, merit) in zip(axes, rows, strict=True):
-            try:
-                _draw_row(figure, row, trial, point, merit)
-            except TransferLensError as error:
-                for axis in row:
-                    axis.set_axis_off()
-                row[0].text(0.0, 0.5, str(error), wrap=True, fontsize=7.5)
-    return figure
-
-
-def write_trial_figure(trial: SingleTrial, path: str | os.PathLike[str]) -> None:
-    """Write :func:`trial_figure`; the kind of picture by the path's suffix.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
-    path = Path(path)
-    allowed = (".png", ".svg", ".pdf")
-    if path.suffix not in allowed:
-        raise InputError(f"cannot write {path}: the suffix must be one of {', '.join(allowed)}")
-    figure = trial_figure(trial)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:], dpi=150)
-
-
-def _pictured(study: Study) -> dict[tuple[float, float], PupilMerit]:
-    """Field points of the pupil merits, with the merit that tells wavelength, refocus and line width."""
-    from tolerancing.merits.line_pairs import LinePairContrast
-
-    found: dict[tuple[float, float], PupilMerit] = {}
-    for merit in sorted(
-        (m for m in study.all_merits if isinstance(m, PupilMerit)),
-        key=lambda m: not isinstance(m, LinePairContrast),
-    ):
-        for point in merit.points:
-            found.setdefault(point, merit)
-    plain = PupilMerit(kind="rms_waves", at_most=1.0)
-    return found or {(0.0, 0.0): plain}
-
-
-def _draw_row(
-    figure: Figure, axes: Array, trial: SingleTrial, point: tuple[float, float], merit: PupilMerit
-) -> None:
-    from wavesim import psf, rms_waves, strehl
-
-    (pupil,) = trial.context.pupils(trial.batch, point, merit.wavelength_um, merit.refocus, True)
-    half = pupil.grid.half_width
-    x, y = pupil.grid.centre
-    shown = np.where(pupil.valid_on_grid > 0.0, pupil.waves_on_grid, np.nan)
-    extent = (x - half, x + half, y - half, y + half)
-    image = axes[0].imshow(shown, cmap="RdBu_r", origin="lower", extent=extent)
-    figure.colorbar(image, ax=axes[0], shrink=0.8, label="waves")
-    axes[0].set_title(f"({point[0]:g}, {point[1]:g}) mm: {rms_waves(pupil):.3f} waves rms", fontsize=8.0)
-    axes[0].set_xlabel("direction cosine L")
-    axes[0].set_ylabel("direction cosine M")
-    width = min(SPREAD_HALF_WIDTH_UM, 0.49 * pupil.grid.window_um)
-    coordinates, spread = psf(pupil, width, POINTS)
-    limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
-    axes[1].imshow(np.sqrt(spread), cmap="magma", origin="lower", extent=limits, vmin=0.0)
-    axes[1].set_title(f"point spread (amplitude), Strehl {strehl(pupil):.3f}", fontsize=8.0)
-    axes[1].set_xlabel("x (um)")
-    _draw_lines(axes[2], trial, pupil, merit)
-
-
-def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) -> None:
-    from wavesim import line_pair_contrast, line_pair_image
-
-    width = getattr(merit, "line_width_um", 0.75 * pupil.wavelength_um / pupil.grid.half_width)
-    axes: tuple[Axis, ...] = ("x", "y")
-    contrast = {along: line_pair_contrast(pupil, width, along) for along in axes}
-    worse = min(contrast, key=contrast.__getitem__)
-    coordinates, intensity = line_pair_image(pupil, width, worse, points=POINTS)
-    limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
-    panel.imshow(intensity, cmap="gray", origin="lower", extent=limits, vmin=0.0)
-    panel.set_title(f"{width:.3g} um lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)
-    panel.set_xlabel("x (um)")
 
 
 def _or_none(value: Any) -> float | None:

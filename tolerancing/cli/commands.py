@@ -115,7 +115,8 @@ def show(
 
 
 def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
-    from tolerancing.analysis.trial import single_trial, write_trial_figure
+    from tolerancing.analysis.trial import single_trial
+    from tolerancing.report.figures.one_trial import write_trial_figure
 
     trial = single_trial(store, number, dear=dear)
     if output is not None:

@@ -89,12 +89,11 @@ def inverse(
     from lensdesign.common.console import progress_bar
     from tolerancing.analysis.inverse import inverse_limits
     from tolerancing.analysis.scorer import StudyScorer, scatter_of
-    from tolerancing.study.evaluate import context_of, nominal_scores
+    from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
     from tolerancing.study.files import load_study
-    from tolerancing.study.levels import decide_levels, with_levels
 
     loaded = load_study(study)
-    own = with_levels(loaded.study, decide_levels(loaded.lens, loaded.study))
+    own = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
     if change is not None and merit is None and len(own.merits) > 1:
         raise InputError("--change is in one merit's unit: name it with --merit")
     context = context_of(loaded.lens, own)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
 from lensdesign.lens.lens import Lens, Positive, Section
-from tolerancing.perturbations.batch import PerturbationBatch, Realisation
+from tolerancing.perturbations.batch import PerturbationBatch, Realisation, batch_of
+from tolerancing.perturbations.parameters import PerturbedParameter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -90,6 +91,12 @@ class Context:
         from lensdesign.tracing.bundles import pupil_rings
 
         return pupil_rings(self.sampling.rings, self.sampling.arms, edge=True)
+
+    def perturbed(
+        self, parameters: Sequence[PerturbedParameter], values: NDArray[np.float64]
+    ) -> PerturbationBatch:
+        """Lenses with given deltas of some parameters, shape (lenses, parameters), all else nominal."""
+        return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed)
 
     def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
         """Rays from field points through the stop to the first sensor plane, as the sensor sees them.

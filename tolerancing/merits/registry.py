@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lensdesign.common.toml_files import validate
+from lensdesign.common.toml_files import pick, validate
 from tolerancing.merits.base import Merit
 from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.line_pairs import LinePairContrast
@@ -17,7 +17,6 @@ from tolerancing.merits.pupil import (
 )
 from tolerancing.merits.python import PythonMerit
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
-from tolerancing.perturbations.registry import pick
 
 MERITS: dict[str, type[Merit]] = {
     "largest_spread_deg": LargestSpread,

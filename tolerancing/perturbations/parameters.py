@@ -9,12 +9,11 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from lensdesign.common.toml_files import unknown_key, validate
+from lensdesign.common.toml_files import pick, unknown_key, validate
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, Section
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from tolerancing.perturbations.distributions import DISTRIBUTIONS, Distribution
-from tolerancing.perturbations.registry import pick
 
 RADIUS_PARAMETERS = ("radius_mm", "radius_percent", "radius_fringes")
 IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from lensdesign.common.clusters import RETRIES, cluster_client, thread_counter, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
 from tolerancing.run.threads import one_blas_thread
@@ -67,6 +68,42 @@ def local_pool(loaded: LoadedStudy, processes: int) -> Iterator[Perform]:
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str) -> Iterator[Perform]:
+    """Do tasks in a Dask cluster; its workers may come and go.
+
+    Parameters
+    ----------
+    loaded
+        The study. Its files are sent to the cluster once; from there each worker fetches them.
+    levels
+        The merits' levels by their labels.
+    address
+        Of the scheduler, as in ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        As of :func:`lensdesign.common.clusters.cluster_client`.
+    """
+    from tolerancing.run.workers import StudyParcel, deliver, work_in_cluster
+
+    with cluster_client(address) as client:
+        parcel = StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
+        # A task's result, unlike scattered data, is made again when the workers that hold it die.
+        sent = client.submit(deliver, parcel, pure=False)
+        executor = client.get_executor(retries=RETRIES, pure=False)
+        workers = thread_counter(client)
+
+        def batches(tasks: Iterable[Task]) -> Batches:
+            return in_flight(lambda task: executor.submit(work_in_cluster, sent, task), tasks, workers)
+
+        try:
+            yield batches
+        finally:
+            executor.shutdown(wait=False)
 
 
 def in_flight(

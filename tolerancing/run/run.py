@@ -12,13 +12,11 @@ from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError
-from tolerancing.run.choosing import dear_counts
-from tolerancing.run.executors import Perform, RunError, local_pool, this_process
-from tolerancing.run.tasks import Task, chunk_size, missing_dear, missing_steps, missing_trials
+from tolerancing.run.executors import Perform, RunError, cluster_workers, local_pool, this_process
+from tolerancing.run.tasks import Task, chunk_size, dear_counts, missing_dear, missing_steps, missing_trials
 from tolerancing.store.store import Store, create_store, open_store
-from tolerancing.study.evaluate import context_of, nominal_scores
+from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
 from tolerancing.study.files import LoadedStudy
-from tolerancing.study.levels import decide_levels, with_levels
 from tolerancing.study.study import MOST_TRIALS
 
 __all__ = ["RunError", "RunOutcome", "run_study"]
@@ -117,7 +115,7 @@ def run_study(
     store, is_new = _ready_store(Path(store_path), loaded, planned, fresh)
     with store:
         levels = {merit.label: merit.level for merit in store.merits()}
-        loaded = replace(loaded, study=with_levels(loaded.study, levels))
+        loaded = replace(loaded, study=loaded.study.with_levels(levels))
         lacking = _lacking(loaded, store, planned)
         processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
         size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
@@ -147,8 +145,6 @@ def _workers(
     loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None
 ) -> AbstractContextManager[Perform]:
     if address is not None:
-        from tolerancing.run.cluster import cluster_workers
-
         return cluster_workers(loaded, levels, address)
     return this_process(loaded) if processes == 1 else local_pool(loaded, processes)
 
@@ -191,7 +187,7 @@ def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> 
         if not fresh:
             return _continued(path, loaded, planned), False
     levels = decide_levels(loaded.lens, loaded.study)
-    study = with_levels(loaded.study, levels)
+    study = loaded.study.with_levels(levels)
     nominal = nominal_scores(context_of(loaded.lens, study), study)
     if create_store(path, loaded, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True

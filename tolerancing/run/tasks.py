@@ -1,20 +1,23 @@
-"""What a run hands to its workers: some trials, a step of a series, or a trial for the dear merits."""
+"""What a run hands to its workers: some trials, a step of a series, or a trial for the dear merits.
+
+Dear merits score the worst trials by a cheap merit, and some drawn from the others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tolerancing.analysis.control_variates import Chosen, choose_trials
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context
+from tolerancing.store.store import Store
 from tolerancing.study.evaluate import score_dear, score_step, score_trials
 from tolerancing.study.results import RANDOM, WORST, Results
-
-if TYPE_CHECKING:
-    from tolerancing.merits.context import Context
-    from tolerancing.store.store import Store
-    from tolerancing.study.study import Study
+from tolerancing.study.study import Study
 
 TASKS_PER_WORKER = 4
 """At least so many, where there are enough trials, lest some workers wait for the last one."""
@@ -95,10 +98,41 @@ def missing_trials(store: Store, planned: int, size: int, in_order: bool) -> Ite
 
 def missing_dear(study: Study, store: Store, planned: int) -> Iterator[Task]:
     """Dear scores that a store with all its trials still lacks, trial by trial, the worst first."""
-    from tolerancing.run.choosing import chosen_trials, predictor
-
     chosen = chosen_trials(study, store.scores(predictor(study).label, planned))
     for trials, why in ((chosen.worst, WORST), (chosen.random, RANDOM)):
         for trial in trials.tolist():
             if store.lacks_dear(trial):
                 yield Task(trials=(trial,), chosen=(why,))
+
+
+def predictor(study: Study) -> Merit:
+    """The cheap merit that trials are chosen by: that of the study's first dear merit."""
+    label = study.dear_merits[0].predicted_by
+    return next(merit for merit in study.merits if merit.label == label)
+
+
+def dear_counts(study: Study, trials: int) -> tuple[int, int]:
+    """How many of the worst and of the other trials the study's `fidelity` chooses.
+
+    A share above 0 is at least one trial, as long as there are trials.
+    """
+    if not study.dear_merits:
+        return 0, 0
+    shares = study.fidelity.worst_share, study.fidelity.random_share
+    worst, random = (max(round(share * trials), 1) if share > 0.0 else 0 for share in shares)
+    worst = min(worst, trials)
+    return worst, min(random, trials - worst)
+
+
+def chosen_trials(study: Study, cheap_scores: ArrayLike) -> Chosen:
+    """The trials to choose, which follow from the study and the scores alone.
+
+    Parameters
+    ----------
+    study
+        With at least one dear merit.
+    cheap_scores : array_like, shape (trials,)
+        Of all trials, by :func:`predictor`; NaN where there is none.
+    """
+    margin = predictor(study).margin(cheap_scores)
+    return choose_trials(margin, study.seed, *dear_counts(study, len(margin)))

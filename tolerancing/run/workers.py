@@ -110,7 +110,6 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
         from threadpoolctl import threadpool_limits
 
         from tolerancing.study.files import load_from_files
-        from tolerancing.study.levels import with_levels
 
         _check_version(parcel.toolkit_version)
         threadpool_limits(limits=1, user_api="blas")
@@ -121,7 +120,7 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
             raise InputError(
                 f"worker on {_host()}: its glass data give other refractive indices than those here"
             )
-        _unpacked[key] = (replace(loaded, study=with_levels(loaded.study, parcel.levels)), folder)
+        _unpacked[key] = (replace(loaded, study=loaded.study.with_levels(parcel.levels)), folder)
     return _unpacked[key][0]
 
 

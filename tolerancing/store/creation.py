@@ -12,13 +12,13 @@ from pathlib import Path
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import atomic_path
 from tolerancing.store.file import nobody_else, remove_logs, reported, start_writing
-from tolerancing.store.rows import insert
 from tolerancing.store.schema import (
     APPLICATION_ID,
     SCHEMA,
     SCHEMA_VERSION,
     MeritRecord,
     StudyRecord,
+    insert,
     merit_record,
     study_tables,
 )
@@ -66,8 +66,6 @@ def create_store(
     InputError
         If the file cannot be written, or another process has the store open; whatever stood there stays.
     """
-    from tolerancing.study.levels import with_levels
-
     record = StudyRecord(
         schema_version=SCHEMA_VERSION,
         toolkit_version=toolkit_version(),
@@ -77,7 +75,7 @@ def create_store(
         planned_trials=planned_trials,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    study = with_levels(loaded.study, levels or {})
+    study = loaded.study.with_levels(levels or {})
     merits = [merit_record(m, nominal.get(m.label)) for m in study.all_merits]
     try:
         with nobody_else(path) if replace else nullcontext(), atomic_path(path) as temporary:

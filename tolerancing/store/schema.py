@@ -1,14 +1,21 @@
-"""Tables of a store, and what its rows about the study and its merits say."""
+"""Tables of a store, and their rows. SQLite keeps NaN as NULL."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+import sqlite3
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from tolerancing.merits.base import Merit
-    from tolerancing.study.study import Study
+import numpy as np
+
+from tolerancing.merits.base import Merit
+from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.study import Study
+
+Rows = list[tuple[Any, ...]]
 
 APPLICATION_ID = 0x544C5354
 """Marks a SQLite file as one of ours ("TLST")."""
@@ -174,3 +181,67 @@ def _dear_parts(columns: list[str]) -> str:
 def _engine_part(merit: Merit) -> str:
     query = f"SELECT engine FROM merit WHERE label = '{merit.label}'"
     return f'({query}) AS "{merit.label}_engine", '
+
+
+def trial_rows(results: TrialResults) -> Rows:
+    """Rows of the table of trials."""
+    numbers = np.column_stack([results.values, results.scores, results.extras]).tolist()
+    finished = time.time()
+    return [
+        (trial, status, message, *own, passed, seconds, finished)
+        for trial, status, message, own, passed, seconds in zip(
+            np.asarray(results.trials).tolist(),
+            results.status,
+            results.messages,
+            numbers,
+            results.passed.astype(int).tolist(),
+            results.seconds.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def dear_rows(results: DearResults) -> Rows:
+    """Rows of the table of dear scores."""
+    finished = time.time()
+    return [
+        (trial, chosen, *scores, message, seconds, finished)
+        for trial, chosen, scores, message, seconds in zip(
+            results.trials,
+            results.chosen,
+            results.scores.tolist(),
+            results.messages,
+            results.seconds.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def step_rows(results: StepResults) -> Rows:
+    """Rows of the table of steps, one for each merit."""
+    key = (results.series, results.step, json.dumps(dict(results.coordinates)))
+    return [(*key, m, score, results.message, results.seconds) for m, score in results.scores.items()]
+
+
+def picture_rows(results: StepResults) -> Rows:
+    """Rows of the table of pictures."""
+    return [
+        (
+            results.series,
+            results.step,
+            picture.line_width_um,
+            int(picture.refocused),
+            picture.orientation,
+            picture.half_width_um,
+            len(picture.intensity),
+            picture.intensity.astype("<f4").tobytes(),
+        )
+        for picture in results.pictures
+    ]
+
+
+def insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[Any]]) -> None:
+    """Insert rows but for those that are there; results are reproducible, so these are the same."""
+    if rows:
+        marks = ", ".join("?" * len(rows[0]))
+        connection.executemany(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", rows)

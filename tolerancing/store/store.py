@@ -23,8 +23,16 @@ from numpy.typing import NDArray
 from lensdesign.errors import DesignError
 from tolerancing.store.creation import create_store
 from tolerancing.store.file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
-from tolerancing.store.rows import dear_rows, insert, picture_rows, step_rows, trial_rows
-from tolerancing.store.schema import MeritRecord, StudyRecord, number_columns
+from tolerancing.store.schema import (
+    MeritRecord,
+    StudyRecord,
+    dear_rows,
+    insert,
+    number_columns,
+    picture_rows,
+    step_rows,
+    trial_rows,
+)
 from tolerancing.study.files import LoadedStudy, load_from_files
 from tolerancing.study.results import DearResults, Picture, Results, StepResults, TrialResults
 from tolerancing.study.study import MOST_TRIALS, Study
@@ -81,8 +89,6 @@ class Store:
     @cached_property
     def loaded(self) -> LoadedStudy:
         """The study and the lens from the store's own files, the merits' levels as they were decided."""
-        from tolerancing.study.levels import with_levels
-
         files = dict(self._rows("SELECT name, content FROM file"))
         self._folder = TemporaryDirectory(prefix="tolerancing-")
         with undamaged(self.path):
@@ -91,7 +97,7 @@ class Store:
             except DesignError as error:
                 raise ValueError(str(error)) from error
         levels = {merit.label: merit.level for merit in self.merits()}
-        return replace(loaded, study=with_levels(loaded.study, levels))
+        return replace(loaded, study=loaded.study.with_levels(levels))
 
     @property
     def study(self) -> Study:

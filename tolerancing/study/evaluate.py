@@ -1,4 +1,4 @@
-"""Scores of trials and of steps: what a worker does, with failures as data."""
+"""Scores of trials and of steps: what a worker does; and the level of each merit, settled beforehand."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
 from tolerancing.study.results import DearResults, StepResults, TrialResults
+from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
 
 Array = NDArray[np.float64]
+
+PROBED_TRIALS = 6
+"""Trials that all levels of an ``auto`` merit score."""
 
 
 def context_of(lens: Lens, study: Study) -> Context:
@@ -88,7 +92,7 @@ def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Se
 
 def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
     """Score one step of one of a study's series."""
-    return study.series[series].score(context, study, step)
+    return study.series[series].score(context, study.merits, step)
 
 
 def nominal_scores(context: Context, study: Study) -> dict[str, float]:
@@ -99,49 +103,25 @@ def nominal_scores(context: Context, study: Study) -> dict[str, float]:
     TransferLensError
         If the nominal lens itself cannot be scored.
     """
-    count = len(study.perturbations)
-    batch = batch_of(study.perturbations, np.zeros((1, count)), study.pivot_z_mm, study.seed)
+    batch = context.perturbed(study.perturbations, np.zeros((1, len(study.perturbations))))
     merits = {m.label: m for m in study.all_merits}
     merits |= {m.label: m for part in (*study.sweeps, *study.grids) for m in part.line_pairs()}
     scores = {label: float(merit.scores(context, batch)[0]) for label, merit in merits.items()}
     return {merit.label: scores[merit.label] for merit in study.all_merits}
 
 
-def score_batch(
-    merits: Sequence[Merit], context: Context, batch: PerturbationBatch
-) -> tuple[Array, tuple[str, ...]]:
-    """Scores, shape (trials, merits), and for each trial why a score is missing.
+def decide_levels(lens: Lens, study: Study) -> dict[str, str]:
+    """The level of each merit, by its label; ``auto`` takes the cheapest that agrees with the dearest.
 
-    Whatever goes wrong with one trial of the batch, the others are scored.
+    Trials 0 to 5 tell. Where a level cannot score one of them, the dearest is taken.
+
+    Parameters
+    ----------
+    lens, study
+        What is to be run.
     """
-    try:
-        scores = np.column_stack([merit.scores(context, batch) for merit in merits])
-    except Exception:
-        if len(batch) == 1:
-            return _score_singly(merits, context, batch)
-        parts = [score_batch(merits, context, single) for single in batch.single_trials()]
-        return np.concatenate([part[0] for part in parts]), tuple(part[1][0] for part in parts)
-    return scores, tuple(_missing(merits, row) for row in scores)
-
-
-def _score_singly(
-    merits: Sequence[Merit], context: Context, batch: PerturbationBatch
-) -> tuple[Array, tuple[str, ...]]:
-    """Score what can be scored of one trial, merit by merit."""
-    scores, faults = np.full((1, len(merits)), np.nan), []
-    for k, merit in enumerate(merits):
-        try:
-            scores[0, k] = merit.scores(context, batch)[0]
-        except TransferLensError as error:
-            faults.append(f"{merit.label}: {error}")
-        except Exception as error:
-            faults.append(f"{merit.label}: {type(error).__name__}: {error}")
-    return scores, ("; ".join(dict.fromkeys(faults)) or _missing(merits, scores[0]),)
-
-
-def _missing(merits: Sequence[Merit], scores: Array) -> str:
-    lost = [merit.label for merit, score in zip(merits, scores, strict=True) if np.isnan(score)]
-    return f"{', '.join(lost)}: no ray arrives" if lost else ""
+    context = context_of(lens, study)
+    return {merit.label: _level(merit, context, study) for merit in study.all_merits}
 
 
 def _tolerant(score: object, context: Context, batch: PerturbationBatch) -> Array:
@@ -162,3 +142,18 @@ def _compensator_values(context: Context, batch: PerturbationBatch) -> Array:
         if len(batch) == 1:
             return np.full((1, len(context.compensators)), np.nan)
         return np.concatenate([_compensator_values(context, one) for one in batch.single_trials()])
+
+
+def _level(merit: Merit, context: Context, study: Study) -> str:
+    able = merit.able_levels()
+    if merit.level != "auto" or len(able) == 1:
+        return merit.used_level if merit.level != "auto" else able[0]
+    batch = realise(study, range(min(PROBED_TRIALS, study.trials)))
+    try:
+        scores = {level: merit.model_copy(update={"level": level}).scores(context, batch) for level in able}
+    except TransferLensError:
+        return able[-1]
+    for level in able[:-1]:
+        if np.all(np.abs(scores[level] - scores[able[-1]]) <= study.fidelity.largest_difference):
+            return level
+    return able[-1]

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pydantic import field_validator, model_validator
 
 from lensdesign.lens.lens import Finite, Lens, Positive, Section, tuples
 from tolerancing.merits.base import Merit, check_field_point
+from tolerancing.merits.context import Context
 from tolerancing.merits.line_pairs import LinePairContrast
-from tolerancing.merits.pupil import Orientation
+from tolerancing.merits.pupil import Axis, Orientation
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.study.results import Picture, StepResults
+from tolerancing.study.scoring import score_batch
 
 if TYPE_CHECKING:
-    from tolerancing.merits.context import Context
-    from tolerancing.perturbations.batch import PerturbationBatch
-    from tolerancing.study.results import StepResults
-    from tolerancing.study.study import Study
+    from wavesim import ReconstructionPupil
 
 Coordinates = Mapping[str, float | str]
+
+PICTURE_POINTS = 121
 
 
 class Series(ABC):
@@ -39,8 +44,8 @@ class Series(ABC):
         """What is varied in a step, by name with its unit."""
 
     @abstractmethod
-    def score(self, context: Context, study: Study, step: int) -> StepResults:
-        """Score one step."""
+    def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
+        """Score one step; `merits` are those that score all trials of the study."""
 
 
 class LinePairSection(Section):
@@ -93,9 +98,9 @@ class LinePairSection(Section):
             for refocus in (True, False)
         )
 
-    def scored(self, study: Study) -> tuple[Merit, ...]:
-        """All that is scored: the study's merits that are named, and the line pairs."""
-        return (*(m for m in study.merits if m.label in self.merits), *self.line_pairs())
+    def scored(self, merits: Sequence[Merit]) -> tuple[Merit, ...]:
+        """All that is scored: those of the study's merits that are named, and the line pairs."""
+        return (*(m for m in merits if m.label in self.merits), *self.line_pairs())
 
 
 def refuse_twice(section: Section, *keys: str) -> None:
@@ -106,24 +111,18 @@ def refuse_twice(section: Section, *keys: str) -> None:
             raise ValueError(f"{key} = {list(items)}: one stands there twice")
 
 
-def score_batch_step(
+def score_perturbed(
     context: Context,
     series: Series,
     step: int,
-    merits: tuple[Merit, ...],
+    merits: Sequence[Merit],
     batch: PerturbationBatch,
     pictured: LinePairSection | None = None,
 ) -> StepResults:
     """Score a step that is a perturbed lens; draw its pictures if asked for and nothing is missing."""
-    import time
-
-    from tolerancing.study.evaluate import score_batch
-    from tolerancing.study.pictures import line_pair_pictures
-    from tolerancing.study.results import StepResults
-
     start = time.perf_counter()
     scores, (message,) = score_batch(merits, context, batch)
-    pictures = line_pair_pictures(context, pictured, batch) if pictured and not message else ()
+    pictures = _line_pair_pictures(context, pictured, batch) if pictured and not message else ()
     return StepResults(
         series=series.label,
         step=step,
@@ -133,3 +132,28 @@ def score_batch_step(
         pictures=pictures,
         seconds=time.perf_counter() - start,
     )
+
+
+def _line_pair_pictures(
+    context: Context, section: LinePairSection, batch: PerturbationBatch
+) -> tuple[Picture, ...]:
+    """Of each line width of a section, refocused and not."""
+    pictures = []
+    for merit in section.line_pairs():
+        (pupil,) = context.pupils(batch, section.field_mm, merit.wavelength_um, merit.refocus, True)
+        pictures.append(line_pair_picture(pupil, merit.line_width_um, merit.orientation, merit.refocus)[1])
+    return tuple(pictures)
+
+
+def line_pair_picture(
+    pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation, refocused: bool
+) -> tuple[float, Picture]:
+    """Contrast and picture of a line pair along an axis, or along the worse of both."""
+    from wavesim import line_pair_contrast, line_pair_image
+
+    axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
+    contrast = {axis: line_pair_contrast(pupil, line_width_um, axis) for axis in axes}
+    axis = min(axes, key=contrast.__getitem__)
+    coordinates, intensity = line_pair_image(pupil, line_width_um, axis, points=PICTURE_POINTS)
+    half_width = float(coordinates[-1])
+    return contrast[axis], Picture(line_width_um, axis, refocused, half_width, intensity.astype(np.float32))

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.lens.lens import Finite, Lens, Positive, Section, tuples
-from tolerancing.merits.base import check_field_point
+from tolerancing.merits.base import Merit, check_field_point
+from tolerancing.merits.context import Context
 from tolerancing.perturbations.parameters import Name
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import Coordinates, Series, refuse_twice
 
 if TYPE_CHECKING:
-    from tolerancing.merits.context import Context
-    from tolerancing.study.study import Study
     from wavesim import LineContrast
 
 BARS = 5
@@ -85,7 +85,7 @@ class SliceCounts(Section, Series):
         count, kind = divmod(step, len(self.compensations))
         return {"compensation": self.compensations[kind], "slices": float(self.slices[count])}
 
-    def score(self, context: Context, study: Study, step: int) -> StepResults:
+    def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         from wavesim import SamplingWarning, resolve
 
         start = time.perf_counter()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -15,10 +15,9 @@ from tolerancing.merits.context import Sampling
 from tolerancing.perturbations.dependence import Correlation, Dependence, study_dependence
 from tolerancing.perturbations.draws import DRAWS
 from tolerancing.perturbations.parameters import Perturbation
-from tolerancing.study.one_at_a_time import OneAtATime
 from tolerancing.study.series import Series
 from tolerancing.study.slice_counts import SliceCounts
-from tolerancing.study.sweep import ParameterGrid, Sweep
+from tolerancing.study.sweep import OneAtATime, ParameterGrid, Sweep
 
 MOST_TRIALS = 10_000_000
 
@@ -139,6 +138,14 @@ class Study(Section):
             *(f"{m.column}_uncompensated" for m in self.compensated),
             *(f"compensator_{c.column}" for c in self.compensators),
         )
+
+    def with_levels(self, levels: Mapping[str, str]) -> Study:
+        """The study with its merits' levels, by their labels, settled."""
+        merits = tuple(
+            merit.model_copy(update={"level": levels.get(merit.label, merit.used_level)})
+            for merit in self.all_merits
+        )
+        return self.model_copy(update={"all_merits": merits})
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:

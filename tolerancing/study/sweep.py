@@ -1,21 +1,26 @@
-"""Sweeps of one parameter, as in the paper's Figs. 7(b) and 7(c), and grids of two."""
+"""Sweeps of one parameter, as in the paper's Figs. 7(b) and 7(c), grids of two, each perturbation alone."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.lens.lens import Finite, Lens, tuples
-from tolerancing.perturbations.batch import batch_of
-from tolerancing.perturbations.parameters import Name, PerturbedParameter
-from tolerancing.study.series import Coordinates, LinePairSection, Series, refuse_twice, score_batch_step
+from tolerancing.merits.base import Merit
+from tolerancing.merits.context import Context
+from tolerancing.perturbations.parameters import Name, Perturbation, PerturbedParameter
+from tolerancing.study.results import StepResults
+from tolerancing.study.series import Coordinates, LinePairSection, Series, refuse_twice, score_perturbed
 
-if TYPE_CHECKING:
-    from tolerancing.merits.context import Context
-    from tolerancing.study.results import StepResults
-    from tolerancing.study.study import Study
+STEPS = (-1.0, -0.5, 0.5, 1.0)
+"""Where each perturbation is scored alone, in fractions of its tolerance."""
+
+SENSITIVITY = "sensitivity"
+"""Label of the series of perturbations alone."""
 
 
 class Sweep(PerturbedParameter, LinePairSection, Series):
@@ -60,11 +65,11 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
     def coordinates(self, step: int) -> Coordinates:
         return {self.parameter: self.values[step]}
 
-    def score(self, context: Context, study: Study, step: int) -> StepResults:
+    def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         value = self.values[step]
-        batch = batch_of((self,), np.array([[value]]), study.pivot_z_mm, study.seed)
+        batch = context.perturbed((self,), np.array([[value]]))
         pictured = self if value in self.picture_values else None
-        return score_batch_step(context, self, step, self.scored(study), batch, pictured)
+        return score_perturbed(context, self, step, self.scored(merits), batch, pictured)
 
 
 class GridAxis(PerturbedParameter):
@@ -117,7 +122,44 @@ class ParameterGrid(LinePairSection, Series):
         row, column = divmod(step, len(self.x.values))
         return {self.x.column: self.x.values[column], self.y.column: self.y.values[row]}
 
-    def score(self, context: Context, study: Study, step: int) -> StepResults:
+    def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         values = np.array([list(self.coordinates(step).values())], float)
-        batch = batch_of((self.x, self.y), values, study.pivot_z_mm, study.seed)
-        return score_batch_step(context, self, step, self.scored(study), batch)
+        batch = context.perturbed((self.x, self.y), values)
+        return score_perturbed(context, self, step, self.scored(merits), batch)
+
+
+@dataclass(frozen=True)
+class OneAtATime(Series):
+    """The study's merits, with one perturbation away from nominal and all others nominal.
+
+    Attributes
+    ----------
+    perturbations
+        Of the study; each takes `STEPS` times its largest deviation.
+    """
+
+    perturbations: tuple[Perturbation, ...]
+
+    @property
+    def label(self) -> str:
+        return SENSITIVITY
+
+    def __len__(self) -> int:
+        return len(self.perturbations) * len(STEPS)
+
+    def coordinates(self, step: int) -> Coordinates:
+        perturbation, fraction = self._step(step)
+        return {
+            "perturbation": perturbation.column,
+            "deviation": fraction * perturbation.distribution.largest,
+        }
+
+    def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
+        perturbation, fraction = self._step(step)
+        values = np.array([[fraction * perturbation.distribution.largest]])
+        batch = context.perturbed((perturbation,), values)
+        return score_perturbed(context, self, step, merits, batch)
+
+    def _step(self, step: int) -> tuple[Perturbation, float]:
+        index, part = divmod(step, len(STEPS))
+        return self.perturbations[index], STEPS[part]

@@ -10,13 +10,13 @@ from scipy.special import ndtr
 
 from lensdesign.errors import InputError
 from tolerancing.analysis.sensitivity import (
-    STEPS,
     compare_with_trials,
     root_sum_square,
     sensitivities,
     sensitivity_points,
 )
 from tolerancing.merits.base import Merit
+from tolerancing.study.sweep import STEPS
 
 AT_LEAST = Merit(kind="contrast", at_least=0.7)
 AT_MOST = Merit(kind="spread", at_most=5.0)

@@ -11,7 +11,7 @@ from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import MERITS, merit_from_table
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.study.evaluate import score_batch
+from tolerancing.study.scoring import score_batch
 
 SAMPLING = Sampling(rings=3, arms=8, pupil_samples=64)
 PARAMETERS = (

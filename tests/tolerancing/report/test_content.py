@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tolerancing.analysis.scorer import kurtosis
-from tolerancing.analysis.sensitivity import STEPS
 from tolerancing.analysis.summary import summary_of
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.report.blocks import (
@@ -33,8 +32,8 @@ from tolerancing.report.report import report_of
 from tolerancing.report.sections.series import series_section
 from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section
 from tolerancing.study.files import load_study
-from tolerancing.study.one_at_a_time import LABEL
 from tolerancing.study.results import Picture, StepResults, TrialResults
+from tolerancing.study.sweep import SENSITIVITY, STEPS
 
 
 def data_of(loaded, scores, values=None, messages=None, steps=(), nominal=None):
@@ -136,7 +135,7 @@ def sensitivity_steps(study, change):
     """Steps of a merit that changes as asked: `change` of the fraction of the tolerance, by perturbation."""
     return [
         StepResults(
-            LABEL,
+            SENSITIVITY,
             k * len(STEPS) + i,
             {},
             {m.label: m.limit + change[k](f) for m in study.merits},

@@ -14,9 +14,8 @@ import tolerancing.run.executors as executors
 import tolerancing.run.run as module
 from lensdesign import InputError
 from tolerancing.merits.rays import LargestSpread
-from tolerancing.run.choosing import chosen_trials, dear_counts
 from tolerancing.run.run import RunError, run_study
-from tolerancing.run.tasks import Task
+from tolerancing.run.tasks import Task, chosen_trials, dear_counts
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
 

@@ -6,12 +6,11 @@ import pytest
 from lensdesign import DesignError, Pose
 from lensdesign.common.toml_files import validate
 from lensdesign.lens.scaling import scaled
-from tolerancing.analysis.sensitivity import STEPS
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.study.evaluate import context_of, score_step
 from tolerancing.study.files import load_study
 from tolerancing.study.slice_counts import SliceCounts
-from tolerancing.study.sweep import ParameterGrid
+from tolerancing.study.sweep import STEPS, ParameterGrid
 from wavesim import PupilSampler, line_pair_contrast, refocus, resolve
 
 GRID = """
@@ -93,7 +92,7 @@ def test_slice_counts_are_judged_against_the_eikonal_engine(paper_lens, loaded):
     counts = SliceCounts(slices=(1, 40), line_widths_um=(1.0,), picture_slices=(40,))
     counts.check(twin)
     context = Context(twin, Sampling())
-    steps = [counts.score(context, loaded.study, step) for step in range(len(counts))]
+    steps = [counts.score(context, loaded.study.merits, step) for step in range(len(counts))]
     assert [tuple(step.coordinates.values()) for step in steps] == [
         ("vertical", 1.0),
         ("oblique", 1.0),

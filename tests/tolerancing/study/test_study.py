@@ -16,7 +16,7 @@ def test_study_is_read_with_its_design(write_study, full_study):
         ("largest_spread_deg", 4.83, "largest_spread_deg"),
         ("strehl", 0.5, "strehl"),
     ]
-    assert [m.label for m in study.sweeps[0].scored(study)] == [
+    assert [m.label for m in study.sweeps[0].scored(study.merits)] == [
         "largest_spread_deg",
         "contrast_1um_refocused",
         "contrast_1um",

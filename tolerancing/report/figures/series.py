@@ -80,7 +80,7 @@ def _contrast_panel(sweep: Sweep, steps: Sequence[StepResults], values: list[flo
 
 def grid_panels(study: Study, grid: ParameterGrid, steps: Sequence[StepResults]) -> list[Panel]:
     """A map of each merit over the two parameters of a grid, with the limit as a contour."""
-    return [_map_panel(grid, merit, steps) for merit in grid.scored(study)]
+    return [_map_panel(grid, merit, steps) for merit in grid.scored(study.merits)]
 
 
 def _map_panel(grid: ParameterGrid, merit: Merit, steps: Sequence[StepResults]) -> Panel:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lensdesign.errors import TransferLensError
 from tolerancing.merits.line_pairs import LinePairContrast
-from tolerancing.merits.pupil import Axis, PupilMerit
+from tolerancing.merits.pupil import PupilMerit
 from tolerancing.report.blocks import (
     Block,
     Cell,
@@ -31,7 +31,7 @@ from tolerancing.report.figures.series import (
 )
 from tolerancing.study.evaluate import context_of, realise
 from tolerancing.study.results import Picture, StepResults
-from tolerancing.study.series import LinePairSection
+from tolerancing.study.series import LinePairSection, line_pair_picture
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
@@ -70,7 +70,7 @@ def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
         return [*blocks, Paragraph("No step is finished.")]
     blocks.append(Paragraph(line_pair_text(sweep), soft=True))
     blocks.append(FigureBlock(tuple(sweep_panels(data.study, sweep, steps)), columns=2))
-    columns = [m.label for m in sweep.scored(data.study)]
+    columns = [m.label for m in sweep.scored(data.study.merits)]
     blocks += _steps_table([sweep.parameter], columns, steps)
     return [*blocks, *_plates(steps, lambda s: f"{s.coordinates[sweep.parameter]:g} {sweep.unit}".strip())]
 
@@ -92,7 +92,7 @@ def _grid(data: ReportData, grid: ParameterGrid) -> list[Block]:
         return [*blocks, Paragraph("No step is finished.")]
     blocks.append(Paragraph(f"{line_pair_text(grid)} Red: the limit.", soft=True))
     blocks.append(FigureBlock(tuple(grid_panels(data.study, grid, steps)), columns=2))
-    columns = [m.label for m in grid.scored(data.study)]
+    columns = [m.label for m in grid.scored(data.study.merits)]
     return [*blocks, *_steps_table([grid.x.column, grid.y.column], columns, steps)]
 
 
@@ -209,19 +209,8 @@ def _drawn(
     data: ReportData, merit: PupilMerit, trials: Sequence[int], width_um: float
 ) -> list[tuple[float, Picture]]:
     """Contrast and picture of each trial along its worse axis."""
-    from tolerancing.study.pictures import PICTURE_POINTS
-    from wavesim import line_pair_contrast, line_pair_image
-
     context = context_of(data.lens, data.study)
     batch = realise(data.study, trials)
     pupils = context.pupils(batch, merit.points[0], merit.wavelength_um, merit.refocus, True)
-    wanted = merit.orientation if isinstance(merit, LinePairContrast) else "worse"
-    axes: tuple[Axis, ...] = ("x", "y") if wanted == "worse" else (wanted,)
-    found = []
-    for pupil in pupils:
-        contrast = {axis: line_pair_contrast(pupil, width_um, axis) for axis in axes}
-        axis = min(axes, key=contrast.__getitem__)
-        coordinates, intensity = line_pair_image(pupil, width_um, axis, points=PICTURE_POINTS)
-        picture = Picture(width_um, axis, merit.refocus, float(coordinates[-1]), intensity.astype(np.float32))
-        found.append((contrast[axis], picture))
-    return found
+    orientation = merit.orientation if isinstance(merit, LinePairContrast) else "worse"
+    return [line_pair_picture(pupil, width_um, orientation, merit.refocus) for pupil in pupils]

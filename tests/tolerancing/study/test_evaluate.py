@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from tolerancing.study.evaluate import context_of, realise
+from tolerancing.study.evaluate import context_of, decide_levels, realise
 from tolerancing.study.files import load_study
-from tolerancing.study.levels import decide_levels, with_levels
 
 CONTRAST = """
 [[merit]]
@@ -40,7 +39,7 @@ def test_auto_takes_the_pupil_where_it_agrees_with_waves(study_with):
     assert decide_levels(loaded.lens, loaded.study)["contrast"] == "pupil"
     context, batch = context_of(loaded.lens, loaded.study), realise(loaded.study, range(6))
     scores = [
-        with_levels(loaded.study, {"contrast": level}).merits[-1].scores(context, batch)
+        loaded.study.with_levels({"contrast": level}).merits[-1].scores(context, batch)
         for level in ("pupil", "wave")
     ]
     assert np.abs(scores[0] - scores[1]).max() <= 0.03
@@ -50,7 +49,7 @@ def test_auto_takes_waves_where_the_pupil_does_not_agree(study_with):
     loaded = study_with("field_mm = [0.0, 1.2]", sigma=0.05)
     context, batch = context_of(loaded.lens, loaded.study), realise(loaded.study, range(6))
     scores = [
-        with_levels(loaded.study, {"contrast": level}).merits[-1].scores(context, batch)
+        loaded.study.with_levels({"contrast": level}).merits[-1].scores(context, batch)
         for level in ("pupil", "wave")
     ]
     agree = np.abs(scores[0] - scores[1]).max() <= 0.03
@@ -72,5 +71,5 @@ def test_noise_is_that_of_the_trial(study_with):
     together = merit.scores(context, realise(loaded.study, range(3)))
     alone = [merit.scores(context, realise(loaded.study, [trial]))[0] for trial in range(3)]
     assert together.tolist() == alone
-    quiet = with_levels(loaded.study, {}).merits[-1].model_copy(update={"electrons": None})
+    quiet = loaded.study.with_levels({}).merits[-1].model_copy(update={"electrons": None})
     assert np.all(quiet.scores(context, realise(loaded.study, range(3))) != together)

@@ -1,0 +1,20 @@
+"""The picture of one trial."""
+
+import pytest
+
+from lensdesign.errors import InputError
+from tolerancing.analysis.trial import single_trial
+from tolerancing.report.figures.one_trial import trial_figure, write_trial_figure
+
+
+def test_the_picture_shows_each_field_point(small_store, tmp_path):
+    trial = single_trial(small_store, 2)
+    figure = trial_figure(trial)
+    titles = [axis.get_title() for axis in figure.axes if axis.get_title()]
+    assert len(titles) == 3
+    assert f"Strehl {trial.again.scores[0, 1]:.3f}" in titles[1]
+    write_trial_figure(trial, tmp_path / "trial.png")
+    assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="suffix must be one of"):
+        write_trial_figure(trial, tmp_path / "trial.jpeg")
+    assert not (tmp_path / "trial.jpeg").exists()
