@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-SCENE_CHORD_ERROR_MM = 1e-3
+SCENE_CHORD_ERROR_UM = 1.0
 _TUBE_SIDES = 8
 _TUBE_SHARE = 0.006
 """Radius of the tubes that stand for rays, as a share of the stop's semi-diameter."""
@@ -57,7 +57,7 @@ def export_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     if Path(path).suffix.lower() != ".glb":
         raise InputError(f"cannot write {path}: a scene is written as .glb alone")
     scene = trimesh.Scene()
-    for part in scene_parts(lens, SCENE_CHORD_ERROR_MM):
+    for part in scene_parts(lens, SCENE_CHORD_ERROR_UM):
         mesh = _mesh(part, _TUBE_SHARE * lens.stop_semi_diameter_mm)
         mesh.apply_scale(1e-3)
         scene.add_geometry(mesh, geom_name=part.name, node_name=part.name)

@@ -67,9 +67,11 @@ def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
     """
     if Path(path).suffix.lower() != ".html":
         raise InputError(f"cannot write {path}: a view is written as .html alone")
-    chord_error_mm = VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm * max(1.0, 0.5 * len(lens.glass_fronts))
-    parts = scene_parts(lens, chord_error_mm)
-    data = _page(lens, parts, chord_error_mm).encode()
+    chord_error_um = (
+        1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm * max(1.0, 0.5 * len(lens.glass_fronts))
+    )
+    parts = scene_parts(lens, chord_error_um)
+    data = _page(lens, parts, chord_error_um).encode()
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     return PageSummary(
@@ -80,7 +82,7 @@ def write_view(lens: Lens, path: str | os.PathLike[str]) -> PageSummary:
     )
 
 
-def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_mm: float) -> str:
+def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_um: float) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -95,7 +97,7 @@ def _page(lens: Lens, parts: Sequence[ScenePart], chord_error_mm: float) -> str:
         title=lens.title or "Lens",
         groups=[(kind, list(group)) for kind, group in groupby(legend, lambda entry: entry["kind"])],
         figures=_figures(lens),
-        chord_error=f"{1e3 * chord_error_mm:.2g} µm",
+        chord_error=f"{chord_error_um:.2g} µm",
         scene={"smooth": math.cos(math.radians(2.0 * SHARP_DEG)), "parts": [_packed(p) for p in parts]},
     )
 

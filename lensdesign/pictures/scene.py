@@ -83,14 +83,14 @@ class ScenePart:
         return self.kind in ("glass", "object")
 
 
-def scene_parts(lens: Lens, chord_error_mm: float) -> list[ScenePart]:
+def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
     """Glass, stop, object, sensor planes and rays of three fields, in this order.
 
     Parameters
     ----------
     lens
         Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
-    chord_error_mm
+    chord_error_um
         Of the glass, as :func:`lensdesign.fabrication.mesh.mesh.lens_mesh` takes it.
 
     Raises
@@ -99,13 +99,13 @@ def scene_parts(lens: Lens, chord_error_mm: float) -> list[ScenePart]:
         If an element does not close.
     """
     lens = sized_lens(lens)
-    return [*_glass(lens, chord_error_mm), _stop(lens), _object(lens), *_planes(lens), *_rays(lens)]
+    return [*_glass(lens, chord_error_um), _stop(lens), _object(lens), *_planes(lens), *_rays(lens)]
 
 
-def _glass(lens: Lens, chord_error_mm: float) -> Iterator[ScenePart]:
+def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
     for element in closed_elements(lens):
         glass, number = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
-        mesh = lens_mesh(lens, chord_error_mm, element.number).mesh
+        mesh = lens_mesh(lens, chord_error_um, element.number).mesh
         low, _ = mesh.bounds[:, 1]
         yield ScenePart(
             f"element_{number}_{glass}",

@@ -76,7 +76,7 @@ def render_lens(
     InputError
         If an element does not close, or the file cannot be written.
     """
-    parts = scene_parts(lens, VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
     if not rendering_available():
         raise RenderingError("no off-screen rendering on this machine (OpenGL libraries missing?)")
     with _quiet_vtk():
@@ -99,7 +99,7 @@ def show_lens(lens: Lens) -> None:
     InputError
         If an element does not close.
     """
-    parts = scene_parts(lens, VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
+    parts = scene_parts(lens, 1e3 * VIEW_CHORD_SHARE * lens.stop_semi_diameter_mm)
     plotter = _plotter(parts, (1200, 800), off_screen=False)
     plotter.add_axes(xlabel="x", ylabel="y", zlabel="z")
     plotter.show(title=lens.title or "Lens")

@@ -182,7 +182,7 @@ def meshes(tmp_path_factory: pytest.TempPathFactory, paper_lens: Lens) -> dict[s
     folder = tmp_path_factory.mktemp("meshes")
     result = {}
     for suffix in ("stl", "ply", "obj", "3mf"):
-        mesh = export_mesh(paper_lens, folder / f"lens.{suffix}", 0.2).mesh
+        mesh = export_mesh(paper_lens, folder / f"lens.{suffix}", 200.0).mesh
         result[suffix] = (folder / f"lens.{suffix}").read_bytes()
     result["text stl"] = mesh.export(file_type="stl_ascii").encode()
     result["text ply"] = mesh.export(file_type="ply", encoding="ascii")

@@ -34,9 +34,9 @@ class LensMesh:
     ----------
     mesh : trimesh.Trimesh
         In mm, front vertex of the lens at the origin, +z towards the sensor; normals point outwards.
-    chord_error_mm
+    chord_error_um
         Greatest distance of the facets of the optical surfaces from the exact ones, measured.
-    edge_error_mm
+    edge_error_um
         Greatest distance of the facets of the ground edge from its cylinder.
     volume_mm3
         Volume of the mesh.
@@ -45,8 +45,8 @@ class LensMesh:
     """
 
     mesh: trimesh.Trimesh
-    chord_error_mm: float
-    edge_error_mm: float
+    chord_error_um: float
+    edge_error_um: float
     volume_mm3: float
     exact_volume_mm3: float
 
@@ -63,8 +63,8 @@ class LensMesh:
     @property
     def volume_tolerance(self) -> float:
         """Bound of :attr:`volume_error`: greatest distance times the area of the mesh, over the volume."""
-        greatest = max(self.chord_error_mm, self.edge_error_mm)
-        return float(greatest * self.mesh.area / self.exact_volume_mm3)
+        greatest_mm = 1e-3 * max(self.chord_error_um, self.edge_error_um)
+        return float(greatest_mm * self.mesh.area / self.exact_volume_mm3)
 
 
 @dataclass(frozen=True)

@@ -40,14 +40,14 @@ _MOST_PARTS = 24
 """Into which the sides of facets are divided, to find figures finer than these."""
 
 
-def freeform_mesh(bodies: PerturbedBodies, number: int, chord_error_mm: float, count: int) -> LensMesh:
+def freeform_mesh(bodies: PerturbedBodies, number: int, error_mm: float, count: int) -> LensMesh:
     """Mesh one body over rings and azimuths.
 
     Parameters
     ----------
     bodies, number
         The body.
-    chord_error_mm
+    error_mm
         Distance aimed at between facets of the surfaces and the exact ones; what came out is measured.
     count
         Number of azimuths that its nominal shape needs.
@@ -61,7 +61,7 @@ def freeform_mesh(bodies: PerturbedBodies, number: int, chord_error_mm: float, c
 
     element, sides = bodies.elements[number], bodies.surfaces(number)
     _refuse_crossing(element, sides)
-    meridians, error_mm = (element.front, element.back), BALANCE * chord_error_mm
+    meridians, error_mm = (element.front, element.back), BALANCE * error_mm
     for side, meridian in zip(sides, meridians, strict=True):
         count = _azimuths(side, meridian.end_mm, error_mm, count)
     radii = [_ring_radii(s, m, error_mm, count) for s, m in zip(sides, meridians, strict=True)]
@@ -84,8 +84,8 @@ def freeform_mesh(bodies: PerturbedBodies, number: int, chord_error_mm: float, c
         measured_mm = max(measured_mm, _balance(side, vertices, parts[place], held))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.units = "mm"
-    edge_error_mm = edge_error(element.outer_mm, count)
-    return LensMesh(mesh, measured_mm, edge_error_mm, float(mesh.volume), _volume_mm3(element, sides))
+    edge_error_um = 1e3 * edge_error(element.outer_mm, count)
+    return LensMesh(mesh, 1e3 * measured_mm, edge_error_um, float(mesh.volume), _volume_mm3(element, sides))
 
 
 def _ring_order(rings: Sequence[int], count: int) -> NDArray[np.int64]:

@@ -38,7 +38,7 @@ EDGE_ERROR_MM = 1e-2
 
 def lens_mesh(
     lens: Lens,
-    chord_error_mm: float = 1e-4,
+    chord_error_um: float = 0.1,
     element: int = 0,
     surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
     pose: Pose | None = None,
@@ -50,7 +50,7 @@ def lens_mesh(
     ----------
     lens
         Any lens with a glass element.
-    chord_error_mm
+    chord_error_um
         Greatest distance allowed between a facet of an optical surface and the glass. Facets of the ground
         edge may stand off by as much, or by 10 um if that is more.
     element
@@ -78,14 +78,14 @@ def lens_mesh(
     count = len(bodies.elements)
     if not 0 <= element < count:
         raise InputError(f"element = {element}: there is no such element; allowed: 0 to {count - 1}")
-    _refuse_size(bodies.elements, chord_error_mm)
-    return _posed(_body_mesh(bodies, element, chord_error_mm), pose)
+    _refuse_size(bodies.elements, chord_error_um)
+    return _posed(_body_mesh(bodies, element, chord_error_um), pose)
 
 
 def export_mesh(
     lens: Lens,
     path: str | os.PathLike[str],
-    chord_error_mm: float = 1e-4,
+    chord_error_um: float = 0.1,
     report: Callable[[str], None] = warnings.warn,
     surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
     pose: Pose | None = None,
@@ -101,7 +101,7 @@ def export_mesh(
         File to write; its suffix names the format: .stl (binary), .ply, .obj or .3mf (with units and
         glasses) in mm, or .glb in metres, as glTF demands. Several elements go into one file: as one body
         each in .glb and .3mf, side by side elsewhere.
-    chord_error_mm, surface_perturbations, pose, measured
+    chord_error_um, surface_perturbations, pose, measured
         As :func:`lens_mesh` takes them.
     report
         Told in one sentence of each surface whose measured figure is left out.
@@ -123,8 +123,8 @@ def export_mesh(
             f"cannot write {path}: unknown suffix {suffix!r}; allowed: {', '.join(MESH_SUFFIXES)}"
         )
     bodies = perturbed_bodies(lens, surface_perturbations, measured)
-    _refuse_size(bodies.elements, chord_error_mm)
-    parts = [_posed(_body_mesh(bodies, e, chord_error_mm), pose) for e in range(len(bodies.elements))]
+    _refuse_size(bodies.elements, chord_error_um)
+    parts = [_posed(_body_mesh(bodies, e, chord_error_um), pose) for e in range(len(bodies.elements))]
     whole = _together(parts)
     glasses = [str(lens.surfaces[e.surfaces[0]].material) for e in bodies.elements]
     data = encode_meshes(suffix, [p.mesh for p in parts], glasses, whole.mesh)
@@ -144,26 +144,26 @@ def _together(parts: Sequence[LensMesh]) -> LensMesh:
         return parts[0]
     return LensMesh(
         trimesh.util.concatenate([p.mesh for p in parts]),
-        max(p.chord_error_mm for p in parts),
-        max(p.edge_error_mm for p in parts),
+        max(p.chord_error_um for p in parts),
+        max(p.edge_error_um for p in parts),
         sum(p.volume_mm3 for p in parts),
         sum(p.exact_volume_mm3 for p in parts),
     )
 
 
-def _body_mesh(bodies: PerturbedBodies, number: int, chord_error_mm: float) -> LensMesh:
+def _body_mesh(bodies: PerturbedBodies, number: int, chord_error_um: float) -> LensMesh:
     """Mesh of one body, finer until the measured error holds."""
     element = bodies.elements[number]
-    error = chord_error_mm
+    asked_mm = error_mm = 1e-3 * chord_error_um
     while True:
-        count = _azimuths(bodies.elements, error, chord_error_mm)
+        count = _azimuths(bodies.elements, error_mm, asked_mm)
         if bodies.symmetric(number):
-            result = symmetric_mesh(element, error, count)
+            result = symmetric_mesh(element, error_mm, count)
         else:
-            result = freeform_mesh(bodies, number, error, count)
-        if result.chord_error_mm <= chord_error_mm:
+            result = freeform_mesh(bodies, number, error_mm, count)
+        if result.chord_error_um <= chord_error_um:
             return result
-        error *= max(0.25, 0.97 * chord_error_mm / result.chord_error_mm)
+        error_mm *= max(0.25, 0.97 * chord_error_um / result.chord_error_um)
 
 
 def _posed(part: LensMesh, pose: Pose | None) -> LensMesh:
@@ -179,26 +179,23 @@ def _posed(part: LensMesh, pose: Pose | None) -> LensMesh:
     return part
 
 
-def _refuse_size(elements: Sequence[Element], chord_error_mm: float) -> None:
-    if not (math.isfinite(chord_error_mm) and chord_error_mm > 0.0):
-        raise InputError(f"{_chord_error(chord_error_mm)}: must be above 0")
+def _refuse_size(elements: Sequence[Element], chord_error_um: float) -> None:
+    said = f"chord_error_um = {chord_error_um:g}"
+    if not (math.isfinite(chord_error_um) and chord_error_um > 0.0):
+        raise InputError(f"{said}: must be above 0")
+    error_mm = 1e-3 * chord_error_um
     triangles = 0.0
     for element in elements:
         densities = (
             ring_density(meridian_chord_errors(m), m.end_mm)[1][-1] for m in (element.front, element.back)
         )
-        rings = sum(densities) / math.sqrt(BALANCE * chord_error_mm) + 2.0
-        triangles += 2.0 * rings * _azimuths(elements, chord_error_mm, chord_error_mm)
+        rings = sum(densities) / math.sqrt(BALANCE * error_mm) + 2.0
+        triangles += 2.0 * rings * _azimuths(elements, error_mm, error_mm)
     if triangles > MOST_TRIANGLES:
         raise InputError(
-            f"{_chord_error(chord_error_mm)} would need {triangles:.3g} triangles; allowed: at most "
+            f"{said} would need {triangles:.3g} triangles; allowed: at most "
             f"{MOST_TRIANGLES:.3g}, so ask for a larger chord error"
         )
-
-
-def _chord_error(chord_error_mm: float) -> str:
-    """The chord error as messages give it; the command takes it in um."""
-    return f"chord_error_mm = {chord_error_mm:g} ({1e3 * chord_error_mm:g} um)"
 
 
 def _azimuths(elements: Sequence[Element], error_mm: float, asked_mm: float) -> int:

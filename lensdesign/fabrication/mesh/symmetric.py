@@ -25,14 +25,14 @@ from lensdesign.lens.solid import Element, smallest_gap
 Array = NDArray[np.float64]
 
 
-def symmetric_mesh(element: Element, chord_error_mm: float, count: int) -> LensMesh:
+def symmetric_mesh(element: Element, error_mm: float, count: int) -> LensMesh:
     """Mesh one body of revolution.
 
     Parameters
     ----------
     element
         The exact body.
-    chord_error_mm
+    error_mm
         Distance aimed at between facets of the surfaces and the exact ones; what came out is measured.
     count
         Number of meridians.
@@ -46,7 +46,7 @@ def symmetric_mesh(element: Element, chord_error_mm: float, count: int) -> LensM
 
     sides = (element.front, element.back)
     optical = [
-        balanced_profile(m, _rings(m, BALANCE * chord_error_mm), len(end) == 0)
+        balanced_profile(m, _rings(m, BALANCE * error_mm), len(end) == 0)
         for m, end in zip(sides, element.ends, strict=True)
     ]
     front, back = (
@@ -56,7 +56,7 @@ def symmetric_mesh(element: Element, chord_error_mm: float, count: int) -> LensM
     r, gap = smallest_gap(front, back)
     if gap <= 0.0:
         raise InputError(
-            f"chord_error_mm = {chord_error_mm:g} is too coarse for {element.name}: facets of its "
+            f"chord_error_um = {1e3 * error_mm:g} is too coarse for {element.name}: facets of its "
             f"surfaces would cross at a radial height of {r:.6g} mm; ask for less"
         )
     vertices, faces = revolve(np.concatenate([front, element.flange_corners, back[::-1]]), count)
@@ -64,11 +64,12 @@ def symmetric_mesh(element: Element, chord_error_mm: float, count: int) -> LensM
     mesh.units = "mm"
     return LensMesh(
         mesh,
-        max(
+        1e3
+        * max(
             _measured_error(m, p, count, len(end) > 0)
             for m, p, end in zip(sides, optical, element.ends, strict=True)
         ),
-        edge_error(element.outer_mm, count),
+        1e3 * edge_error(element.outer_mm, count),
         float(mesh.volume),
         element.volume_mm3,
     )

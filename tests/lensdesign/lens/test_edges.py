@@ -126,19 +126,19 @@ def edged_lenses(draw: st.DrawFn) -> Lens:
 @settings(max_examples=40, deadline=None)
 @given(edged_lenses(), numbers(-0.4, 0.4), st.booleans())
 def test_meshes_close_and_have_the_volume(lens: Lens, tilt: float, back: bool) -> None:
-    nominal = lens_mesh(lens, 1e-3)
+    nominal = lens_mesh(lens, 1.0)
     meshes = [nominal]
     reach = 9.0 * math.tan(math.radians(abs(tilt)))
     (element,) = closed_elements(lens)
     ring, (begin, end) = element.flange_corners[:, 1], element.cylinder_z_mm
     if end - begin > reach and (not len(ring) or (ring[0] - reach > begin and ring[-1] + reach < end)):
         change = SurfacePerturbation(tilt_x_deg=tilt)
-        meshes.append(lens_mesh(lens, 1e-3, surface_perturbations={int(back): change}))
+        meshes.append(lens_mesh(lens, 1.0, surface_perturbations={int(back): change}))
     for result in meshes:
         assert result.mesh.is_watertight
         assert result.mesh.is_winding_consistent
         assert result.mesh.euler_number == 2
-        assert result.chord_error_mm <= 1e-3
+        assert result.chord_error_um <= 1.0
         assert abs(result.volume_error) < 0.05 * result.volume_tolerance
     outer = element.outer_mm
     assert np.max(np.hypot(*nominal.mesh.vertices[:, :2].T)) == pytest.approx(outer, rel=1e-3)
@@ -239,9 +239,9 @@ def test_a_perturbed_surface_may_not_reach_into_the_flange(paper_lens: Lens) -> 
     (element,) = closed_elements(moulded(paper_lens))
     ring = FLANGE.replaced(distance_mm=element.cylinder_z_mm[0])
     lens = moulded(paper_lens, flange=ring)
-    assert lens_mesh(lens, 1e-2).mesh.is_watertight
+    assert lens_mesh(lens, 10.0).mesh.is_watertight
     with pytest.raises(InputError, match="as perturbed: its edge cylinder runs at its narrowest from"):
-        lens_mesh(lens, 1e-2, surface_perturbations={0: SurfacePerturbation(tilt_y_deg=0.5)})
+        lens_mesh(lens, 10.0, surface_perturbations={0: SurfacePerturbation(tilt_y_deg=0.5)})
 
 
 def test_solids_for_cad_have_the_edge(paper_lens: Lens, tmp_path: Path) -> None:

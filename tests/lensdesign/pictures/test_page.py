@@ -116,7 +116,7 @@ def test_a_page_holds_the_scene(page: str, paper_lens: Lens) -> None:
 
 
 def test_the_edges_of_the_glass_are_drawn(paper_lens: Lens) -> None:
-    glass = scene_parts(paper_lens, 2e-3)[0]
+    glass = scene_parts(paper_lens, 2.0)[0]
     front = 10.0**2 / (42.3 + np.sqrt(42.3**2 - 10.0**2))
     back = 9.7 - 10.0**2 / (12.0 + np.sqrt(12.0**2 - (1.0 - 0.89862) * 10.0**2))
     corners = glass.lines.reshape(-1, 3)

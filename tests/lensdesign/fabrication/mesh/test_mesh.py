@@ -76,20 +76,20 @@ def largest_distance_mm(lens: Lens, mesh: trimesh.Trimesh, count: int = 20_000) 
 def test_paper_lens(paper_lens: Lens) -> None:
     result = lens_mesh(paper_lens)
     assert_closed(result.mesh)
-    assert 0.5e-4 < result.chord_error_mm <= 1e-4
-    assert result.edge_error_mm <= 1e-2
+    assert 0.05 < result.chord_error_um <= 0.1
+    assert result.edge_error_um <= 10.0
     assert abs(result.volume_error) < min(result.volume_tolerance, 1e-8)
     assert result.mesh.bounds == pytest.approx(np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 9.7]]), abs=1e-4)
 
 
 def test_volume_error_falls_with_the_square_of_the_chord_error(paper_lens: Lens) -> None:
-    coarse, fine = lens_mesh(paper_lens, 1e-2), lens_mesh(paper_lens, 1e-3)
+    coarse, fine = lens_mesh(paper_lens, 10.0), lens_mesh(paper_lens, 1.0)
     assert abs(fine.volume_error) < 0.03 * abs(coarse.volume_error) < 1e-7
 
 
-@pytest.mark.parametrize("chord_error", [1e-2, 1e-3])
-def test_facets_lie_to_both_sides(paper_lens: Lens, chord_error: float) -> None:
-    mesh = lens_mesh(paper_lens, chord_error).mesh
+@pytest.mark.parametrize("chord_error_um", [10.0, 1.0])
+def test_facets_lie_to_both_sides(paper_lens: Lens, chord_error_um: float) -> None:
+    mesh = lens_mesh(paper_lens, chord_error_um).mesh
     front = mesh.triangles_center[mesh.face_normals[:, 2] < -0.5]
     at_corners = mesh.vertices[np.unique(mesh.faces[mesh.face_normals[:, 2] < -0.5])]
     sag = paper_lens.surfaces[0].sag_mm
@@ -98,11 +98,11 @@ def test_facets_lie_to_both_sides(paper_lens: Lens, chord_error: float) -> None:
 
 
 def test_facets_are_where_the_stated_chord_error_says(paper_lens: Lens) -> None:
-    for asked in (0.1, 1e-2, 1e-3):
-        result = lens_mesh(paper_lens, asked)
+    for asked_um in (100.0, 10.0, 1.0):
+        result = lens_mesh(paper_lens, asked_um)
         found, sampling = largest_distance_mm(paper_lens, result.mesh)
-        assert found <= 1.002 * result.chord_error_mm + sampling
-        assert found > 0.9 * result.chord_error_mm - sampling
+        assert found <= 1.002e-3 * result.chord_error_um + sampling
+        assert found > 0.9e-3 * result.chord_error_um - sampling
 
 
 def test_ball_lens_against_closed_form() -> None:
@@ -110,7 +110,7 @@ def test_ball_lens_against_closed_form() -> None:
         {"radius_mm": 5.0, "thickness_mm": 10.0, "material": "N-BK7", "semi_diameter_mm": 4.9},
         {"radius_mm": -5.0, "semi_diameter_mm": 4.9},
     )
-    result = lens_mesh(lens, 1e-3)
+    result = lens_mesh(lens, 1.0)
     # A ball less the ring outside the cylinder: napkin-ring theorem.
     length = 2.0 * math.sqrt(25.0 - 4.9**2)
     expected = 4.0 / 3.0 * math.pi * 125.0 - math.pi * length**3 / 6.0
@@ -124,9 +124,9 @@ def test_hemisphere_up_to_its_upright_edge() -> None:
         {"radius_mm": 4.0, "thickness_mm": 5.0, "material": "N-BK7", "semi_diameter_mm": 4.0},
         {"semi_diameter_mm": 4.0},
     )
-    result = lens_mesh(lens, 2e-3)
+    result = lens_mesh(lens, 2.0)
     assert_closed(result.mesh)
-    assert result.chord_error_mm <= 2e-3
+    assert result.chord_error_um <= 2.0
     expected = math.pi * 64.0 * (2.0 / 3.0 + 0.25)
     assert result.volume_mm3 == pytest.approx(expected, rel=result.volume_tolerance)
     ball = result.mesh.vertices[result.mesh.vertices[:, 2] < 4.0 - 1e-9]
@@ -149,11 +149,11 @@ def test_plane_parallel_plate_is_a_prism() -> None:
     )
     result = lens_mesh(lens)
     sides = result.triangles // 4
-    assert result.chord_error_mm < 1e-14
+    assert result.chord_error_um < 1e-11
     # A regular polygon with the area of the circle: its corners stand out by two thirds of its sagitta.
     sagitta = 5.0 * (1.0 - math.cos(math.pi / sides))
-    assert result.edge_error_mm == pytest.approx(2.0 / 3.0 * sagitta, rel=0.01)
-    assert 0.3e-2 < result.edge_error_mm <= 1e-2
+    assert result.edge_error_um == pytest.approx(2e3 / 3.0 * sagitta, rel=0.01)
+    assert 3.0 < result.edge_error_um <= 10.0
     assert result.volume_mm3 == pytest.approx(75.0 * math.pi, rel=1e-14)
 
 
@@ -171,10 +171,10 @@ def test_asphere_with_an_inflection() -> None:
     )
     slope = lens.surfaces[0].slope(np.linspace(0.0, 9.0, 200))
     assert np.any(np.diff(slope) < 0.0)
-    result = lens_mesh(lens, 1e-2)
+    result = lens_mesh(lens, 10.0)
     found, sampling = largest_distance_mm(lens, result.mesh)
     assert_closed(result.mesh)
-    assert found <= 1.002 * result.chord_error_mm + sampling
+    assert found <= 1.002e-3 * result.chord_error_um + sampling
 
 
 @settings(max_examples=40, deadline=None)
@@ -183,14 +183,14 @@ def test_asphere_with_an_inflection() -> None:
     conics=st.tuples(*[st.floats(-4.0, 2.0)] * 2),
     thickness=st.floats(0.5, 12.0),
     edge=st.floats(1.0, 8.0),
-    chord_error=st.floats(3e-3, 0.2),
+    chord_error_um=st.floats(3.0, 200.0),
 )
 def test_random_conics(
     radii: tuple[float, float],
     conics: tuple[float, float],
     thickness: float,
     edge: float,
-    chord_error: float,
+    chord_error_um: float,
 ) -> None:
     first, second = (
         {"radius_mm": r, "conic": k, "semi_diameter_mm": edge} for r, k in zip(radii, conics, strict=True)
@@ -199,18 +199,18 @@ def test_random_conics(
         lens = lens_of(first | {"thickness_mm": thickness, "material": "N-BK7"}, second)
     except ValidationError:
         reject()
-    result = lens_mesh(lens, chord_error)
+    result = lens_mesh(lens, chord_error_um)
     assert_closed(result.mesh)
-    assert result.chord_error_mm <= chord_error
+    assert result.chord_error_um <= chord_error_um
     assert abs(result.volume_error) <= result.volume_tolerance
     found, sampling = largest_distance_mm(lens, result.mesh, 4000)
-    assert found <= 1.002 * result.chord_error_mm + sampling
+    assert found <= 1.002e-3 * result.chord_error_um + sampling
 
 
 @pytest.mark.parametrize("suffix", sorted({*MESH_SUFFIXES} - {".3mf"}))
 def test_files_read_back(paper_lens: Lens, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"lens{suffix}"
-    written = export_mesh(paper_lens, path, 1e-2)
+    written = export_mesh(paper_lens, path, 10.0)
     read = trimesh.load(path, force="mesh")
     scale = 1e-3 if suffix == ".glb" else 1.0
     assert_closed(read)
@@ -221,7 +221,7 @@ def test_files_read_back(paper_lens: Lens, tmp_path: Path, suffix: str) -> None:
 
 
 def test_stl_is_binary_and_outward(paper_lens: Lens, tmp_path: Path) -> None:
-    export_mesh(paper_lens, tmp_path / "lens.STL", 1e-2)
+    export_mesh(paper_lens, tmp_path / "lens.STL", 10.0)
     data = (tmp_path / "lens.STL").read_bytes()
     count = int.from_bytes(data[80:84], "little")
     assert len(data) == 84 + 50 * count
@@ -232,8 +232,8 @@ def test_stl_is_binary_and_outward(paper_lens: Lens, tmp_path: Path) -> None:
 
 
 def test_two_elements_are_two_bodies(doublet: Lens, tmp_path: Path) -> None:
-    written = export_mesh(doublet, tmp_path / "lens.glb", 1e-2)
-    single = [lens_mesh(doublet, 1e-2, element=i) for i in (0, 1)]
+    written = export_mesh(doublet, tmp_path / "lens.glb", 10.0)
+    single = [lens_mesh(doublet, 10.0, element=i) for i in (0, 1)]
     assert written.triangles == sum(p.triangles for p in single)
     assert written.exact_volume_mm3 == pytest.approx(sum(p.exact_volume_mm3 for p in single))
     assert written.volume_mm3 == pytest.approx(written.mesh.volume)
@@ -241,7 +241,7 @@ def test_two_elements_are_two_bodies(doublet: Lens, tmp_path: Path) -> None:
     assert isinstance(scene, trimesh.Scene)
     volumes = sorted(g.volume * 1e9 for g in scene.geometry.values())
     assert volumes == pytest.approx(sorted(p.volume_mm3 for p in single), rel=1e-5)
-    export_mesh(doublet, tmp_path / "lens.obj", 1e-2)
+    export_mesh(doublet, tmp_path / "lens.obj", 10.0)
     assert trimesh.load(tmp_path / "lens.obj", force="mesh").volume == pytest.approx(written.volume_mm3)
 
 
@@ -251,16 +251,16 @@ def test_element_that_does_not_exist(doublet: Lens) -> None:
             lens_mesh(doublet, element=element)
 
 
-@pytest.mark.parametrize("chord_error", [0.0, -1e-3, math.nan, math.inf])
-def test_chord_error_must_be_above_0(paper_lens: Lens, chord_error: float) -> None:
-    with pytest.raises(InputError, match=r"chord_error_mm = .*must be above 0"):
-        lens_mesh(paper_lens, chord_error)
+@pytest.mark.parametrize("chord_error_um", [0.0, -1.0, math.nan, math.inf])
+def test_chord_error_must_be_above_0(paper_lens: Lens, chord_error_um: float) -> None:
+    with pytest.raises(InputError, match=r"chord_error_um = .*must be above 0"):
+        lens_mesh(paper_lens, chord_error_um)
 
 
 def test_too_many_triangles_are_refused_with_their_number(paper_lens: Lens) -> None:
-    coarse = lens_mesh(paper_lens, 1e-2)
+    coarse = lens_mesh(paper_lens, 10.0)
     with pytest.raises(InputError, match="triangles; allowed: at most 2e\\+07") as error:
-        lens_mesh(paper_lens, 1e-8)
+        lens_mesh(paper_lens, 1e-5)
     named = re.search(r"need ([0-9.e+]+) triangles", str(error.value))
     assert named is not None
     assert float(named[1]) == pytest.approx(coarse.triangles * 1e6, rel=0.1)
@@ -272,10 +272,10 @@ def test_chord_error_too_coarse_for_a_thin_meniscus() -> None:
         {"radius_mm": 9.8, "semi_diameter_mm": 8.0},
     )
     # One chord will do for the front, from vertex to edge, but not for the steeper back.
-    one_chord = 10.0 * (1.0 - math.cos(0.5 * math.asin(0.8)))
+    one_chord_um = 1e4 * (1.0 - math.cos(0.5 * math.asin(0.8)))
     with pytest.raises(InputError, match=r"too coarse for element 1 .* cross at a radial height of"):
-        lens_mesh(lens, 1.5 * one_chord)
-    assert_closed(lens_mesh(lens, 1e-2).mesh)
+        lens_mesh(lens, 1.5 * one_chord_um)
+    assert_closed(lens_mesh(lens, 10.0).mesh)
 
 
 def test_nothing_is_written_where_the_lens_does_not_close(tmp_path: Path, paper_lens: Lens) -> None:
@@ -296,14 +296,14 @@ def test_an_old_file_stays_where_the_new_one_cannot_be_made(tmp_path: Path, pape
     path = tmp_path / "lens.ply"
     path.write_text("old")
     with pytest.raises(InputError):
-        export_mesh(paper_lens, path, 1e-9)
+        export_mesh(paper_lens, path, 1e-6)
     assert path.read_text() == "old"
 
 
 def test_result_is_frozen(paper_lens: Lens) -> None:
-    result: LensMesh = lens_mesh(paper_lens, 0.1)
+    result: LensMesh = lens_mesh(paper_lens, 100.0)
     with pytest.raises(AttributeError):
-        result.chord_error_mm = 0.0  # type: ignore[misc]
+        result.chord_error_um = 0.0  # type: ignore[misc]
 
 
 def test_trimesh_is_imported_only_when_meshing() -> None:

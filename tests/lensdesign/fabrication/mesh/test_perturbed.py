@@ -90,14 +90,14 @@ def optical_points(result: LensMesh, back: bool, count: int = 4000) -> Array:
     tilt=st.tuples(*[st.floats(-1.0, 1.0)] * 2),
     decenter=st.tuples(*[st.floats(-0.2, 0.2)] * 2),
     spherical_um=st.floats(-2.0, 2.0),
-    chord_error=st.floats(3e-4, 1e-2),
+    chord_error_um=st.floats(0.3, 10.0),
 )
 def test_facets_are_where_the_stated_chord_error_says(
     back: bool,
     tilt: tuple[float, float],
     decenter: tuple[float, float],
     spherical_um: float,
-    chord_error: float,
+    chord_error_um: float,
 ) -> None:
     lens, i = singlet(), int(back)
     change = SurfacePerturbation(
@@ -107,23 +107,25 @@ def test_facets_are_where_the_stated_chord_error_says(
         tilt_y_deg=tilt[1],
         figure=figure_from_zernike({12: spherical_um}, 5.5),
     )
-    result = lens_mesh(lens, chord_error, surface_perturbations={i: change})
+    result = lens_mesh(lens, chord_error_um, surface_perturbations={i: change})
     assert_closed(result.mesh)
-    assert result.chord_error_mm <= chord_error
+    assert result.chord_error_um <= chord_error_um
     found = float(np.max(distances(optical_points(result, back), lens, i, change, spherical_um)))
     # Points at random miss the very worst of few facets.
-    assert 0.6 * result.chord_error_mm < found <= 1.05 * result.chord_error_mm + 1e-8
+    assert 0.6e-3 * result.chord_error_um < found <= 1.05e-3 * result.chord_error_um + 1e-8
     other = SurfacePerturbation()
-    assert np.max(distances(optical_points(result, not back), lens, 1 - i, other, 0.0)) <= chord_error
+    assert (
+        np.max(distances(optical_points(result, not back), lens, 1 - i, other, 0.0)) <= 1e-3 * chord_error_um
+    )
     assert abs(result.volume_error) < 0.02 * result.volume_tolerance
 
 
 def test_next_to_no_tilt_is_the_nominal_body(paper_lens: Lens) -> None:
-    nominal = lens_mesh(paper_lens, 1e-3)
-    general = lens_mesh(paper_lens, 1e-3, surface_perturbations={1: SurfacePerturbation(tilt_x_deg=1e-9)})
+    nominal = lens_mesh(paper_lens, 1.0)
+    general = lens_mesh(paper_lens, 1.0, surface_perturbations={1: SurfacePerturbation(tilt_x_deg=1e-9)})
     assert general.triangles == nominal.triangles
     assert general.exact_volume_mm3 == pytest.approx(nominal.exact_volume_mm3, rel=1e-10)
-    assert general.chord_error_mm == pytest.approx(nominal.chord_error_mm, rel=0.02)
+    assert general.chord_error_um == pytest.approx(nominal.chord_error_um, rel=0.02)
     assert abs(general.volume_error) < 1e-7
 
 
@@ -132,14 +134,14 @@ def test_symmetric_deltas_are_another_lens() -> None:
         0: SurfacePerturbation(radius_mm=1.0, thickness_mm=0.3),
         1: SurfacePerturbation(conic=0.2, radius_mm=-0.5),
     }
-    result = lens_mesh(singlet(), 1e-3, surface_perturbations=changes)
+    result = lens_mesh(singlet(), 1.0, surface_perturbations=changes)
     other = singlet(radius_mm=21.0, thickness_mm=4.3).with_surface(1, radius_mm=-15.5, conic=-0.5)
-    assert result.mesh.vertices == pytest.approx(lens_mesh(other, 1e-3).mesh.vertices, abs=1e-12)
+    assert result.mesh.vertices == pytest.approx(lens_mesh(other, 1.0).mesh.vertices, abs=1e-12)
 
 
 def test_despace_adds_a_cylinder() -> None:
-    nominal = lens_mesh(singlet(), 1e-2)
-    result = lens_mesh(singlet(), 1e-2, surface_perturbations={1: SurfacePerturbation(despace_mm=0.25)})
+    nominal = lens_mesh(singlet(), 10.0)
+    result = lens_mesh(singlet(), 10.0, surface_perturbations={1: SurfacePerturbation(despace_mm=0.25)})
     added = result.exact_volume_mm3 - nominal.exact_volume_mm3
     assert added == pytest.approx(0.25 * math.pi * EDGE_MM**2, rel=1e-10)
 
@@ -147,7 +149,7 @@ def test_despace_adds_a_cylinder() -> None:
 def test_a_tilted_plane_keeps_the_volume_of_a_plate() -> None:
     result = lens_mesh(plate(), surface_perturbations={1: SurfacePerturbation(tilt_x_deg=2.0)})
     assert_closed(result.mesh)
-    assert result.chord_error_mm < 1e-12
+    assert result.chord_error_um < 1e-9
     assert result.exact_volume_mm3 == pytest.approx(3.0 * math.pi * EDGE_MM**2, rel=1e-12)
     assert result.volume_mm3 == pytest.approx(result.exact_volume_mm3, rel=1e-12)
     # Right-handed about x: what lies at +y goes towards +z.
@@ -160,7 +162,7 @@ def test_zernike_figures_against_closed_forms() -> None:
     def volume(index: int) -> float:
         figure = figure_from_zernike({index: 2.0}, EDGE_MM)
         change = {0: SurfacePerturbation(figure=figure)}
-        return lens_mesh(plate(), 1e-3, surface_perturbations=change).exact_volume_mm3
+        return lens_mesh(plate(), 1.0, surface_perturbations=change).exact_volume_mm3
 
     disc = math.pi * EDGE_MM**2
     assert volume(0) == pytest.approx((3.0 - 2e-3) * disc, rel=1e-9)
@@ -169,7 +171,7 @@ def test_zernike_figures_against_closed_forms() -> None:
 
 def test_pose_moves_the_whole() -> None:
     pose = Pose(decenter_x_mm=1.0, despace_mm=-2.0, tilt_y_deg=30.0, pivot_z_mm=2.0)
-    still, moved = lens_mesh(singlet(), 1e-2), lens_mesh(singlet(), 1e-2, pose=pose)
+    still, moved = lens_mesh(singlet(), 10.0), lens_mesh(singlet(), 10.0, pose=pose)
     turned = Rotation.from_euler("y", 30.0, degrees=True)
     expected = turned.apply(still.mesh.vertices - [0.0, 0.0, 2.0]) + np.array([1.0, 0.0, 0.0])
     assert moved.mesh.vertices == pytest.approx(expected, abs=1e-12)
@@ -181,24 +183,24 @@ def test_measured_figures(tmp_path: Any) -> None:
     lens = singlet(figure=figure)
     change = {0: SurfacePerturbation(figure=figure_from_zernike({7: 1.5}, 5.0))}
     notes: list[str] = []
-    measured = export_mesh(lens, tmp_path / "lens.ply", 1e-3, report=notes.append, measured=True)
+    measured = export_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append, measured=True)
     assert not notes
     assert measured.mesh.vertices == pytest.approx(
-        lens_mesh(singlet(), 1e-3, surface_perturbations=change).mesh.vertices, abs=1e-12
+        lens_mesh(singlet(), 1.0, surface_perturbations=change).mesh.vertices, abs=1e-12
     )
-    nominal = export_mesh(lens, tmp_path / "lens.ply", 1e-3, report=notes.append)
+    nominal = export_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append)
     assert notes == ["surface 1: nominal shape written, its measured figure left out"]
-    assert nominal.mesh.vertices == pytest.approx(lens_mesh(singlet(), 1e-3).mesh.vertices, abs=1e-12)
+    assert nominal.mesh.vertices == pytest.approx(lens_mesh(singlet(), 1.0).mesh.vertices, abs=1e-12)
 
 
 def test_figure_finer_than_the_facets_is_seen() -> None:
     rng = np.random.default_rng(0)
     figure = figure_from_grid(2e-4 * rng.normal(size=(121, 121)), 0.1, 5.5)
-    result = lens_mesh(plate(), 3e-4, surface_perturbations={0: SurfacePerturbation(figure=figure)})
+    result = lens_mesh(plate(), 0.3, surface_perturbations={0: SurfacePerturbation(figure=figure)})
     points = optical_points(result, back=False, count=20_000)
     found = np.max(np.abs(points[:, 2] - figure.sag(points[:, 0], points[:, 1])))
-    assert 0.5e-4 < found <= 1.05 * result.chord_error_mm
-    assert result.chord_error_mm <= 3e-4
+    assert 0.5e-4 < found <= 1.05e-3 * result.chord_error_um
+    assert result.chord_error_um <= 0.3
 
 
 def test_figure_that_needs_too_many_triangles_is_named() -> None:
@@ -207,7 +209,7 @@ def test_figure_that_needs_too_many_triangles_is_named() -> None:
     with pytest.raises(
         InputError, match=r"surface 2 would need .* triangles for its figure .*every 0\.03"
     ) as error:
-        lens_mesh(plate(), 1e-6, surface_perturbations={1: SurfacePerturbation(figure=figure)})
+        lens_mesh(plate(), 1e-3, surface_perturbations={1: SurfacePerturbation(figure=figure)})
     needed = re.search(r"need ([0-9.e+]+) triangles", str(error.value))
     assert needed is not None
     assert float(needed[1]) > 2e7
@@ -235,18 +237,18 @@ def test_what_makes_no_body_is_refused(
     front: dict[str, Any], change: SurfacePerturbation, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        lens_mesh(singlet(**front), 1e-2, surface_perturbations={0: change})
+        lens_mesh(singlet(**front), 10.0, surface_perturbations={0: change})
 
 
 def test_pose_of_many_trials_is_refused() -> None:
     with pytest.raises(InputError, match="pose holds 2 trials"):
-        lens_mesh(singlet(), 1e-2, pose=Pose(tilt_x_deg=np.array([0.0, 1.0])))
+        lens_mesh(singlet(), 10.0, pose=Pose(tilt_x_deg=np.array([0.0, 1.0])))
 
 
 def test_a_tilted_surface_with_a_flat_ring_closes() -> None:
     lens = singlet(radius_mm=4.5, semi_diameter_mm=4.0, thickness_mm=6.0)
     change = SurfacePerturbation(tilt_y_deg=0.1)
-    result = lens_mesh(lens, 1e-3, surface_perturbations={0: change})
+    result = lens_mesh(lens, 1.0, surface_perturbations={0: change})
     assert_closed(result.mesh)
     points = optical_points(result, False)
     optical = points[np.hypot(*points[:, :2].T) < 3.99]
@@ -257,7 +259,7 @@ def test_a_tilted_surface_with_a_flat_ring_closes() -> None:
 def test_figure_on_a_surface_with_a_flat_annulus() -> None:
     lens = singlet(radius_mm=4.5, semi_diameter_mm=4.0, thickness_mm=6.0)
     figure = figure_from_zernike({5: 1.0}, 4.0)
-    result = lens_mesh(lens, 1e-3, surface_perturbations={0: SurfacePerturbation(figure=figure)})
+    result = lens_mesh(lens, 1.0, surface_perturbations={0: SurfacePerturbation(figure=figure)})
     assert_closed(result.mesh)
-    assert result.chord_error_mm <= 1e-3
+    assert result.chord_error_um <= 1.0
     assert abs(result.volume_error) < 0.05 * result.volume_tolerance

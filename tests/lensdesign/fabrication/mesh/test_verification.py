@@ -38,7 +38,7 @@ def doublet(paper_lens: Lens) -> Lens:
 @pytest.fixture(scope="module")
 def coarse(paper_lens: Lens) -> trimesh.Trimesh:
     """The paper's lens."""
-    return lens_mesh(paper_lens, 1e-3 * CHORD_UM).mesh
+    return lens_mesh(paper_lens, CHORD_UM).mesh
 
 
 def held(lens: Lens, mesh: trimesh.Trimesh, chord_error_um: float = CHORD_UM) -> MeshReport:
@@ -48,7 +48,7 @@ def held(lens: Lens, mesh: trimesh.Trimesh, chord_error_um: float = CHORD_UM) ->
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".3mf"])
 def test_what_we_write_agrees(tmp_path: Path, doublet: Lens, suffix: str) -> None:
     path = tmp_path / f"lens{suffix}"
-    written = export_mesh(doublet, path, 1e-3 * CHORD_UM)
+    written = export_mesh(doublet, path, CHORD_UM)
     report = verify_mesh(doublet, read_mesh(path), CHORD_UM)
     assert report.faults == ()
     assert (report.bodies, report.elements, report.closed) == (3, 3, True)
@@ -65,7 +65,7 @@ def test_what_we_write_agrees(tmp_path: Path, doublet: Lens, suffix: str) -> Non
     ]
     assert all(d.points > 100 for d in report.distances)
     curved = [d.greatest_um for d in report.distances if d.surface != 4]
-    assert 0.5 * CHORD_UM < max(v for v in curved if v is not None) <= 1e3 * written.chord_error_mm + 1e-3
+    assert 0.5 * CHORD_UM < max(v for v in curved if v is not None) <= written.chord_error_um + 1e-3
     assert report.distances[4].greatest_um == pytest.approx(0.0, abs=1e-3)  # the plane
 
 
@@ -158,7 +158,7 @@ def test_the_command(
         return int(stop.value.code or 0), out, err
 
     path = tmp_path / "lens.stl"
-    export_mesh(paper_lens, path, 1e-3 * CHORD_UM)
+    export_mesh(paper_lens, path, CHORD_UM)
     code, out, _ = command("verify", paper_design, path, "--chord-error-um", CHORD_UM)
     assert code == 0
     assert "closed, 1 body (design: 1)" in out
@@ -191,7 +191,7 @@ def test_bevels_flats_and_a_flange_belong_to_the_edge(paper_lens: Lens) -> None:
         flange=Flange(semi_diameter_mm=12.5, distance_mm=3.0, thickness_mm=1.5),
     )
     lens = paper_lens.replaced(edges=(edge,))
-    report = held(lens, lens_mesh(lens, 1e-3 * CHORD_UM).mesh)
+    report = held(lens, lens_mesh(lens, CHORD_UM).mesh)
     assert report.faults == ()
     assert report.edge_greatest_um is not None
     assert report.edge_greatest_um <= 10.0
