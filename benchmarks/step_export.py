@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
 from lensdesign import Lens, load_design
-from lensdesign.fabrication.step.export import StepReport, export_step
+from lensdesign.fabrication.step.export import StepReport, write_step
 
 DESIGN = DESIGNS / "paper_singlet.toml"
 ROUNDS = 5
@@ -26,8 +26,8 @@ import sys, time
 from lensdesign import load_design
 lens = load_design(sys.argv[1])
 start = time.perf_counter()
-from lensdesign.fabrication.step.export import export_step
-export_step(lens, sys.argv[2])
+from lensdesign.fabrication.step.export import write_step
+write_step(lens, sys.argv[2])
 print(time.perf_counter() - start)
 """
 """The first file that a process writes: OCP is read in from disk."""
@@ -83,8 +83,8 @@ def main() -> None:
     chosen = lenses()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "lens.step"
-        found = {name: export_step(lens, path) for name, lens in chosen.items()}
-        work = {name: lambda lens=lens: export_step(lens, path) for name, lens in chosen.items()}
+        found = {name: write_step(lens, path) for name, lens in chosen.items()}
+        work = {name: lambda lens=lens: write_step(lens, path) for name, lens in chosen.items()}
         timings = interleaved(work, ROUNDS)
         firsts = sorted(first_call(path) for _ in range(ROUNDS))
         commands = []

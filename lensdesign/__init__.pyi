@@ -1,12 +1,13 @@
-from .analysis.check import CheckReport, check_design
+from .analysis.check import check_design
 from .analysis.form_error import form_errors, pv_rms_waves
+from .analysis.report import CheckReport
 from .analysis.sag_tables import sag_table, write_sag_table
 from .errors import DesignError, InputError, MaterialError, TransferLensError
 from .fabrication.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
 from .fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
-from .fabrication.mesh.mesh import export_mesh, lens_mesh
+from .fabrication.mesh.mesh import lens_mesh, write_mesh
 from .fabrication.mesh.verification import verify_mesh
-from .fabrication.step.export import export_step
+from .fabrication.step.export import write_step
 from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.draft import Imported, LossyImportError, Supplement
@@ -18,7 +19,7 @@ from .lens.figure_source import FigureSource
 from .lens.lens import Lens, ObjectSpace, Sensor, Surface
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
-from .pictures.glb import export_scene
+from .pictures.glb import write_scene
 from .pictures.page import write_view
 from .tracing.rays import RayTrace, trace
 
@@ -46,9 +47,6 @@ __all__ = [
     "SurfaceTolerances",
     "TransferLensError",
     "check_design",
-    "export_mesh",
-    "export_scene",
-    "export_step",
     "figure_from_grid",
     "figure_from_zernike",
     "form_errors",
@@ -66,8 +64,11 @@ __all__ = [
     "verify_mesh",
     "write_drawing",
     "write_figure_grid",
+    "write_mesh",
     "write_sag_table",
+    "write_scene",
     "write_seq",
+    "write_step",
     "write_view",
     "write_zmx",
 ]

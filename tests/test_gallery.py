@@ -8,7 +8,8 @@ import pytest
 from places import DESIGNS, ROOT
 
 from lensdesign import Lens, load_design
-from lensdesign.analysis.check import CheckReport, check_design
+from lensdesign.analysis.check import check_design
+from lensdesign.analysis.report import CheckReport
 from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.glass import refractive_index

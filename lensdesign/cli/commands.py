@@ -18,7 +18,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
-    from lensdesign.analysis.check import CheckReport
+    from lensdesign.analysis.report import CheckReport
     from lensdesign.optimization.search import OptimizationResult
     from lensdesign.optimization.specification import Specification
 

@@ -49,11 +49,11 @@ def export(
 
 
 def _write_mesh(design: Path, file: Path, chord_error_um: float, measured: bool, as_json: bool) -> None:
-    from lensdesign.fabrication.mesh.mesh import export_mesh
+    from lensdesign.fabrication.mesh.mesh import write_mesh
     from lensdesign.files.design import load_design
 
     lens = load_design(design)
-    mesh = export_mesh(
+    mesh = write_mesh(
         lens,
         file,
         chord_error_um,
@@ -80,7 +80,7 @@ def _write_mesh(design: Path, file: Path, chord_error_um: float, measured: bool,
 
 
 def _write_step(design: Path, file: Path, measured: bool, as_json: bool) -> None:
-    from lensdesign.fabrication.step.export import export_step
+    from lensdesign.fabrication.step.export import write_step
     from lensdesign.files.design import load_design
 
     if measured:
@@ -88,7 +88,7 @@ def _write_step(design: Path, file: Path, measured: bool, as_json: bool) -> None
             f"cannot write {file} with --measured: solids have nominal surfaces; a mesh takes it"
         )
     lens = load_design(design)
-    found = export_step(lens, file, report=lambda note: typer.echo(note, err=True))
+    found = write_step(lens, file, report=lambda note: typer.echo(note, err=True))
     if as_json:
         print_json(
             {
@@ -115,9 +115,9 @@ def scene(
 ) -> None:
     """Write glass, stop, object, sensor planes and rays as one scene that viewers turn."""
     from lensdesign.files.design import load_design
-    from lensdesign.pictures.glb import export_scene
+    from lensdesign.pictures.glb import write_scene
 
-    nodes = export_scene(load_design(design), output)
+    nodes = write_scene(load_design(design), output)
     if as_json:
         print_json({"file": str(output), "nodes": list(nodes)})
     else:

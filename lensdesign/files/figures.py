@@ -116,15 +116,15 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
     return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
 
 
-def write_figure_grid(path: str | os.PathLike[str], sag_error_mm: ArrayLike, spacing_mm: float) -> None:
+def write_figure_grid(sag_error_mm: ArrayLike, spacing_mm: float, path: str | os.PathLike[str]) -> None:
     """Write a grid file, in um; reading it back gives the same map to rounding.
 
     Parameters
     ----------
-    path
-        File to write.
     sag_error_mm, spacing_mm
         As :func:`read_figure_grid` returns them.
+    path
+        File to write.
 
     Raises
     ------

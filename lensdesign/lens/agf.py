@@ -126,7 +126,7 @@ DISPERSION_FORMULAS: dict[int, DispersionFormula] = {
 Dispersion Formulas"). Coefficients stand in the order of the CD record."""
 
 
-def load_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
+def read_agf(path: str | os.PathLike[str]) -> tuple[AgfGlass, ...]:
     """Read a glass catalogue; a file that has not changed since is not read again.
 
     Parameters

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.agf import AgfGlass, load_agf
+from lensdesign.lens.agf import AgfGlass, read_agf
 
 LINE_F_UM = 0.4861327
 LINE_D_UM = 0.5875618
@@ -316,7 +316,7 @@ def _file_entries(path: Path) -> tuple[_Entry, ...]:
         material = Material(glass.name, glass.wavelength_range_um, path.name, source, glass)
         return _Entry(glass.name, path.name, lambda: material)
 
-    return tuple(entry(glass) for glass in load_agf(path))
+    return tuple(entry(glass) for glass in read_agf(path))
 
 
 def _sources(files: tuple[Path, ...]) -> Iterator[tuple[_Entry, ...]]:

@@ -31,7 +31,7 @@ _TUBE_SHARE = 0.006
 """Radius of the tubes that stand for rays, as a share of the stop's semi-diameter."""
 
 
-def export_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
+def write_scene(lens: Lens, path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write glass, stop ring, object disc, sensor planes and rays of three fields as a GLB scene in metres.
 
     Parameters

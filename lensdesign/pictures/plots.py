@@ -88,7 +88,7 @@ def draw_all(
     for name, figure in figures.items():
         for form in formats:
             path = Path(folder) / f"{name}.{form}"
-            save_figure(figure, path)
+            write_figure(figure, path)
             paths.append(path)
     path = Path(folder) / "view3d.png"
     try:
@@ -100,7 +100,7 @@ def draw_all(
     return paths
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG or SVG, by suffix; the same figure gives the same file.
 
     Text in SVG stays text, so that a journal can set it in its own font.

@@ -29,7 +29,7 @@ from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
 from lensdesign.files.zemax import read_zmx, write_zmx
-from lensdesign.lens.agf import load_agf
+from lensdesign.lens.agf import read_agf
 from lensdesign.optimization.specification import load_specification
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
@@ -46,7 +46,7 @@ READERS: dict[str, tuple[Callable[[Path], object], float]] = {
     "study.toml": (load_study, TOML_BYTES),
     "lens.zmx": (read_zmx, LENS_FILE_BYTES),
     "lens.seq": (read_seq, LENS_FILE_BYTES),
-    "glass.agf": (load_agf, CATALOG_BYTES),
+    "glass.agf": (read_agf, CATALOG_BYTES),
     "figure.csv": (read_figure_grid, TABLE_BYTES),
     "mounting.json": (read_mounting, TABLE_BYTES),
     "mesh.stl": (read_mesh, MESH_BYTES),

@@ -15,14 +15,14 @@ from places import DESIGNS
 from sample_lenses import SAMPLES
 
 from lensdesign import Lens, load_design
-from lensdesign.fabrication.mesh.mesh import export_mesh
+from lensdesign.fabrication.mesh.mesh import write_mesh
 from lensdesign.fabrication.mesh.reading import TriangleMesh, read_mesh
 from lensdesign.files.codev import read_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import Supplement
 from lensdesign.files.figures import read_figure_grid
 from lensdesign.files.zemax import read_zmx
-from lensdesign.lens.agf import load_agf
+from lensdesign.lens.agf import read_agf
 from lensdesign.optimization.specification import Specification, load_specification
 
 CATALOGUE = b"""CC Test catalogue
@@ -48,7 +48,7 @@ def test_glass_catalogues(tmp_path: Path) -> None:
     def check(glasses: Any) -> bool:
         return bool(glasses) and all(np.isfinite(g.coefficients).all() for g in glasses)
 
-    found = outcomes(tmp_path / "own.agf", spoilt([CATALOGUE], 400, 1, b"NM", b"CD", b"LD"), load_agf, check)
+    found = outcomes(tmp_path / "own.agf", spoilt([CATALOGUE], 400, 1, b"NM", b"CD", b"LD"), read_agf, check)
     assert 40 < sum(found) < 360
 
 
@@ -182,7 +182,7 @@ def meshes(tmp_path_factory: pytest.TempPathFactory, paper_lens: Lens) -> dict[s
     folder = tmp_path_factory.mktemp("meshes")
     result = {}
     for suffix in ("stl", "ply", "obj", "3mf"):
-        mesh = export_mesh(paper_lens, folder / f"lens.{suffix}", 200.0).mesh
+        mesh = write_mesh(paper_lens, folder / f"lens.{suffix}", 200.0).mesh
         result[suffix] = (folder / f"lens.{suffix}").read_bytes()
     result["text stl"] = mesh.export(file_type="stl_ascii").encode()
     result["text ply"] = mesh.export(file_type="ply", encoding="ascii")

@@ -82,7 +82,7 @@ def lens_mesh(
     return _posed(_body_mesh(bodies, element, chord_error_um), pose)
 
 
-def export_mesh(
+def write_mesh(
     lens: Lens,
     path: str | os.PathLike[str],
     chord_error_um: float = 0.1,

@@ -100,7 +100,7 @@ class StepReport:
         return math.fsum(body.exact_volume_mm3 for body in self.bodies)
 
 
-def export_step(
+def write_step(
     lens: Lens, path: str | os.PathLike[str], report: Callable[[str], None] = warnings.warn
 ) -> StepReport:
     """Write the glass of a lens as a STEP file (AP214, mm), one named solid for each element.
@@ -138,7 +138,7 @@ def export_step(
     with silent_ocp(), atomic_path(path) as temporary:
         solids = [_checked_solid(element) for element in elements]
         with ocp_errors(f"cannot write {path}"):
-            write_solids(temporary, lens.title, solids, names)
+            write_solids(solids, names, lens.title, temporary)
             bodies = _measured_bodies(elements, names, read_solids(temporary))
         size = temporary.stat().st_size
     for number, surface in enumerate(lens.surfaces, start=1):

@@ -84,19 +84,19 @@ def ocp_errors(subject: str) -> Iterator[None]:
         raise InputError(f"{subject}: OCP gives up: {error}") from error
 
 
-def write_solids(path: Path, title: str, solids: Sequence[Any], names: Sequence[str]) -> None:
+def write_solids(solids: Sequence[Any], names: Sequence[str], title: str, path: Path) -> None:
     """Write named solids in mm: one as a part, several as an assembly under the title.
 
     Parameters
     ----------
-    path
-        File to write.
-    title
-        Goes into the header.
     solids
         Shapes of OCP, in mm.
     names
         Of the products, one for each solid.
+    title
+        Goes into the header.
+    path
+        File to write.
 
     Raises
     ------

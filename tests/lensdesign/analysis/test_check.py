@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lensdesign import Lens, Surface
-from lensdesign.analysis.check import CheckReport, check_design
+from lensdesign.analysis.check import check_design
+from lensdesign.analysis.report import CheckReport
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,10 @@ def test_the_paper_lens_misses_equation_2_and_nothing_else(report: CheckReport) 
     assert "by 0.9 %" in sentence
     assert "field height 1.5 mm" in sentence
     assert [c.name for c in report.constraints if not c.met] == ["largest spread angle (Eq. 2)"]
+
+
+def test_a_design_file_will_do(paper_design: Path, report: CheckReport) -> None:
+    assert check_design(paper_design) == check_design(str(paper_design)) == report
 
 
 def test_figures_of_the_paper_lens(report: CheckReport) -> None:

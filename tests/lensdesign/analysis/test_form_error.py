@@ -17,7 +17,7 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.form_error import Removed, form_errors, pv_rms_waves
 from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
-from lensdesign.fabrication.mesh.mesh import export_mesh
+from lensdesign.fabrication.mesh.mesh import write_mesh
 from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
 from lensdesign.pictures.figures import figure_map
 from lensdesign.pictures.plots import draw_all
@@ -98,7 +98,7 @@ def test_a_mesh_says_that_it_leaves_figures_out(paper_lens: Lens, tmp_path: Path
     assert json.loads(done.stdout)["surfaces_without_their_figure"] == [1, 2]
     assert "surface 2: nominal shape written, its measured figure left out" in done.stderr
     with pytest.warns(UserWarning, match="surface 1: nominal shape written, its measured figure left out"):
-        export_mesh(paper_lens.with_surface(0, figure=measured(paper_lens).surfaces[0].figure), mesh, 20.0)
+        write_mesh(paper_lens.with_surface(0, figure=measured(paper_lens).surfaces[0].figure), mesh, 20.0)
 
 
 def test_a_map_shows_the_error_without_tilt(paper_lens: Lens) -> None:

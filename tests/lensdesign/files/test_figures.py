@@ -66,7 +66,7 @@ def grid_file(folder: Path, name: str = "front.csv") -> Path:
     """A grid file of a tilted, bent map."""
     at = np.linspace(-5.0, 5.0, 51)
     path = folder / name
-    write_figure_grid(path, 1e-4 * (at[:, None] + at**2), 0.2)
+    write_figure_grid(1e-4 * (at[:, None] + at**2), 0.2, path)
     return path
 
 
@@ -80,7 +80,7 @@ def test_a_written_grid_reads_back(tmp_path_factory: pytest.TempPathFactory, see
     values[rng.random(values.shape) < 0.2] = np.nan
     spacing = float(rng.uniform(0.01, 1.0))
     path = tmp_path_factory.getbasetemp() / "map.csv"
-    write_figure_grid(path, values, spacing)
+    write_figure_grid(values, spacing, path)
     read, read_spacing = read_figure_grid(path)
     assert read_spacing == spacing
     np.testing.assert_allclose(read, values, rtol=1e-15)
@@ -131,7 +131,7 @@ def test_faults_of_a_grid_file_are_named(tmp_path: Path, text: str, message: str
 
 def test_what_is_no_grid_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"shape \(3,\)"):
-        write_figure_grid(tmp_path / "map.csv", np.zeros(3), 1.0)
+        write_figure_grid(np.zeros(3), 1.0, tmp_path / "map.csv")
     assert not list(tmp_path.iterdir())
 
 
@@ -165,7 +165,7 @@ def test_coefficients_in_waves_are_those_of_the_helium_neon_laser(tmp_path: Path
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
     before = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
-    write_figure_grid(tmp_path / "front.csv", np.full((60, 60), 0.1), 0.2)
+    write_figure_grid(np.full((60, 60), 0.1), 0.2, tmp_path / "front.csv")
     after = compile_system(lens, 0.532).sag(0, np.zeros(1), np.ones(1))
     assert after - before == pytest.approx(0.1 - 1e-4)
 
@@ -191,10 +191,10 @@ def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
 )
 def test_faults_of_a_figure_table_are_named(tmp_path: Path, figure: str, message: str) -> None:
     grid_file(tmp_path)
-    write_figure_grid(tmp_path / "small.csv", np.zeros((31, 31)), 0.2)
+    write_figure_grid(np.zeros((31, 31)), 0.2, tmp_path / "small.csv")
     holes = np.zeros((51, 51))
     holes[25, 25:27] = holes[0] = np.nan
-    write_figure_grid(tmp_path / "holes.csv", holes, 0.2)
+    write_figure_grid(holes, 0.2, tmp_path / "holes.csv")
     path = design(tmp_path, figure)
     with pytest.raises(InputError, match=message) as caught:
         load_design(path)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.agf import DISPERSION_FORMULAS, AgfGlass, load_agf, parse_agf
+from lensdesign.lens.agf import DISPERSION_FORMULAS, AgfGlass, parse_agf, read_agf
 
 N_BK7 = (1.03961212, 0.00600069867, 0.231792344, 0.0200179144, 1.01046945, 103.560653)
 CATALOGUE = """CC Test catalogue
@@ -156,24 +156,24 @@ def test_encodings(tmp_path: Path, encoding: str, newline: str) -> None:
     text = CATALOGUE.replace("step 0.5 available", "Glasgüte für Prüfung").replace("\n", newline)
     path = tmp_path / "makers.agf"
     path.write_bytes(text.encode(encoding))
-    assert [glass.name for glass in load_agf(path)] == ["N-BK7", "E-F2"]
-    assert load_agf(path)[0].comment == "Glasgüte für Prüfung"
+    assert [glass.name for glass in read_agf(path)] == ["N-BK7", "E-F2"]
+    assert read_agf(path)[0].comment == "Glasgüte für Prüfung"
 
 
 def test_big_endian_utf16(tmp_path: Path) -> None:
     path = tmp_path / "makers.agf"
     path.write_bytes(b"\xfe\xff" + CATALOGUE.encode("utf-16-be"))
-    assert load_agf(path) == parse_agf(CATALOGUE, "test")
+    assert read_agf(path) == parse_agf(CATALOGUE, "test")
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     path = tmp_path / "makers.agf"
     path.write_text(CATALOGUE)
-    first = load_agf(path)
-    assert load_agf(path) is first
+    first = read_agf(path)
+    assert read_agf(path) is first
     path.write_text(CATALOGUE.replace("N-BK7", "OTHER"))
     os.utime(path, ns=(1, 1))
-    assert load_agf(path)[0].name == "OTHER"
+    assert read_agf(path)[0].name == "OTHER"
 
 
 HEAD = "CC test\nNM X1 2 0 1.5 60\n"
@@ -211,13 +211,13 @@ def test_refusals_name_file_and_line(text: str, message: str) -> None:
 
 def test_unreadable_files(tmp_path: Path) -> None:
     with pytest.raises(MaterialError, match=r"cannot read glass catalogue .*none\.agf"):
-        load_agf(tmp_path / "none.agf")
+        read_agf(tmp_path / "none.agf")
     with pytest.raises(MaterialError, match="cannot read glass catalogue"):
-        load_agf(tmp_path)
+        read_agf(tmp_path)
     broken = tmp_path / "broken.agf"
     broken.write_bytes(b"\xff\xfeN")
     with pytest.raises(MaterialError, match=r"broken\.agf: not valid UTF-16"):
-        load_agf(broken)
+        read_agf(broken)
 
 
 @given(

@@ -18,7 +18,7 @@ from lensdesign.analysis.spread import edge_thickness_mm
 from lensdesign.errors import DesignError, InputError
 from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
-from lensdesign.fabrication.step.export import export_step
+from lensdesign.fabrication.step.export import write_step
 from lensdesign.files.design import load_design, save_design
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.edges import Edge, Flange
@@ -246,6 +246,6 @@ def test_a_perturbed_surface_may_not_reach_into_the_flange(paper_lens: Lens) -> 
 
 def test_solids_for_cad_have_the_edge(paper_lens: Lens, tmp_path: Path) -> None:
     lens = moulded(paper_lens)
-    report = export_step(lens, tmp_path / "lens.step")
+    report = write_step(lens, tmp_path / "lens.step")
     assert report.largest_error_mm < 1e-9
     assert report.volume_mm3 == pytest.approx(closed_elements(lens)[0].volume_mm3, rel=1e-9)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.pictures.glb import export_scene
+from lensdesign.pictures.glb import write_scene
 from lensdesign.tracing.bundles import pupil_hexapolar
 from lensdesign.tracing.paths import FIELD_SHARES, ray_paths
 
@@ -21,7 +21,7 @@ from lensdesign.tracing.paths import FIELD_SHARES, ray_paths
 def scene(paper_lens: Lens, tmp_path_factory: pytest.TempPathFactory) -> dict[str, trimesh.Trimesh]:
     """Meshes by the name of their node, in mm where the node puts them."""
     path = tmp_path_factory.mktemp("scene") / "lens.glb"
-    names = export_scene(paper_lens, path)
+    names = write_scene(paper_lens, path)
     loaded = trimesh.load(path)
     assert {*loaded.graph.nodes_geometry} == {*names}
     meshes = {}
@@ -88,7 +88,7 @@ def test_rays_run_from_the_object_to_the_last_sensor_plane(
 
 def test_clipped_rays_end_at_the_glass(paper_lens: Lens, tmp_path: Path) -> None:
     narrow = paper_lens.with_surface(1, semi_diameter_mm=6.0)
-    export_scene(narrow, tmp_path / "lens.glb")
+    write_scene(narrow, tmp_path / "lens.glb")
     tubes = trimesh.load(tmp_path / "lens.glb").geometry["rays_0_mm"]
     assert len(tubes.faces) < 19 * 3 * 16
     assert np.all(tubes.area_faces > 0.0)
@@ -109,7 +109,7 @@ def test_colours_are_linear_light(scene: dict[str, trimesh.Trimesh]) -> None:
 
 def test_nothing_is_written_where_no_scene_can_be(paper_lens: Lens, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"written as \.glb alone"):
-        export_scene(paper_lens, tmp_path / "lens.stl")
+        write_scene(paper_lens, tmp_path / "lens.stl")
     with pytest.raises(InputError, match="edge thickness"):
-        export_scene(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.glb")
+        write_scene(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.glb")
     assert not list(tmp_path.iterdir())

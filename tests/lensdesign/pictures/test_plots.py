@@ -28,7 +28,7 @@ from lensdesign.lens.scaling import scaled
 from lensdesign.lens.solid import glass_elements
 from lensdesign.pictures import plots
 from lensdesign.pictures.layout import THICK, THIN
-from lensdesign.pictures.plots import draw_all, incidence_figure, layout_figure, save_figure, spot_figure
+from lensdesign.pictures.plots import draw_all, incidence_figure, layout_figure, spot_figure, write_figure
 from lensdesign.pictures.scene3d import RenderingError
 from lensdesign.tracing.paths import FIELD_COLORS, sized_lens
 
@@ -206,7 +206,7 @@ def test_names_are_no_mathematics(paper_lens: Lens, tmp_path: Path) -> None:
     figure = layout_figure(odd)
     assert name in {t.get_text() for t in figure.axes[0].texts}
     for suffix in ("png", "svg"):
-        save_figure(layout_figure(odd), tmp_path / f"layout.{suffix}")
+        write_figure(layout_figure(odd), tmp_path / f"layout.{suffix}")
     assert name in (tmp_path / "layout.svg").read_text()
     assert crowded(odd) == []
 
@@ -220,7 +220,7 @@ def test_long_names_are_cut(paper_lens: Lens, tmp_path: Path) -> None:
 
 
 def test_text_in_svg_stays_text(paper_lens: Lens, tmp_path: Path) -> None:
-    save_figure(layout_figure(paper_lens), tmp_path / "layout.svg")
+    write_figure(layout_figure(paper_lens), tmp_path / "layout.svg")
     root = ElementTree.parse(tmp_path / "layout.svg").getroot()
     shown = {"".join(e.itertext()).strip() for e in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"stop", "N-BK7", "5 mm", "z (mm)", "field height 1.05 mm"} <= shown
@@ -351,7 +351,7 @@ def test_unknown_formats(tmp_path: Path, paper_lens: Lens, formats: tuple[str, .
 
 def test_save_figure_knows_two_suffixes(tmp_path: Path, paper_lens: Lens) -> None:
     with pytest.raises(InputError, match=r"allowed suffixes are \.png, \.svg"):
-        save_figure(layout_figure(paper_lens), tmp_path / "layout.jpg")
+        write_figure(layout_figure(paper_lens), tmp_path / "layout.jpg")
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, paper_lens: Lens) -> None:
@@ -363,7 +363,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, paper_lens: Lens) -> None:
 @pytest.mark.parametrize("suffix", ["png", "svg"])
 def test_the_same_lens_gives_the_same_file(tmp_path: Path, paper_lens: Lens, suffix: str) -> None:
     for name in "ab":
-        save_figure(layout_figure(paper_lens), tmp_path / f"{name}.{suffix}")
+        write_figure(layout_figure(paper_lens), tmp_path / f"{name}.{suffix}")
     assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
@@ -371,7 +371,7 @@ def test_no_pyplot_and_no_changed_settings(tmp_path: Path, paper_design: Path) -
     code = (
         "import sys, lensdesign, lensdesign.pictures.plots as p; assert 'matplotlib' not in sys.modules;"
         "assert 'pyvista' not in sys.modules; import matplotlib; before = matplotlib.rcParams.copy();"
-        "f = p.layout_figure(lensdesign.load_design(sys.argv[1])); p.save_figure(f, 'a.svg');"
+        "f = p.layout_figure(lensdesign.load_design(sys.argv[1])); p.write_figure(f, 'a.svg');"
         "assert matplotlib.rcParams.copy() == before; assert 'matplotlib.pyplot' not in sys.modules"
     )
     command = [sys.executable, "-c", code, str(paper_design)]

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
 from lensdesign.errors import InputError
-from lensdesign.fabrication.mesh.mesh import MESH_SUFFIXES, LensMesh, export_mesh, lens_mesh
+from lensdesign.fabrication.mesh.mesh import MESH_SUFFIXES, LensMesh, lens_mesh, write_mesh
 from lensdesign.lens.lens import Lens, mechanical_semi_diameter_mm
 
 SECTIONS: dict[str, Any] = {
@@ -210,7 +210,7 @@ def test_random_conics(
 @pytest.mark.parametrize("suffix", sorted({*MESH_SUFFIXES} - {".3mf"}))
 def test_files_read_back(paper_lens: Lens, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"lens{suffix}"
-    written = export_mesh(paper_lens, path, 10.0)
+    written = write_mesh(paper_lens, path, 10.0)
     read = trimesh.load(path, force="mesh")
     scale = 1e-3 if suffix == ".glb" else 1.0
     assert_closed(read)
@@ -221,7 +221,7 @@ def test_files_read_back(paper_lens: Lens, tmp_path: Path, suffix: str) -> None:
 
 
 def test_stl_is_binary_and_outward(paper_lens: Lens, tmp_path: Path) -> None:
-    export_mesh(paper_lens, tmp_path / "lens.STL", 10.0)
+    write_mesh(paper_lens, tmp_path / "lens.STL", 10.0)
     data = (tmp_path / "lens.STL").read_bytes()
     count = int.from_bytes(data[80:84], "little")
     assert len(data) == 84 + 50 * count
@@ -232,7 +232,7 @@ def test_stl_is_binary_and_outward(paper_lens: Lens, tmp_path: Path) -> None:
 
 
 def test_two_elements_are_two_bodies(doublet: Lens, tmp_path: Path) -> None:
-    written = export_mesh(doublet, tmp_path / "lens.glb", 10.0)
+    written = write_mesh(doublet, tmp_path / "lens.glb", 10.0)
     single = [lens_mesh(doublet, 10.0, element=i) for i in (0, 1)]
     assert written.triangles == sum(p.triangles for p in single)
     assert written.exact_volume_mm3 == pytest.approx(sum(p.exact_volume_mm3 for p in single))
@@ -241,7 +241,7 @@ def test_two_elements_are_two_bodies(doublet: Lens, tmp_path: Path) -> None:
     assert isinstance(scene, trimesh.Scene)
     volumes = sorted(g.volume * 1e9 for g in scene.geometry.values())
     assert volumes == pytest.approx(sorted(p.volume_mm3 for p in single), rel=1e-5)
-    export_mesh(doublet, tmp_path / "lens.obj", 10.0)
+    write_mesh(doublet, tmp_path / "lens.obj", 10.0)
     assert trimesh.load(tmp_path / "lens.obj", force="mesh").volume == pytest.approx(written.volume_mm3)
 
 
@@ -282,13 +282,13 @@ def test_nothing_is_written_where_the_lens_does_not_close(tmp_path: Path, paper_
     thin = paper_lens.with_surface(0, thickness_mm=4.5)
     path = tmp_path / "lens.stl"
     with pytest.raises(InputError, match=r"edge thickness is -0\.\d+ mm"):
-        export_mesh(thin, path)
+        write_mesh(thin, path)
     assert not list(tmp_path.iterdir())
 
 
 def test_unknown_suffix_names_the_allowed_ones(tmp_path: Path, paper_lens: Lens) -> None:
     with pytest.raises(InputError, match=r"'\.step'; allowed: \.stl, \.ply, \.obj, \.glb, \.3mf"):
-        export_mesh(paper_lens, tmp_path / "lens.step")
+        write_mesh(paper_lens, tmp_path / "lens.step")
     assert not list(tmp_path.iterdir())
 
 
@@ -296,7 +296,7 @@ def test_an_old_file_stays_where_the_new_one_cannot_be_made(tmp_path: Path, pape
     path = tmp_path / "lens.ply"
     path.write_text("old")
     with pytest.raises(InputError):
-        export_mesh(paper_lens, path, 1e-6)
+        write_mesh(paper_lens, path, 1e-6)
     assert path.read_text() == "old"
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lensdesign.errors import InputError
-from lensdesign.fabrication.mesh.mesh import LensMesh, export_mesh, lens_mesh
+from lensdesign.fabrication.mesh.mesh import LensMesh, lens_mesh, write_mesh
 from lensdesign.lens.figure import figure_from_grid, figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
@@ -183,12 +183,12 @@ def test_measured_figures(tmp_path: Any) -> None:
     lens = singlet(figure=figure)
     change = {0: SurfacePerturbation(figure=figure_from_zernike({7: 1.5}, 5.0))}
     notes: list[str] = []
-    measured = export_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append, measured=True)
+    measured = write_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append, measured=True)
     assert not notes
     assert measured.mesh.vertices == pytest.approx(
         lens_mesh(singlet(), 1.0, surface_perturbations=change).mesh.vertices, abs=1e-12
     )
-    nominal = export_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append)
+    nominal = write_mesh(lens, tmp_path / "lens.ply", 1.0, report=notes.append)
     assert notes == ["surface 1: nominal shape written, its measured figure left out"]
     assert nominal.mesh.vertices == pytest.approx(lens_mesh(singlet(), 1.0).mesh.vertices, abs=1e-12)
 

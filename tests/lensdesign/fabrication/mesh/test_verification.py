@@ -11,7 +11,7 @@ import trimesh
 
 from lensdesign import InputError, Lens, Surface
 from lensdesign.cli.commands import main
-from lensdesign.fabrication.mesh.mesh import export_mesh, lens_mesh
+from lensdesign.fabrication.mesh.mesh import lens_mesh, write_mesh
 from lensdesign.fabrication.mesh.reading import TriangleMesh, read_mesh
 from lensdesign.fabrication.mesh.topology import closed_bodies, merged
 from lensdesign.fabrication.mesh.verification import MeshReport, verify_mesh
@@ -48,7 +48,7 @@ def held(lens: Lens, mesh: trimesh.Trimesh, chord_error_um: float = CHORD_UM) ->
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".3mf"])
 def test_what_we_write_agrees(tmp_path: Path, doublet: Lens, suffix: str) -> None:
     path = tmp_path / f"lens{suffix}"
-    written = export_mesh(doublet, path, CHORD_UM)
+    written = write_mesh(doublet, path, CHORD_UM)
     report = verify_mesh(doublet, read_mesh(path), CHORD_UM)
     assert report.faults == ()
     assert (report.bodies, report.elements, report.closed) == (3, 3, True)
@@ -158,7 +158,7 @@ def test_the_command(
         return int(stop.value.code or 0), out, err
 
     path = tmp_path / "lens.stl"
-    export_mesh(paper_lens, path, CHORD_UM)
+    write_mesh(paper_lens, path, CHORD_UM)
     code, out, _ = command("verify", paper_design, path, "--chord-error-um", CHORD_UM)
     assert code == 0
     assert "closed, 1 body (design: 1)" in out

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lensdesign.fabrication.mesh.mesh import export_mesh
+from lensdesign.fabrication.mesh.mesh import write_mesh
 from lensdesign.lens.lens import Lens
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
@@ -45,7 +45,7 @@ def doublet(paper_lens: Lens) -> Lens:
 
 def test_3mf_holds_units_glasses_and_closed_bodies(doublet: Lens, tmp_path: Path) -> None:
     path = tmp_path / "lens.3mf"
-    written = export_mesh(doublet, path, 10.0)
+    written = write_mesh(doublet, path, 10.0)
     model = model_of(path)
     assert model.tag == f"{CORE}model"
     assert model.get("unit") == "millimeter"
@@ -67,12 +67,12 @@ def test_3mf_holds_units_glasses_and_closed_bodies(doublet: Lens, tmp_path: Path
 def test_the_same_lens_gives_the_same_3mf(paper_lens: Lens, tmp_path: Path) -> None:
     paths = tmp_path / "a.3mf", tmp_path / "b.3mf"
     for path in paths:
-        export_mesh(paper_lens, path, 10.0)
+        write_mesh(paper_lens, path, 10.0)
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_glb_names_the_glass(doublet: Lens, tmp_path: Path) -> None:
-    export_mesh(doublet, tmp_path / "lens.glb", 10.0)
+    write_mesh(doublet, tmp_path / "lens.glb", 10.0)
     scene = trimesh.load(tmp_path / "lens.glb")
     assert {g.visual.material.name for g in scene.geometry.values()} == {"N-BK7", "N-SF6"}
     assert {g.visual.material.alphaMode for g in scene.geometry.values()} == {"BLEND"}

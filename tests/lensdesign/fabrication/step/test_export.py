@@ -24,7 +24,7 @@ from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
 from lensdesign.fabrication.step import export as cad
 from lensdesign.fabrication.step import solids as cad_solids
-from lensdesign.fabrication.step.export import StepReport, export_step
+from lensdesign.fabrication.step.export import StepReport, write_step
 from lensdesign.fabrication.step.occ import parts_of, read_solids, silent_ocp, step_text
 from lensdesign.lens.lens import Surface
 from lensdesign.lens.meridian import SurfaceMeridian
@@ -60,9 +60,9 @@ def doublet() -> Lens:
 
 def exported(lens: Lens, path: Path | None = None) -> StepReport:
     if path is not None:
-        return export_step(lens, path)
+        return write_step(lens, path)
     with TemporaryDirectory() as folder:
-        return export_step(lens, Path(folder) / "lens.step")
+        return write_step(lens, Path(folder) / "lens.step")
 
 
 def surface_points(path: Path, solid: int, face: int) -> Array:
@@ -144,7 +144,7 @@ def test_kinds_of_surfaces_in_the_file(tmp_path: Path) -> None:
     faces = []
     for number, shape in enumerate(shapes):
         path = tmp_path / f"{number}.step"
-        export_step(singlet(shape, {}, 9.0, 5.0), path)
+        write_step(singlet(shape, {}, 9.0, 5.0), path)
         kinds = r"#\d+ = (SPHERICAL_SURFACE|PLANE|SURFACE_OF_REVOLUTION|CYLINDRICAL_SURFACE)\("
         text = path.read_text(encoding="ascii")
         faces.append(re.findall(kinds, text))
@@ -156,7 +156,7 @@ def test_kinds_of_surfaces_in_the_file(tmp_path: Path) -> None:
 
 
 def test_control_points_in_the_text_are_those_of_the_conic(paper_lens: Lens, tmp_path: Path) -> None:
-    export_step(paper_lens, tmp_path / "lens.step")
+    write_step(paper_lens, tmp_path / "lens.step")
     text = (tmp_path / "lens.step").read_text(encoding="ascii").replace("\n", "")
     # The meridian stands in the plane y = 0; its weights follow the knots.
     curve = re.search(
@@ -234,10 +234,10 @@ def test_random_lenses(lens: Lens) -> None:
             elements = closed_elements(lens)
         except InputError as error:
             with pytest.raises(InputError, match=re.escape(str(error))):
-                export_step(lens, path)
+                write_step(lens, path)
             assert not path.exists()
             return
-        found = export_step(lens, path)
+        found = write_step(lens, path)
         assert found.solids == len(elements)
         for body, element in zip(found.bodies, elements, strict=True):
             for error, index in zip(body.surface_errors_mm, element.surfaces, strict=True):
@@ -329,13 +329,13 @@ LONG = HOSTILE + 30 * " long" + "'"
 
 def test_hostile_titles_are_read_back(doublet: Lens, paper_lens: Lens, tmp_path: Path) -> None:
     path = tmp_path / "lens.step"
-    export_step(doublet.replaced(title=LONG), path)
+    write_step(doublet.replaced(title=LONG), path)
     title, names = names_in(path)
     assert title == names[0] == LONG
     header = re.search(r"FILE_NAME\(\s*'((?:[^']|'')*)'", path.read_text(encoding="ascii"))
     assert header is not None
     assert decoded(header[1]) == LONG
-    export_step(paper_lens.replaced(title="a\0b"), path)
+    write_step(paper_lens.replaced(title="a\0b"), path)
     assert names_in(path)[0] == "a�b"
 
 
@@ -344,7 +344,7 @@ def test_hostile_titles_are_read_back(doublet: Lens, paper_lens: Lens, tmp_path:
 def test_random_titles_are_read_back(paper_lens: Lens, title: str) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "lens.step"
-        export_step(paper_lens.replaced(title=title), path)
+        write_step(paper_lens.replaced(title=title), path)
         # OCP's reader drops spaces at the end.
         assert names_in(path)[0].rstrip(" ") == title.rstrip(" ")
 
@@ -358,16 +358,16 @@ def test_texts_are_plain_and_lose_nothing(text: str) -> None:
 
 
 def test_the_same_lens_gives_the_same_file(doublet: Lens, paper_lens: Lens, tmp_path: Path) -> None:
-    export_step(doublet, tmp_path / "first.step")
-    export_step(paper_lens, tmp_path / "other.step")
-    export_step(doublet, tmp_path / "second.stp")
+    write_step(doublet, tmp_path / "first.step")
+    write_step(paper_lens, tmp_path / "other.step")
+    write_step(doublet, tmp_path / "second.stp")
     assert (tmp_path / "first.step").read_bytes() == (tmp_path / "second.stp").read_bytes()
 
 
 def test_mm_whatever_the_process_had_set(paper_lens: Lens, tmp_path: Path) -> None:
     from OCP.Interface import Interface_Static
 
-    export_step(paper_lens, tmp_path / "first.step")
+    write_step(paper_lens, tmp_path / "first.step")
     assert Interface_Static.SetCVal_s("write.step.unit", "INCH")
     found = exported(paper_lens, tmp_path / "second.step")
     assert found.largest_error_mm < 1e-12
@@ -381,7 +381,7 @@ def test_nothing_reaches_the_terminal(
 
     before = list(Message.DefaultMessenger_s().Printers())
     assert before
-    export_step(doublet, tmp_path / "lens.step")
+    write_step(doublet, tmp_path / "lens.step")
     assert capfd.readouterr() == ("", "")
     assert len(list(Message.DefaultMessenger_s().Printers())) == len(before)
 
@@ -390,7 +390,7 @@ def test_measured_figures_are_named(tmp_path: Path) -> None:
     figure = {"zernike_um": {"7": 1.5}, "semi_diameter_mm": 5.0}
     lens = singlet({"radius_mm": 30.0}, {"figure": figure}, 4.0, 5.0)
     notes: list[str] = []
-    export_step(lens, tmp_path / "lens.step", report=notes.append)
+    write_step(lens, tmp_path / "lens.step", report=notes.append)
     assert notes == ["surface 2: nominal shape written, its measured figure left out"]
 
 
@@ -420,8 +420,9 @@ def test_a_file_that_departs_from_the_lens_is_refused(
     else:
         write = cad.write_solids
 
-        def in_inches(path: Path, *rest: Any) -> None:
-            write(path, *rest)
+        def in_inches(*given: Any) -> None:
+            write(*given)
+            path = given[-1]
             text = path.read_text(encoding="ascii")
             path.write_text(text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.CENTI.,.METRE.)"))
 
@@ -430,7 +431,7 @@ def test_a_file_that_departs_from_the_lens_is_refused(
     path = tmp_path / "lens.step"
     path.write_text("old")
     with pytest.raises(InputError, match=message):
-        export_step(paper_lens, path)
+        write_step(paper_lens, path)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["lens.step"]
 
@@ -438,29 +439,29 @@ def test_a_file_that_departs_from_the_lens_is_refused(
 def test_what_cannot_be_written_leaves_nothing(paper_lens: Lens, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="a file stands where a folder is needed"):
-        export_step(paper_lens, tmp_path / "file" / "lens.step")
+        write_step(paper_lens, tmp_path / "file" / "lens.step")
     (tmp_path / "folder.step").mkdir()
     with pytest.raises(InputError, match="it is a folder"):
-        export_step(paper_lens, tmp_path / "folder.step")
+        write_step(paper_lens, tmp_path / "folder.step")
     with pytest.raises(InputError, match=r"unknown suffix '\.iges'; allowed: \.step, \.stp"):
-        export_step(paper_lens, tmp_path / "lens.iges")
+        write_step(paper_lens, tmp_path / "lens.iges")
     with pytest.raises(InputError, match=r"edge thickness is -0\.\d+ mm"):
-        export_step(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.step")
+        write_step(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path / "lens.step")
     with pytest.raises(InputError, match=r"element 1 .*edge is 1e-07 mm long; a solid needs more than 1e-06"):
-        export_step(singlet({"radius_mm": 50.0}, {"radius_mm": 50.0}, 1e-7, 2.0), tmp_path / "lens.step")
+        write_step(singlet({"radius_mm": 50.0}, {"radius_mm": 50.0}, 1e-7, 2.0), tmp_path / "lens.step")
     with pytest.raises(InputError, match=r"element 1 .*OCP gives up: "):
-        export_step(singlet({}, {}, 1.0, 1e-8), tmp_path / "lens.step")
+        write_step(singlet({}, {}, 1.0, 1e-8), tmp_path / "lens.step")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.step"]
 
 
 def test_names_of_files_may_be_any_text(paper_lens: Lens, tmp_path: Path) -> None:
     path = tmp_path / "new folder" / "Linse 'ü' 透镜 😀.StEp"
-    export_step(paper_lens, path)
+    write_step(paper_lens, path)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     assert names_in(path)[0] == paper_lens.title
     path.unlink()
     with pytest.raises(InputError, match="in UTF-8 alone"):
-        export_step(paper_lens, path.parent / "\udcff.step")
+        write_step(paper_lens, path.parent / "\udcff.step")
     assert not list(path.parent.iterdir())
 
 
@@ -469,7 +470,7 @@ def test_missing_ocp_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "OCP", None)
     with pytest.raises(InputError, match=r"pip install 'transferlens\[cad\]'"):
-        export_step(paper_lens, tmp_path / "lens.step")
+        write_step(paper_lens, tmp_path / "lens.step")
     assert not list(tmp_path.iterdir())
 
 

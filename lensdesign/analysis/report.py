@@ -1,0 +1,157 @@
+"""What a check finds: figures of each wavelength, the constraints, and every miss in a sentence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lensdesign.analysis.form_error import FormError
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One demand on the lens.
+
+    Attributes
+    ----------
+    name, unit
+        What is limited, and the unit of both numbers (empty for pure numbers).
+    value, relation, limit
+        Such as 4.81, "<=", 4.77.
+    met, miss
+        Whether it holds; where it does not, a sentence with the numbers, else empty.
+    """
+
+    name: str
+    value: float
+    relation: str
+    limit: float
+    unit: str
+    met: bool
+    miss: str
+
+
+@dataclass(frozen=True)
+class WavelengthCheck:
+    """Figures of one wavelength; meanings as in :class:`CheckReport`."""
+
+    wavelength_um: float
+    sbp_object: float
+    spread_limit_deg: float
+    max_spread_deg: float
+    resolution_um: float
+    numerical_aperture: float
+    footprint_radius_mm: tuple[float, ...]
+    rms_spot_diameter_mm: tuple[float, ...]
+    throughput: float
+    efl_mm: float
+    bfl_mm: float
+    exit_beam_diameter_mm: float
+    smallest_exit_beam_diameter_mm: float
+    etendue_share: float
+
+
+@dataclass(frozen=True)
+class WorstRay:
+    """The ray that leaves closest to, or furthest beyond, its wavelength's spread-angle limit."""
+
+    field_mm: tuple[float, float]
+    pupil: tuple[float, float]
+    wavelength_um: float
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a lens does, against what it has to do.
+
+    Each figure is that of the wavelength at which it is worst; `wavelengths` has them all.
+
+    Attributes
+    ----------
+    title
+        Of the design.
+    feasible
+        Whether every constraint is met.
+    violations
+        A sentence for each constraint that is not: value, limit, and by how much.
+    constraints
+        All of them.
+    sbp_object, sbp_sensor
+        Space-bandwidth products (Eq. 1).
+    spread_limit_deg, max_spread_deg
+        Spread-angle limit, and largest angle over field, stop and wavelengths (Eq. 2); both at the
+        wavelength of `worst_ray`.
+    spread_heights_mm, spread_per_field_deg
+        Table of the largest angle over the field heights, same wavelength.
+    worst_ray
+        The ray that leaves at `max_spread_deg`.
+    highest_frequency_lp_per_mm
+        Of the pixels.
+    resolution_um
+        wavelength / (2 NA).
+    numerical_aperture
+        Sine of the angle of the ray from the axis through the rim of the stop.
+    plane_distances_mm, footprint_radius_mm
+        Sensor planes and the radius of all light there.
+    sensor_half_side_mm
+        Half of the sensor's shorter side.
+    spot_heights_mm, rms_spot_diameter_mm, spot_plane_mm
+        RMS spot diameters, and how far behind the exit vertex.
+    throughput
+        Smallest share of a field point's evenly filled stop that passes.
+    edge_thickness_mm
+        Of the thinnest glass element at its ground edge; None without one.
+    efl_mm, bfl_mm
+        Effective and back focal length at the first wavelength; inf for an afocal lens.
+    exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
+        Beam in the plane of the exit vertex, and the narrowest that the etendue bound allows at the spread
+        limit.
+    etendue_share
+        FOV NA / (exit beam diameter x sine of the spread), the share of its beam's phase space that the lens
+        fills; the bound is 1. At the wavelength of `worst_ray`.
+    wavelengths, figures
+        A row for each wavelength; form error of each measured surface.
+    """
+
+    title: str
+    feasible: bool
+    violations: tuple[str, ...]
+    constraints: tuple[Constraint, ...]
+    sbp_object: float
+    sbp_sensor: float
+    spread_limit_deg: float
+    max_spread_deg: float
+    spread_heights_mm: tuple[float, ...]
+    spread_per_field_deg: tuple[float, ...]
+    worst_ray: WorstRay
+    highest_frequency_lp_per_mm: float
+    resolution_um: float
+    numerical_aperture: float
+    plane_distances_mm: tuple[float, ...]
+    footprint_radius_mm: tuple[float, ...]
+    sensor_half_side_mm: float
+    spot_heights_mm: tuple[float, ...]
+    rms_spot_diameter_mm: tuple[float, ...]
+    spot_plane_mm: float
+    throughput: float
+    edge_thickness_mm: float | None
+    efl_mm: float
+    bfl_mm: float
+    exit_beam_diameter_mm: float
+    smallest_exit_beam_diameter_mm: float
+    etendue_share: float
+    wavelengths: tuple[WavelengthCheck, ...]
+    figures: tuple[FormError, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; figures that are not finite become None."""
+        return _plain(asdict(self))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
