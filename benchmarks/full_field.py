@@ -64,9 +64,6 @@ def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float,
         results.append(carry(start).values)
         seconds.append(time.perf_counter() - started)
     there, back = results
-    left = np.vdot(other.values, there) * scene.exit_grid.cell
-    right = np.vdot(back, field.values) * scene.object_grid.cell
-    size = np.linalg.norm(there) * np.linalg.norm(other.values) * scene.exit_grid.cell
     peak = 1e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     rows = [
         Row(
@@ -80,9 +77,20 @@ def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float,
         Row("  predicted for either", predicted.seconds, "s"),
         Row("most memory of the process so far", peak, "GB", at_most=GIGABYTES),
         Row("  before", 1e-6 * held, "GB"),
-        Row("dot-product test, of the sizes", float(abs(left - right) / size), at_most=MISMATCH),
+        Row(
+            "dot-product test, of the sizes",
+            dot_product_mismatch(field, there, other, back),
+            at_most=MISMATCH,
+        ),
     ]
     return rows, (seconds[0], seconds[1])
+
+
+def dot_product_mismatch(field: Field, there: np.ndarray, other: Field, back: np.ndarray) -> float:
+    """Between forward of one field and adjoint of another, in units of their sizes."""
+    left = np.vdot(other.values, there) * other.grid.cell
+    right = np.vdot(back, field.values) * field.grid.cell
+    return float(abs(left - right) / (np.linalg.norm(there) * np.linalg.norm(other.values) * other.grid.cell))
 
 
 def field_scene(lens: Lens, diameter_mm: float, side: int = 7000) -> Scene:

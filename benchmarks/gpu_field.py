@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from benchmarks.full_field import field_scene, noise
+from benchmarks.full_field import MISMATCH, dot_product_mismatch, field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
@@ -41,6 +41,9 @@ SLICES, FEW, MANY = 200, 2, 6
 ARRAYS = 7.0
 """Complex arrays that a slice needs: two fields, two factors, the wave, and the transform's work space."""
 
+COMPILED_MM, COMPILED_SIDE = 0.1, 250
+"""Field and pixels along the sensor with which loops and device code are compiled before they are timed."""
+
 CHECKED = 1000
 """Samples along the grid on which slices are held against double precision."""
 
@@ -62,6 +65,7 @@ def main() -> None:
     share = min(given.samples / SAMPLES, 1.0)
     with _transforms(device):
         side = max(round(SIDE * share), 16)
+        tiles(lens, device, min(COMPILED_MM, FIELD_MM * share), min(COMPILED_SIDE, side))
         print_table(
             f"Field of {FIELD_MM * share:g} mm, {side}^2 pixels", tiles(lens, device, FIELD_MM * share, side)
         )
@@ -91,15 +95,16 @@ def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
         Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
     ]
     engine.groups  # noqa: B018
-    rows = []
+    rows, results = [], []
     for name, carry, start in zip(
         ("forward", "adjoint"), (engine.forward, engine.adjoint), starts, strict=True
     ):
         engine.device = None
         known, processor_s = _timed(lambda c=carry, s=start: c(s).values)
         engine.device = device
-        first, _ = _timed(lambda c=carry, s=start: c(s).values)  # compiles
+        first, _ = _timed(lambda c=carry, s=start: c(s).values)
         found, device_s = _timed(lambda c=carry, s=start: c(s).values)
+        results.append(found)
         rows += [
             Row(f"{name}, processor", processor_s, "s"),
             Row(f"{name}, device", device_s, "s"),
@@ -107,7 +112,8 @@ def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
             Row("  difference from the processor's", relative_error(found, known), at_most=SAME),
             Row("  difference of two runs", relative_error(found, first), at_most=SAME),
         ]
-    return rows
+    mismatch = dot_product_mismatch(starts[0], results[0], starts[1], results[1])
+    return [*rows, Row("dot-product test on the device, of the sizes", mismatch, at_most=MISMATCH)]
 
 
 def slices(lens: Lens, device: Device, samples: int) -> list[Row]:
