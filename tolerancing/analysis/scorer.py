@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from tolerancing.analysis.sensitivity import Sensitivity, sensitivities
 from tolerancing.merits.context import Context
-from tolerancing.perturbations.distributions import Distribution
+from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.study.results import StepResults
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study

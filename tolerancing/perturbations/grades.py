@@ -164,9 +164,7 @@ def _head(lens: Lens, design_name: str, grade: str) -> str:
             "# decenter and of mounts it says nothing: for these stand the values of the commercial grade.",
         ]
     else:
-        lines += [
-            "# Parts, glass and mounts: values usual in manufacturers' tolerance charts for this grade."
-        ]
+        lines += ["# Parts, glass and mounts: values that makers' tolerance charts give for this grade."]
     lines += [
         tomli_w.dumps({"title": title, "design": design_name}).rstrip("\n"),
         f"trials = {TRIALS}",

@@ -13,7 +13,8 @@ from lensdesign.common.toml_files import pick, unknown_key, validate
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, Section
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
-from tolerancing.perturbations.distributions import DISTRIBUTIONS, Distribution
+from tolerancing.perturbations.distributions.base import Distribution
+from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 
 RADIUS_PARAMETERS = ("radius_mm", "radius_percent", "radius_fringes")
 IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")

@@ -1,0 +1,5 @@
+"""How a perturbation scatters: distributions by their quantiles."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,164 @@
+"""Deviations as they were measured."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from pydantic import PrivateAttr, field_validator
+
+from lensdesign.common.section import as_path
+from lensdesign.common.toml_files import did_you_mean, read_text
+from lensdesign.errors import InputError
+from tolerancing.perturbations.distributions.base import Array, Distribution, check_factor
+
+MOST_BYTES = 10_000_000
+"""Of a file of measured values."""
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Measured values in rising order; equal if their digests are."""
+
+    digest: str
+    values: Array = field(compare=False, repr=False)
+
+
+class Empirical(Distribution):
+    """Deviations as they were measured, a column of a CSV file with a header line; `mean` shifts them.
+
+    The values are read by :meth:`loaded`, after which the distribution can be drawn from. Between the
+    measured values, in rising order, quantiles are interpolated linearly.
+
+    Attributes
+    ----------
+    file
+        The CSV file, relative to the study file.
+    column
+        Name of the column, as the header line gives it.
+    """
+
+    kind = "empirical"
+    widths = ()
+
+    file: Path
+    column: str
+
+    _measured: _Measured | None = PrivateAttr(default=None)
+
+    _path = field_validator("file", mode="before")(as_path)
+
+    @property
+    def file_name(self) -> str:
+        return str(self.file)
+
+    def loaded(self, folder: Path) -> Self:
+        """This distribution together with its measured values.
+
+        Raises
+        ------
+        InputError
+            If `file`, relative to `folder`, cannot be read or is larger than `MOST_BYTES`, has no such
+            column or several, lacks a finite number in a cell, or has not two different ones.
+        """
+        return self._with(_read_column(folder / self.file, self.column))
+
+    @property
+    def values(self) -> Array:
+        """The measured values in rising order; an InputError if they have not been read."""
+        return self._read().values
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the measured values in rising order."""
+        return self._read().digest
+
+    def quantile(self, probability: Array) -> Array:
+        ranks = np.linspace(0.0, 1.0, len(self.values))
+        return self.mean + np.interp(probability, ranks, self.values)
+
+    @property
+    def standard_deviation(self) -> float:
+        a, b = self.values[:-1] - self._middle, self.values[1:] - self._middle
+        return math.sqrt(float(np.mean(a * a + a * b + b * b)) / 3.0)
+
+    @property
+    def largest(self) -> float:
+        return float(np.max(np.abs(self.values - self._middle)))
+
+    @property
+    def centre(self) -> float:
+        return self.mean + self._middle
+
+    def scaled(self, factor: float) -> Self:
+        check_factor(factor)
+        return self._with(self._middle + factor * (self.values - self._middle))
+
+    @property
+    def _middle(self) -> float:
+        """Expected value of the measured values; between two neighbours all are alike."""
+        return float(np.mean(0.5 * self.values[:-1] + 0.5 * self.values[1:]))
+
+    def _read(self) -> _Measured:
+        if self._measured is None:
+            raise InputError(f"{self.file}: column {self.column!r} has not been read")
+        return self._measured
+
+    def _with(self, values: Array) -> Self:
+        ordered = np.sort(values) + 0.0  # there is one zero
+        ordered.flags.writeable = False
+        changed = self.model_copy()
+        changed._measured = _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
+        return changed
+
+
+def _read_column(path: Path, column: str) -> Array:
+    """A column of a CSV file, whose first line names the columns; empty lines are passed over."""
+    reader = csv.reader(read_text(path, MOST_BYTES).splitlines(), skipinitialspace=True)
+    place: int | None = None
+    values = []
+    try:
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if place is None:
+                place = _place([cell.strip() for cell in row], column, path)
+            else:
+                values.append(_value(row, place, column, f"{path}, line {reader.line_num}"))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {reader.line_num}: not a CSV file: {error}") from error
+    if place is None:
+        raise InputError(f"{path}: holds nothing; its first line must name the columns")
+    if len(values) < 2:
+        raise InputError(f"{path}: column {column!r} holds {len(values)} values: must be at least 2")
+    if min(values) == max(values):
+        raise InputError(f"{path}: column {column!r} holds nothing but {values[0]:g}: it must scatter")
+    return np.array(values)
+
+
+def _place(header: list[str], column: str, path: Path) -> int:
+    if header.count(column) == 1:
+        return header.index(column)
+    if column in header:
+        raise InputError(f"{path}: {header.count(column)} columns are called {column!r}; one must be")
+    listed = ", ".join(name[:40] for name in header[:20])
+    raise InputError(
+        f"{path}: there is no column {column!r}; allowed: {listed}{did_you_mean(column, header)}"
+    )
+
+
+def _value(row: list[str], place: int, column: str, where: str) -> float:
+    if place >= len(row):
+        raise InputError(f"{where}: no value in column {column!r}")
+    try:
+        value = float(row[place].replace("_", "no digit"))
+    except ValueError:
+        raise InputError(f"{where}: {column} = {row[place][:40]!r} is not a number") from None
+    if not abs(value) <= 1e9:
+        raise InputError(f"{where}: {column} = {value}: must be a finite number, 1e9 at most either way")
+    return value

@@ -1,0 +1,22 @@
+"""The registry of distributions: a new one is one class and one line here."""
+
+from __future__ import annotations
+
+from tolerancing.perturbations.distributions.base import Distribution
+from tolerancing.perturbations.distributions.bounded import EndPoint, Parabolic, Triangular, Uniform
+from tolerancing.perturbations.distributions.empirical import Empirical
+from tolerancing.perturbations.distributions.normal import Normal, TruncatedNormal
+
+DISTRIBUTIONS: dict[str, type[Distribution]] = {
+    shape.kind: shape
+    for shape in (
+        Normal,
+        TruncatedNormal,
+        Uniform,
+        Triangular,
+        Parabolic,
+        EndPoint,
+        Empirical,
+    )
+}
+"""Distributions by the name that a study file gives."""
