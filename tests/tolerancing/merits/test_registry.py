@@ -7,10 +7,13 @@ from lensdesign import DesignError, Pose, SurfacePerturbation
 from lensdesign.errors import InputError
 from lensdesign.tracing.bundles import launch, pupil_rings
 from lensdesign.tracing.rays import trace
+from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import MERITS, merit_from_table
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.study.evaluate import context_of, decide_levels, score_trials
+from tolerancing.study.files import load_study
 from tolerancing.study.scoring import score_batch
 
 SAMPLING = Sampling(rings=3, arms=8, pupil_samples=64)
@@ -242,3 +245,23 @@ def test_one_impossible_lens_in_a_batch_fails_alone(context):
     assert "surface 2" in messages[1]
     assert np.all(np.isnan(scores[1]))
     assert np.all(np.isfinite(scores[[0, 2]]))
+
+
+class Distance(Merit):
+    """How far the first perturbation is from nominal."""
+
+    kind_unit = "mm"
+    levels = ("ray",)
+
+    def scores(self, context, batch):
+        return np.abs(batch.values[:, 0])
+
+
+def test_a_merit_is_one_class_and_one_line(monkeypatch, write_study, ray_study):
+    monkeypatch.setitem(MERITS, "distance", Distance)
+    loaded = load_study(write_study(ray_study + '\n[[merit]]\nkind = "distance"\nat_most = 0.03\n'))
+    study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
+    assert study.merits[1].column == "distance_mm"
+    found = score_trials(context_of(loaded.lens, study), study, range(20))
+    assert found.scores[:, 1].tolist() == np.abs(found.values[:, 0]).tolist()
+    assert not np.any(found.passed[found.scores[:, 1] > 0.03])
