@@ -111,7 +111,7 @@ from .rays.ray_bundles import FoldError
 from .reconstruction.bootstrap import uncertainty
 from .reconstruction.from_field import Retrieved, agreement, retrieval_bytes, retrieve
 from .reconstruction.from_object import Reconstructed, prox_tv, reconstruct
-from .reconstruction.memory import MemoryRange, reconstruction_bytes
+from .reconstruction.memory import reconstruction_bytes
 from .reconstruction.refocusing import Refocusing, refocus_field, svfg
 from .runtime.scratch import Scratch
 from .scene.engine import Cost, Engine, Neglected, Scene
@@ -135,7 +135,6 @@ __all__ = [
     "Grid",
     "Imaged",
     "LineContrast",
-    "MemoryRange",
     "Mounting",
     "Neglected",
     "NoLens",

@@ -31,8 +31,9 @@ from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.fields.windowed import propagate_to
+from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.runtime.checkpoint import key_of
-from wavesim.runtime.memory import BASE_BYTES, Need
+from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Scene
 
@@ -41,9 +42,6 @@ BAND_ROWS = 1024
 
 PARTS = ".parts"
 """Folder within the results' in which finished parts of an unfinished run lie."""
-
-MADE_BYTES = 49
-"""For each sample of the object, while it and its light are made. Measured."""
 
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many parts of it are, and of how many."""
@@ -291,17 +289,15 @@ def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], reco
     """
     across, down = sensor.pixels
     pixels, object_samples = across * down, engine.scene.object_grid.size
-    widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
     # Transmission, what lies behind the object, and a picture of it.
-    fixed = max(24 * object_samples + engine.cost().peak_bytes, MADE_BYTES * object_samples) + BASE_BYTES
-    counts = 2 * pixels * len(windows) * len(recording.exposures)
+    carrying = fixed(24 * object_samples + engine.cost().peak_bytes)
+    counts = fixed(2 * pixels * len(windows) * len(recording.exposures))
+    always = fixed(BASE_BYTES) + (carrying | fixed(LIGHT_BYTES * object_samples)) + counts
     if not isinstance(engine, TwoLevelTiles):
+        widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
         # The first plane's field, another one's, and free space between them.
-        planes = 16 * widest * (1 if len(windows) == 1 else 4)
-        most = fixed + counts + planes
-        return Need(most, most)
+        return always + fixed(16 * widest * (1 if len(windows) == 1 else 4))
     row = max(window.pixels[0] for window in windows) * OVERSAMPLING
-    band = 4 * 8 * min(BAND_ROWS, down * OVERSAMPLING) * row
-    light = 4 * pixels * OVERSAMPLING
-    least = fixed + counts + band + 8 * pixels
-    return Need(least + light, least, engine.sums_bytes * len(windows))
+    band = fixed(4 * 8 * min(BAND_ROWS, down * OVERSAMPLING) * row)
+    light = movable(4 * pixels * OVERSAMPLING) + fixed(8 * pixels)
+    return always + band + light + in_files(engine.sums_bytes * len(windows))

@@ -20,7 +20,6 @@ from wavesim.objects.patch import Patch
 from wavesim.objects.region import around, cut_field, holds, part_of
 from wavesim.pictures.field_files import new_results, read_centre_um, write_field, write_json, write_tiff
 from wavesim.pictures.frames import curves_figure, object_figure, residual_figure, save
-from wavesim.reconstruction.need import held
 from wavesim.runtime.threads import row_blocks
 from wavesim.scene.engine import Engine
 
@@ -70,7 +69,7 @@ def truth_figures(case: Any, transmission: Field, engine: Engine) -> dict[str, f
     def passed(values: Any) -> Field:
         own = light.with_values((light.values * values).astype(np.complex64))
         there = as_passed(own, engine)
-        return there.with_values(held(scratch, there.values, "a field that the lens passes"))
+        return there.with_values(scratch.held(there.values, "a field that the lens passes"))
 
     found, true = passed(transmission.values), passed(case.truth.values[part])
     figures = {"object_correlation": object_correlation(found, true, passed(np.float32(1.0)), inside)}

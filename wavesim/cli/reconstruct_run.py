@@ -22,7 +22,7 @@ from wavesim.engines.whole_field.on_cluster import ClusterError, refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, transmission_of, usaf_charts_of
 from wavesim.objects.region import cut_field, region_grid, soft_rim, widened
-from wavesim.reconstruction.need import held, run_need
+from wavesim.reconstruction.memory import run_need
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import reconstruct_resumably, retrieve_resumably
 from wavesim.runtime.checkpoint import Checkpoint
@@ -126,12 +126,12 @@ def case_of(lens: Any, options: Any) -> Case:
     return Case(
         lens,
         patch,
-        light.with_values(held(scratch, light.values, "the illumination")),
+        light.with_values(scratch.held(light.values, "the illumination")),
         sensor,
         planes_of_frames(frames),
         [_held_plane(scratch, plane) for plane in recorded],
         engine,
-        truth and truth.with_values(held(scratch, truth.values, "the true object")),
+        truth and truth.with_values(scratch.held(truth.values, "the true object")),
         charts,
         diversity,
         Checkpoint(options.output / "checkpoint.npz", key),
@@ -213,8 +213,8 @@ def _room(memory: Memory, options: Any) -> float:
 
 
 def _held_plane(scratch: Scratch, plane: Recorded) -> Recorded:
-    amplitude = held(scratch, plane.amplitude, "the recorded amplitudes")
-    sigma = plane.sigma if plane.sigma is None else held(scratch, plane.sigma, "the standard deviations")
+    amplitude = scratch.held(plane.amplitude, "the recorded amplitudes")
+    sigma = plane.sigma if plane.sigma is None else scratch.held(plane.sigma, "the standard deviations")
     return Recorded(plane.distance_mm, amplitude, sigma)
 
 

@@ -35,6 +35,9 @@ from wavesim.scene.patches import OBJECT_FINENESS, wavelength_of
 FIELD_MARGIN = 1.02
 """Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
 
+LIGHT_BYTES = 49
+"""For each sample, while an object's illumination is made. Measured."""
+
 INSCRIBED = 1.0 / math.sqrt(2.0)
 """Side of the square inside a disc of diameter 1."""
 

@@ -1,32 +1,31 @@
-"""What memory an object-domain reconstruction takes, told before it runs."""
+"""What memory a reconstruction takes, told before it runs: the iterations alone, and a whole run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from wavesim.objects.patch import LIGHT_BYTES
+from wavesim.reconstruction.from_field import retrieval_bytes
 from wavesim.reconstruction.from_object import Kind
+from wavesim.reconstruction.refocusing import MOST_JUDGED
+from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
 from wavesim.scene.engine import Engine
+
+ITEM = 8
+"""Bytes of a complex sample."""
 
 LIT_BYTES = 1
 """For each sample of the object: whether there is light."""
 
+READ_BYTES = 24
+"""For each sample of the object, while a true object is read. Measured."""
 
-@dataclass(frozen=True)
-class MemoryRange:
-    """Bytes beside Python and its libraries, which take some 0.3 GB.
+REFOCUSED_BYTES, CARRIED_BYTES, JUDGED_BYTES, DRAWN_BYTES = 330, 85, 30, 30
+"""For each sample whose sharpness is asked for, that is carried along the axis with these, compared with the
+truth, and drawn. Measured."""
 
-    Attributes
-    ----------
-    most_bytes : int
-        With all arrays in memory, illumination and recorded arrays included.
-    least_bytes : int
-        With all those in files that can be, by :class:`wavesim.Scratch`: illumination, recorded arrays and
-        last steps.
-    """
-
-    most_bytes: int
-    least_bytes: int
+PLANE_BYTES = 20
+"""For each pixel, while residuals of a plane are drawn. Measured."""
 
 
 def reconstruction_bytes(
@@ -36,9 +35,9 @@ def reconstruction_bytes(
     kind: Kind = "complex",
     active_width: float = 0.0,
     with_sigma: bool = True,
-    itemsize: int = 8,
-) -> MemoryRange:
-    """Memory that :func:`wavesim.reconstruct` takes.
+    itemsize: int = ITEM,
+) -> Need:
+    """Memory that :func:`wavesim.reconstruct` takes, beside Python and its libraries (some 0.3 GB).
 
     Parameters
     ----------
@@ -52,19 +51,25 @@ def reconstruction_bytes(
         Whether recorded amplitudes come with standard deviations.
     itemsize
         Bytes of a complex sample: 8 for complex64, 16 for complex128.
+
+    Returns
+    -------
+    Need
+        Illumination, recorded arrays and last steps are those that can lie in files.
     """
     scene, planes = engine.scene, len(distances_mm)
     source, behind = itemsize * scene.object_grid.size, itemsize * scene.exit_grid.size
     step = source // 2 if kind == "amplitude" else source
-    movable = source + 2 * step + planes * behind * (1.0 if with_sigma else 0.5)
     far = sum(distance != 0.0 for distance in distances_mm)
-    ways = LIT_BYTES * scene.object_grid.size + 0.25 * far * behind
-    carrying = engine.cost().peak_bytes + source + behind
-    least = ways + max(carrying, behind * _planes_share(planes, far, active_width), 4.0 * step)
-    return MemoryRange(round(movable + least), round(least))
+    kept = movable(source) + movable(2 * step) + movable(planes * behind * (1.0 if with_sigma else 0.5))
+    kept += fixed(LIT_BYTES * scene.object_grid.size) + fixed(0.25 * far * behind)
+    carrying = fixed(engine.cost().peak_bytes + source + behind)
+    replacing = fixed(behind * _fields_of_a_plane(planes, far, active_width))
+    smoothing = fixed(4.0 * step)
+    return kept + (carrying | replacing | smoothing)
 
 
-def _planes_share(planes: int, far: int, active_width: float) -> float:
+def _fields_of_a_plane(planes: int, far: int, active_width: float) -> float:
     """Fields of the exit grid's size at one time while they take the amplitudes recorded.
 
     Pixels that integrate: the spectrum, twice as many rows of the field and their intensity, and what planes
@@ -76,3 +81,67 @@ def _planes_share(planes: int, far: int, active_width: float) -> float:
     if far == 0:
         return 3.5
     return 4.5 + (planes > 2)
+
+
+def run_need(
+    engine: Engine,
+    distances_mm: Sequence[float],
+    *,
+    method: str,
+    kind: Kind,
+    active_width: float,
+    frames_bytes: int,
+    shown: int,
+    carried: int,
+    truth: bool,
+) -> Need:
+    """Memory that the command `wavesim reconstruct` takes, from reading its frames to writing its results.
+
+    Parameters
+    ----------
+    engine, distances_mm, kind, active_width
+        As of :func:`reconstruction_bytes`; amplitudes are of float32 and come with standard deviations.
+    method
+        "object" or "paper".
+    frames_bytes
+        Of all frames as they are read.
+    shown
+        Samples of the object that are judged and written.
+    carried
+        Samples that are carried along the axis for refocusing; 0 without it.
+    truth
+        Whether a true object is compared.
+    """
+    planes, source, behind = len(distances_mm), engine.scene.object_grid.size, engine.scene.exit_grid.size
+    true = movable(ITEM * source if truth else 0)
+    given = movable(ITEM * source) + movable(planes * ITEM * behind) + true
+    frames = fixed(frames_bytes)
+    reading = frames + (fixed(LIGHT_BYTES * source) | fixed((ITEM + READ_BYTES) * source if truth else 0))
+    if method == "object":
+        iterating = reconstruction_bytes(engine, distances_mm, kind=kind, active_width=active_width)
+        kept, found = ITEM * source * (1 if kind == "amplitude" else 2), ITEM * source
+    else:
+        iterating = _retrieving(engine, distances_mm)
+        kept, found = 2 * ITEM * behind, ITEM * behind
+    results = fixed(planes * ITEM // 2 * behind) + fixed(found) + fixed(ITEM * shown)
+    results += (
+        fixed(engine.cost().peak_bytes + ITEM * (2 * shown + behind))
+        | fixed(max(JUDGED_BYTES, DRAWN_BYTES) * shown)
+        | fixed(REFOCUSED_BYTES * min(carried, MOST_JUDGED**2))
+        | fixed(CARRIED_BYTES * carried)
+        | fixed(PLANE_BYTES * behind)
+    )
+    passed = movable(3 * ITEM * shown if truth else 0)
+    run = reading | frames + fixed(given.most_bytes) | iterating + true | results + given + passed
+    # A new checkpoint is written before the earlier one goes.
+    return fixed(BASE_BYTES) + run + in_files(2 * kept)
+
+
+def _retrieving(engine: Engine, distances_mm: Sequence[float]) -> Need:
+    """What Appendix A takes."""
+    source, behind = engine.scene.object_grid.size, engine.scene.exit_grid.size
+    starting = fixed(engine.cost().peak_bytes + 2 * ITEM * behind)
+    passing = fixed(retrieval_bytes(engine.scene.exit_grid.shape, distances_mm))
+    # Recorded amplitudes are there twice, as they were recorded and as Appendix A takes them.
+    recorded = movable(len(distances_mm) * (ITEM + ITEM // 2) * behind)
+    return (starting | passing) + movable(ITEM * source) + recorded

@@ -28,7 +28,10 @@ class MemoryLimitError(InputError):
 
 @dataclass(frozen=True)
 class Need:
-    """What a run will take.
+    """What a run, or a part of one, will take.
+
+    Needs add up where arrays are held at the same time; of steps that follow each other, `a | b` is what
+    either takes at the most.
 
     Attributes
     ----------
@@ -43,6 +46,35 @@ class Need:
     most_bytes: int
     least_bytes: int
     file_bytes: int = 0
+
+    def __add__(self, other: Need) -> Need:
+        return Need(
+            self.most_bytes + other.most_bytes,
+            self.least_bytes + other.least_bytes,
+            self.file_bytes + other.file_bytes,
+        )
+
+    def __or__(self, other: Need) -> Need:
+        return Need(
+            max(self.most_bytes, other.most_bytes),
+            max(self.least_bytes, other.least_bytes),
+            max(self.file_bytes, other.file_bytes),
+        )
+
+
+def fixed(count_bytes: float) -> Need:
+    """Of arrays that lie in memory in any case."""
+    return Need(round(count_bytes), round(count_bytes))
+
+
+def movable(count_bytes: float) -> Need:
+    """Of arrays that can lie in files, by :class:`wavesim.runtime.scratch.Scratch`."""
+    return Need(round(count_bytes), 0)
+
+
+def in_files(count_bytes: float) -> Need:
+    """Of files that are written in any case."""
+    return Need(0, 0, round(count_bytes))
 
 
 def memory_limit(memory_gb: float | None) -> float:

@@ -85,6 +85,10 @@ class Scratch:
         result[...] = values
         return result
 
+    def held(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
+        """An array where large ones lie: itself, or moved there if not all of them fit into memory."""
+        return values if self.folder is None else self.moved(values, what)
+
     def _count(self, in_file: bool, size: int) -> None:
         if in_file:
             self.bytes_in_files += size

@@ -154,7 +154,7 @@ def test_the_command_takes_no_more_memory_than_it_may(
 
 MEASURE = """
 import sys
-sys.path[:0] = ["tests/support", "tests/wavesim"]
+sys.path[:0] = ["tests/support", "tests/wavesim/camera"]
 from test_recording import CAMERA, PLANES_MM, Scenery
 from wavesim.camera.recording import Recording, image_patch, imaging_need
 from wavesim.camera.windows import imaging_engine

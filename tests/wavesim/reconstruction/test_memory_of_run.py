@@ -14,9 +14,8 @@ from lensdesign import load_design
 from wavesim.camera.recorded import Recorded
 from wavesim.cli.reconstruct_results import truth_figures
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import Patch, make_illumination
-from wavesim.reconstruction import need as reconstruction_need
-from wavesim.reconstruction.need import run_need
+from wavesim.objects.patch import LIGHT_BYTES, Patch, make_illumination
+from wavesim.reconstruction.memory import REFOCUSED_BYTES, run_need
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
@@ -87,14 +86,14 @@ def noise(seed: int) -> Any:
 
 def test_light_and_refocusing_take_what_is_told(engine: Nothing) -> None:
     patch = Patch(engine.scene.object_grid, 0.1, 0.532)
-    assert 0.8 * reconstruction_need.LIGHT_BYTES < peak(lambda: make_illumination(patch)) < 58.0
+    assert 0.8 * LIGHT_BYTES < peak(lambda: make_illumination(patch)) < 58.0
     part = Field(
         Nothing((250, 250)).scene.object_grid,
         np.exp(1j * noise(1).ravel()[: 250**2].reshape(250, 250)),
         0.532,
     )
     carried = SHAPE[0] * SHAPE[1] / 250**2 * peak(lambda: refocus_field(part, (-0.002, 0.002), 2.1e-3))
-    assert 0.7 * carried < reconstruction_need.REFOCUSED_BYTES < 1.4 * carried
+    assert 0.7 * carried < REFOCUSED_BYTES < 1.4 * carried
 
 
 def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_room(
