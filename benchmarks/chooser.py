@@ -11,8 +11,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
-from wavesim.engines.choosing import Prediction, choose, predictions
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import Prediction, choose, engine_for, predictions
 from wavesim.evaluation.engines import lens_case
 from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
@@ -78,7 +77,7 @@ def try_all(case: OracleCase, allowed: float) -> list[Tried]:
         if prediction.refused or not np.isfinite(prediction.relative_error):
             continue
         started = time.perf_counter()
-        engine = make_engine(prediction.engine, case.scene, **prediction.settings)
+        engine = engine_for(case.scene, prediction.engine, **prediction.settings)
         values = engine.forward(case.object_field).values
         once = time.perf_counter() - started
         runs = []

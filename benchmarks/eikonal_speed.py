@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design, scaled
-from wavesim import Field, Grid, Scene, make_engine
+from wavesim import Field, Grid, Scene, engine_for
 from wavesim.scene.patches import OBJECT_FINENESS
 
 RUNS = 7
@@ -39,7 +39,7 @@ def patch(name: str, lens: Lens, side_mm: float, exit_grid: Grid, error: float, 
     rng = np.random.default_rng(1)
     values = rng.standard_normal((count, count)) + 1j * rng.standard_normal((count, count))
     field = Field(scene.object_grid, values.astype(np.complex64), wavelength)
-    engine = make_engine("eikonal", scene, error=error)
+    engine = engine_for(scene, "eikonal", error=error)
     started = time.perf_counter()
     engine.adjoint(engine.forward(field))
     once = time.perf_counter() - started

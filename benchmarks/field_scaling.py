@@ -22,10 +22,11 @@ import numpy as np
 from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
-from wavesim import Field, make_engine
+from wavesim import Field, engine_for
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.on_cpu import Task, Way, carry
+from wavesim.engines.whole_field.on_cpu import carry
 from wavesim.fields.field import Grid
+from wavesim.scene.engine import Task, Way
 
 FIELDS_MM = (0.25, 0.5, 1.0, 2.0, 3.0)
 APERTURES = (0.2, 0.3, 0.4, 0.5)
@@ -86,7 +87,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     lens = lens.replaced(object=lens.object.replaced(numerical_aperture=aperture))
     scene = field_scene(lens, field_mm, side)
     rng = np.random.default_rng(1)
-    engine = make_engine("two-level", scene)
+    engine = engine_for(scene, "two-level")
     assert isinstance(engine, TwoLevelTiles)
     tiles = 0.0
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
-from wavesim import Field, Grid, Scene, make_engine
+from wavesim import Field, Grid, Scene, engine_for
 from wavesim.scene.patches import OBJECT_FINENESS
 
 SECONDS, GIGABYTES, MISMATCH = 60.0, 4.0, 1e-6
@@ -38,7 +38,7 @@ def main() -> None:
         for t, e in zip(times[-1], exponents, strict=True)
     ]
     rows += [Row("a 10 mm field on this machine, forward", largest[0] / 60.0, "min")]
-    slices = make_engine("slices", field_scene(lens, DIAMETERS_MM[-1]), slices=200, compensation="vertical")
+    slices = engine_for(field_scene(lens, DIAMETERS_MM[-1]), "slices", slices=200, compensation="vertical")
     rows.append(
         Row("200 slices, predicted, over forward", slices.cost().seconds / times[-1][0], at_least=RATIO)
     )
@@ -50,7 +50,7 @@ def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float,
     scene, paper = field_scene(lens, diameter_mm), diameter_mm == DIAMETERS_MM[-1]
     wavelength, count = scene.wavelength_um, scene.object_grid.shape[0]
     rng = np.random.default_rng(1)
-    engine = make_engine("two-level", scene)
+    engine = engine_for(scene, "two-level")
     field, other = (
         Field(grid, noise(rng, grid), wavelength) for grid in (scene.object_grid, scene.exit_grid)
     )
@@ -113,7 +113,7 @@ def against_one_level(lens: Lens) -> list[Row]:
         wavelength,
     )
     values = noise(np.random.default_rng(2), scene.object_grid)
-    one = make_engine("eikonal", scene, error=1e-4, tile_width_mm=0.075)
+    one = engine_for(scene, "eikonal", error=1e-4, tile_width_mm=0.075)
     exact = one.forward(Field(scene.object_grid, values.astype(complex), wavelength)).values
     # The outermost strip is drawn soft by one and sharp by the other.
     bright = np.argwhere(np.abs(exact) > 0.0)
@@ -122,7 +122,7 @@ def against_one_level(lens: Lens) -> list[Row]:
     inside = 0.02 * np.hypot(rows - middle[0], columns - middle[1]) < 8.3
     found = []
     for error in (1e-2, 1e-3):
-        engine = make_engine("two-level", scene, error=error)
+        engine = engine_for(scene, "two-level", error=error)
         mine = engine.forward(Field(scene.object_grid, values, wavelength)).values
         off = float(np.linalg.norm(mine[inside] - exact[inside]) / np.linalg.norm(exact[inside]))
         found.append(Row(f"difference from one level, error {error:g} asked", off, at_most=error))

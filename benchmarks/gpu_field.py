@@ -22,7 +22,7 @@ from benchmarks.full_field import MISMATCH, dot_product_mismatch, field_scene, n
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
-from wavesim import Field, Scene, make_engine
+from wavesim import Field, Scene, engine_for
 from wavesim.engines.slices.planes import SlicedSurface, SurfacePoints, sliced
 from wavesim.engines.slices.steps import through_surface
 from wavesim.engines.surfaces.grids import WorkingGrid, working_grid
@@ -88,7 +88,7 @@ def _transforms(device: Device) -> AbstractContextManager[Any]:
 def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
     """Forward and adjoint of the processor and of the device, one after the other."""
     scene = field_scene(lens, field_mm, side)
-    engine = make_engine("two-level", scene, error=1e-2)
+    engine = engine_for(scene, "two-level", error=1e-2)
     assert isinstance(engine, TwoLevelTiles)
     rng = np.random.default_rng(1)
     starts = [

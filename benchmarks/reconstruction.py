@@ -21,8 +21,8 @@ from wavesim import (
     Grid,
     SamplingWarning,
     Scene,
+    engine_for,
     estimate_intensity,
-    make_engine,
     plane_seeds,
     propagate,
     reconstruct,
@@ -75,7 +75,7 @@ def twin() -> tuple[Engine, Field]:
     count = round(SIDE_MM / PITCH_MM)
     grid = Grid((count, count), PITCH_MM, lens.object_z_mm)
     exit_grid = Grid((PIXELS, PIXELS), PIXEL_MM, lens.exit_vertex_z_mm + PLANES_MM[0])
-    engine = make_engine("eikonal", Scene(lens, grid, exit_grid, 0.532), error=0.1)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.1)
     stop = (np.sqrt(grid.radius_squared_mm2()) < 0.5 * STOP_MM).astype(np.complex64)
     return engine, Field(grid, stop, 0.532)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
-from wavesim import Field, Grid, SamplingWarning, Scene, make_engine, refocus_field
+from wavesim import Field, Grid, SamplingWarning, Scene, engine_for, refocus_field
 from wavesim.fields.coverage import rectangle, rectangle_coverage
 from wavesim.scene.patches import exit_grid
 
@@ -35,11 +35,11 @@ def main() -> None:
     samples = round(WIDE_MM / PITCH_MM)
     nominal = Grid((samples, samples), PITCH_MM, lens.object_z_mm)
     behind = exit_grid(lens, WAVELENGTH_UM, 2.0, 2)
-    back = make_engine("eikonal", Scene(lens, nominal, behind, WAVELENGTH_UM), error=0.1)
+    back = engine_for(Scene(lens, nominal, behind, WAVELENGTH_UM), "eikonal", error=0.1)
     rows = []
     for off in OFF_MM:
         grid = nominal.at(nominal.z_mm + off)
-        through = make_engine("eikonal", Scene(lens, grid, behind, WAVELENGTH_UM), error=0.1)
+        through = engine_for(Scene(lens, grid, behind, WAVELENGTH_UM), "eikonal", error=0.1)
         field = back.adjoint(through.forward(Field(grid, fine_bars(grid), WAVELENGTH_UM)))
         found = refocus_field(field, (-0.2, 0.2), 4e-3)
         peaks = np.flatnonzero((found.svfg[1:-1] > found.svfg[:-2]) & (found.svfg[1:-1] >= found.svfg[2:]))

@@ -30,12 +30,10 @@ from .camera.windows import (
     DiversityWarning,
     diversity,
     exit_scene,
-    imaging_engine,
     sensor_window,
 )
-from .engines.choosing import Choice, Prediction, choose, chosen_engine, predict
+from .engines.choosing import Choice, Prediction, choose, engine_for, predict
 from .engines.no_lens import NoLens
-from .engines.registry import make_engine
 from .engines.slices.engine import AnnularSlices
 from .engines.surfaces.grids import TotalReflectionWarning
 from .engines.thin_lens import ThinLens
@@ -114,8 +112,9 @@ from .reconstruction.from_object import Reconstructed, prox_tv, reconstruct
 from .reconstruction.memory import reconstruction_bytes
 from .reconstruction.refocusing import Refocusing, refocus_field, svfg
 from .runtime.scratch import Scratch
-from .scene.engine import Cost, Engine, Neglected, Scene
+from .scene.engine import Cost, Engine, Neglected
 from .scene.patches import patch_scene
+from .scene.scene import Scene
 
 __all__ = [
     "AnnularSlices",
@@ -174,11 +173,11 @@ __all__ = [
     "chain_contrast",
     "check_propagation",
     "choose",
-    "chosen_engine",
     "correlation",
     "critical_distance_mm",
     "diversity",
     "element_contrasts",
+    "engine_for",
     "estimate_intensity",
     "exit_scene",
     "field_layers",
@@ -187,12 +186,10 @@ __all__ = [
     "from_tilted_plane",
     "gaussian_beam",
     "image_patch",
-    "imaging_engine",
     "line_pair_contrast",
     "line_pair_displacement_um",
     "line_pair_image",
     "line_pair_profile",
-    "make_engine",
     "make_illumination",
     "make_target",
     "measured_field",

@@ -12,8 +12,9 @@ from lensdesign.lens.poses import Pose
 from wavesim.camera.exposures import Electronics
 from wavesim.camera.frames import write_frame
 from wavesim.camera.recording import Recording, image_patch
-from wavesim.camera.windows import exit_scene, imaging_engine, sensor_window
+from wavesim.camera.windows import exit_scene, sensor_window
 from wavesim.cli.commands import main
+from wavesim.engines.choosing import engine_for
 from wavesim.objects.patch import make_illumination, make_target, object_patch
 from wavesim.pictures.field_files import write_field
 
@@ -41,7 +42,7 @@ def write_frames(folder: Path, pose: Pose = Pose()) -> None:
     sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
     scene = exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2)
     made = image_patch(
-        imaging_engine(scene, "eikonal", 1, 0.3),
+        engine_for(scene, "eikonal", error=0.3),
         light.with_values(light.values * target.transmission.values),
         sensor,
         [sensor, sensor],

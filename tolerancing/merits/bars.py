@@ -130,12 +130,12 @@ class Chain:
 
     def _model(self, refocus_mm: float) -> Engine:
         from wavesim.camera.windows import exit_scene
-        from wavesim.engines.registry import make_engine
+        from wavesim.engines.choosing import engine_for
 
         scene = exit_scene(self.lens, self.patch, self.sensor, self.planes_mm[0])
         grid = scene.object_grid
         scene = replace(scene, object_grid=grid.at(grid.z_mm + refocus_mm))
-        return make_engine("eikonal", scene, error=TILE_ERROR)
+        return engine_for(scene, "eikonal", error=TILE_ERROR)
 
     def scene(self, system: Realisation) -> Scene:
         """Between the object and the sensor's first plane, both where they really are."""
@@ -183,7 +183,7 @@ class Chain:
             If no light arrives, or samples cannot hold it on its way.
         """
         from wavesim import Field, FootprintWarning, SamplingWarning, SaturationWarning
-        from wavesim.engines.registry import make_engine
+        from wavesim.engines.choosing import engine_for
         from wavesim.fields.windowed import propagate_to
 
         scene = self.scene(system)
@@ -192,7 +192,7 @@ class Chain:
         with warnings.catch_warnings():
             for told in (FootprintWarning, SamplingWarning, SaturationWarning):
                 warnings.simplefilter("ignore", told)
-            first = make_engine("eikonal", scene, error=TILE_ERROR).forward(behind)
+            first = engine_for(scene, "eikonal", error=TILE_ERROR).forward(behind)
             for distance, delta in zip(self.planes_mm, system.plane_distances_mm, strict=True):
                 z_mm = self.lens.exit_vertex_z_mm + distance + delta
                 there = first if z_mm == first.grid.z_mm else propagate_to(first, first.grid.at(z_mm))

@@ -29,11 +29,12 @@ from wavesim.calibration.mounting import DECENTERS, TILTS, Mounting, refuse_para
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum, interpolated_minimum
 from wavesim.camera.recorded import Recorded, weights_of
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_object import Kind, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
@@ -92,7 +93,7 @@ class Calibrated:
 
 def eikonal_tiles(scene: Scene) -> Engine:
     """The engine that calibration takes if none is named: eikonal tiles with an error of 0.1."""
-    return make_engine("eikonal", scene, error=0.1)
+    return engine_for(scene, "eikonal", error=0.1)
 
 
 def calibrate(

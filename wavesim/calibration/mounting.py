@@ -23,7 +23,7 @@ from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
 from wavesim.fields.free_space import axial_wavenumber_per_mm
 from wavesim.fields.plane_waves import fft_frequencies
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating]
 

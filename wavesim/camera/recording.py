@@ -26,7 +26,6 @@ from wavesim.camera.frames import Array, Frame
 from wavesim.camera.pixel_light import PixelLight
 from wavesim.camera.sensor import frames_of_light, record_exposures, sensor_grid, tell_footprint
 from wavesim.camera.windows import OVERSAMPLING
-from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
@@ -35,7 +34,8 @@ from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.runtime.checkpoint import key_of
 from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.scene import Scene
 
 BAND_ROWS = 1024
 """Of a plane's samples, made at one time."""
@@ -146,12 +146,12 @@ def image_patch(
     InputError, SamplingError
         If a setting is not usable, samples cannot hold the light on its way, or the folder's disk is full.
     """
-    if engine.any_plane and make is None:
+    if isinstance(engine, Tiled) and make is None:
         raise InputError(f"make: engine {engine.name} needs one for each plane")
     tell = progress or (lambda what, done, count: None)
     scene = engine.scene
     first, frames, share = None, list[Frame](), 0.0
-    if not engine.any_plane:
+    if not isinstance(engine, Tiled):
         tell("through the lens", 0, len(windows))
         first = engine.forward(behind_object)
         limit = 500.0 / sensor.pixel_pitch_um
@@ -164,7 +164,7 @@ def image_patch(
         here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
         assert make is not None
         own = engine if here.exit_grid == scene.exit_grid else make(here)
-        assert isinstance(own, TwoLevelTiles)
+        assert isinstance(own, Tiled)
         light = PixelLight(sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch)
         intensity, beyond = _light_in_bands(
             own,
@@ -228,7 +228,7 @@ def _plane_grid(scene: Scene, number: int, windows: Sequence[Sensor], recording:
 
 
 def _light_in_bands(
-    engine: TwoLevelTiles,
+    engine: Tiled,
     behind_object: Field,
     sensor: Sensor,
     light: PixelLight,
@@ -242,11 +242,11 @@ def _light_in_bands(
     assert part is not None  # windows are as wide as the sensor at least
     rows, columns = part
     spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
-    steps = len(engine.groups) + math.ceil(grid.shape[0] / BAND_ROWS)
+    steps = engine.parts + math.ceil(grid.shape[0] / BAND_ROWS)
     engine.report = lambda done, _: tell(done, steps)
     try:
         bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
-        for step, (band, values) in enumerate(bands, start=len(engine.groups) + 1):
+        for step, (band, values) in enumerate(bands, start=engine.parts + 1):
             tell(step, steps)
             total += float(np.vdot(values, values).real)
             spectrum.add(values)
@@ -261,7 +261,7 @@ def _light_in_bands(
 
 
 def _parts(
-    folder: Path | None, number: int, engine: TwoLevelTiles, field: Field
+    folder: Path | None, number: int, engine: Tiled, field: Field
 ) -> MutableMapping[int, NDArray[Any]]:
     """Where super-tiles' fields of one plane are kept."""
     if folder is None:
@@ -293,7 +293,7 @@ def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], reco
     carrying = fixed(24 * object_samples + engine.cost().peak_bytes)
     counts = fixed(2 * pixels * len(windows) * len(recording.exposures))
     always = fixed(BASE_BYTES) + (carrying | fixed(LIGHT_BYTES * object_samples)) + counts
-    if not isinstance(engine, TwoLevelTiles):
+    if not isinstance(engine, Tiled):
         widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
         # The first plane's field, another one's, and free space between them.
         return always + fixed(16 * widest * (1 if len(windows) == 1 else 4))

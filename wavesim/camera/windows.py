@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -16,14 +15,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.camera.sensor import FootprintWarning, sensor_grid
-from wavesim.engines.choosing import choose
-from wavesim.engines.registry import AUTO, make_engine
-from wavesim.engines.surfaces.grids import LARGEST_BYTES
+from wavesim.engines.registry import AUTO, settings_of
 from wavesim.objects.patch import Patch
-from wavesim.scene.engine import Engine, Scene
-
-TILED = ("eikonal", "two-level")
-"""Engines whose tiles have an error that may be asked for."""
+from wavesim.scene.scene import Scene
 
 WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
 """Sensor windows are wider than the footprint by this factor; samples per pixel of what falls on them."""
@@ -43,51 +37,21 @@ class DiversityWarning(UserWarning):
     """Recording planes are so near each other that their intensities tell little of the phase."""
 
 
-def imaging_engine(
-    scene: Scene,
-    name: str,
-    runs: int,
-    error: float | None = None,
-    *,
-    memory_bytes: float = LARGEST_BYTES,
-    **settings: Any,
-) -> Engine:
-    """The engine asked for, or the cheapest that holds.
+def imaging_error(name: str, error: float | None = None) -> float | None:
+    """Relative error to ask an engine, or "auto", for: the one given, or what does for imaging.
 
-    Parameters
-    ----------
-    scene
-        What is carried where.
-    name
-        Of an engine, or "auto".
-    runs
-        How often fields will be carried.
-    error
-        Relative error allowed; left out, `DEFAULT_ERROR` for the choice and `TILE_ERROR` for tiles.
-    memory_bytes
-        That an engine which is chosen may take.
-    **settings
-        Of the engine named.
+    None where the engine has no such setting.
 
     Raises
     ------
     InputError
-        If there is no such engine or setting.
-    SamplingError
-        If no engine holds.
+        If there is no such engine.
     """
-    if name == AUTO and not settings:
-        chosen = choose(scene, DEFAULT_ERROR if error is None else error, memory_bytes, runs=runs).chosen
-        name, settings = chosen.engine, dict(chosen.settings)
-        if name in TILED:
-            settings["error"] = min(settings["error"], TILE_ERROR)
-    elif name in TILED:
-        settings["error"] = TILE_ERROR if error is None else error
-    elif error is not None and name != AUTO:
-        raise InputError(
-            f"error = {error:g}: engine {name} has no such setting; allowed for auto, {', '.join(TILED)}"
-        )
-    return make_engine(name, scene, **settings)
+    if error is not None:
+        return error
+    if name == AUTO:
+        return DEFAULT_ERROR
+    return TILE_ERROR if "error" in settings_of(name) else None
 
 
 def footprint_mm(lens: Lens, patch: Patch, plane_distance_mm: float, pose: Pose = Pose()) -> float:

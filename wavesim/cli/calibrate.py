@@ -126,8 +126,9 @@ def _calibrated(options: Any) -> Any:
     from wavesim.calibration.estimation import noise_misfit
     from wavesim.calibration.mounting import Mounting, parameter_names
     from wavesim.camera.frame_sets import recorded_planes
-    from wavesim.camera.windows import exit_scene, imaging_engine
+    from wavesim.camera.windows import exit_scene, imaging_error
     from wavesim.cli.reconstruct_results import read_truth
+    from wavesim.engines.choosing import engine_for
     from wavesim.runtime.checkpoint import Checkpoint
 
     lens = load_design(options.design)
@@ -135,7 +136,7 @@ def _calibrated(options: Any) -> Any:
     recorded = recorded_planes(frames)
     options.noise = noise_misfit(recorded)
     options.planes_mm = planes
-    settings = engine_options(options)
+    settings, error = engine_options(options), imaging_error(options.engine, options.error)
     start = Mounting(pivot_z_mm=options.pivot_z_mm)
     names = _named(options.parameters, parameter_names(len(planes)))
     known = None if options.known is None else read_truth(options.known, patch)
@@ -165,8 +166,8 @@ def _calibrated(options: Any) -> Any:
                 scale=options.scale,
                 active_width=options.active_width,
                 start=start,
-                make=lambda scene: imaging_engine(
-                    scene, options.engine, 2 * options.iterations, options.error, **settings
+                make=lambda scene: engine_for(
+                    scene, options.engine, error=error, runs=2 * options.iterations, **settings
                 ),
                 most_mountings=options.most_mountings,
                 tried=tried,

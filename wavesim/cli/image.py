@@ -183,7 +183,8 @@ def _target(lens: Any, patch: Any, options: Any) -> Any:
 def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> Made:
     """Through the lens and onto the sensor, within the memory allowed."""
     from wavesim.camera.recording import PARTS, image_patch, imaging_need
-    from wavesim.camera.windows import OVERSAMPLING, exit_scene, imaging_engine
+    from wavesim.camera.windows import OVERSAMPLING, exit_scene, imaging_error
+    from wavesim.engines.choosing import engine_for
     from wavesim.runtime.memory import Memory, memory_limit, room_for_arrays
     from wavesim.runtime.scratch import scratch_in
 
@@ -194,8 +195,10 @@ def _imaged(lens: Any, options: Any, made: Made, windows: Any, behind: Any) -> M
     with tiles_in(options.cluster) as take:
 
         def make(scene: Any) -> Any:
-            name, error = options.engine, options.error
-            return take(imaging_engine(scene, name, 1, error, memory_bytes=limit, **settings))
+            error = imaging_error(options.engine, options.error)
+            return take(
+                engine_for(scene, options.engine, error=error, memory_gb=1e-9 * limit, runs=1, **settings)
+            )
 
         engine = make(scene)
         memory = Memory(imaging_need(engine, made.sensor, windows, recording), limit)

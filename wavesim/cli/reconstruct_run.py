@@ -14,10 +14,10 @@ from lensdesign.errors import InputError
 from wavesim.calibration.mounting import read_mounting
 from wavesim.camera.frame_sets import planes_of_frames, recorded_planes
 from wavesim.camera.recorded import Recorded
-from wavesim.camera.windows import exit_scene, imaging_engine
+from wavesim.camera.windows import exit_scene, imaging_error
 from wavesim.cli.imaging_options import engine_options, framed_patch, key_of_frames, pose_of, tiles_in
 from wavesim.cli.reconstruct_results import read_truth, truth_figures
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field.on_cluster import ClusterError, refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, transmission_of, usaf_charts_of
@@ -35,7 +35,8 @@ from wavesim.runtime.memory import (
     room_for_arrays,
 )
 from wavesim.runtime.scratch import Scratch, scratch_in
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.scene import Scene
 
 ONE_PLANE = "--method paper: needs frames of two planes or more; --method object can do with one"
 
@@ -167,12 +168,12 @@ def _true(path: Path, patch: Patch) -> Field:
 
 def _engine(scene: Scene, options: Any, runs: int, limit: float) -> Engine:
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    return imaging_engine(
+    return engine_for(
         scene,
         options.engine,
-        runs,
-        options.error,
-        memory_bytes=limit - BASE_BYTES - fields,
+        error=imaging_error(options.engine, options.error),
+        memory_gb=1e-9 * (limit - BASE_BYTES - fields),
+        runs=runs,
         **engine_options(options),
     )
 
@@ -262,7 +263,7 @@ def _ready(engine: Any, take: Take, told: _Told) -> Iterator[Engine]:
 
     Of a region, the cheapest engine may be one that does neither.
     """
-    reports = isinstance(engine, TwoLevelTiles)
+    reports = isinstance(engine, Tiled)
     if reports:
         engine.report = told.part
     try:

@@ -260,7 +260,7 @@ def choose(
         wavelength_um=wavelength_um,
         meridional=meridional,
     )
-    choice = choose_engine(scene, error, 1e9 * memory_gb, 3600.0 * hours, runs)
+    choice = choose_engine(scene, error, memory_gb, 3600.0 * hours, runs)
     if as_json:
         print_json(_choice_summary(choice, runs))
     else:

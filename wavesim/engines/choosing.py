@@ -12,22 +12,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError, SamplingError
-from wavesim.engines.registry import make_engine
+from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
-from wavesim.engines.whole_field.engine import LEAST_ERROR, tiles_along
 from wavesim.fields.guards import SamplingWarning
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
-SLICES = (10, 30, 100, 300, 1000)
-TILE_SHARE, LEAST_TILE_ERROR = 0.5, 1e-5
-"""Of the error allowed, what eikonal tiles may leave by their width; and the least that may be asked for."""
-
-MANY_TILES = 16
-"""Along a side of the object, from which on tiles in two levels are worth their set-up."""
-
-NARROWEST, WORTH = 8, 0.95
-"""Narrowest tile tried, in object samples; what a step to narrower tiles must bring to go on."""
+ERROR = 0.1
+"""Relative error of the exit field that is allowed if nothing else is said."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Prediction:
     engine : str
         Name.
     settings : dict
-        To be given to :func:`wavesim.engines.registry.make_engine`.
+        To be given to :func:`engine_for`.
     relative_error : float
         Upper bound of the exit field's relative L2 error; infinite where the engine cannot tell.
     seconds, setup_seconds : float
@@ -94,6 +88,54 @@ class Choice:
     reason: str
 
 
+def engine_for(
+    scene: Scene,
+    name: str = AUTO,
+    *,
+    error: float | None = None,
+    memory_gb: float = 1e-9 * LARGEST_BYTES,
+    runs: int = 2,
+    **settings: Any,
+) -> Engine:
+    """An engine for a scene: the one named, or the cheapest that holds.
+
+    Parameters
+    ----------
+    scene
+        What is to be carried where.
+    name
+        One of :data:`wavesim.engines.registry.ENGINES`, or "auto": the one that :func:`choose` takes.
+    error
+        Relative L2 error of the exit field that is allowed; of an engine named, its setting of this name.
+        Left out, `ERROR` for the choice, and what the engine named has.
+    memory_gb, runs
+        As of :func:`choose`; they say nothing to an engine named.
+    **settings
+        Of the engine named; what is left out stays at the engine's own choice.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine, or it does not know a setting or refuses its value.
+    SamplingError
+        If no engine holds; the message has the figures of each.
+    """
+    if error is not None:
+        settings["error"] = error
+    allowed = ("error", "memory_gb", "runs") if name == AUTO else settings_of(name)
+    for setting in settings:
+        if setting not in allowed:
+            listed = f"allowed: {', '.join(allowed)}" if allowed else "it has none"
+            raise InputError(
+                f"engine {name}: {setting} = {settings[setting]!r}: there is no such setting; {listed}"
+                f"{did_you_mean(setting, allowed)}"
+            )
+    if name != AUTO:
+        return engine_class(name)(scene, **settings)
+    chosen = choose(scene, ERROR if error is None else error, memory_gb, runs=runs).chosen
+    return engine_class(chosen.engine)(scene, **chosen.settings)
+
+
 def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
     """What an engine says of a scene before it runs.
 
@@ -102,14 +144,14 @@ def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
     scene
         What is to be carried where.
     engine, settings
-        As for :func:`wavesim.engines.registry.make_engine`.
+        As for :func:`engine_for`.
 
     Raises
     ------
     InputError
         If there is no such engine or setting.
     """
-    built = make_engine(engine, scene, **settings)
+    built = engine_for(scene, engine, **settings)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
@@ -128,40 +170,21 @@ def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
 
 
 def predictions(scene: Scene, error: float) -> Iterator[Prediction]:
-    """Predictions of all engines, of each with the first settings that hold, or with all if none does."""
-    yield predict(scene, "no-lens")
-    yield predict(scene, "thin-lens")
-    yield from _eikonal(scene, error)
-    if tiles_along(scene) > MANY_TILES:
-        tiles = min(max(TILE_SHARE * error, LEAST_ERROR), 1.0)
-        yield predict(scene, "two-level", error=tiles)
-    for slices in SLICES:
-        found = predict(scene, "slices", slices=slices, compensation="oblique")
-        yield found
-        if found.relative_error <= error or found.refused:
-            break
-    yield predict(scene, "wpm")
-
-
-def _eikonal(scene: Scene, error: float) -> Iterator[Prediction]:
-    """Wide tiles, then narrower ones for as long as that helps."""
-    tiles = max(TILE_SHARE * error, LEAST_TILE_ERROR)
-    found = predict(scene, "eikonal", error=tiles)
-    yield found
-    grid = scene.object_grid
-    width = max(n * grid.pitch_mm for n in grid.shape)
-    while not found.refused and found.relative_error > error and width > NARROWEST * grid.pitch_mm:
-        width, before = 0.5 * width, found.relative_error
-        found = predict(scene, "eikonal", error=tiles, tile_width_mm=width)
-        yield found
-        if found.relative_error > WORTH * before:
-            break
+    """Predictions of all engines, each with its candidates up to the first that holds or brings no gain."""
+    for name in ENGINES:
+        engine, before = engine_class(name), math.inf
+        for settings in engine.candidates(scene, error):
+            found = predict(scene, name, **settings)
+            yield found
+            if found.refused or found.relative_error <= error or found.relative_error > engine.gain * before:
+                break
+            before = found.relative_error
 
 
 def choose(
     scene: Scene,
-    error: float = 0.1,
-    memory_bytes: float = LARGEST_BYTES,
+    error: float = ERROR,
+    memory_gb: float = 1e-9 * LARGEST_BYTES,
     seconds: float = LONGEST_SECONDS,
     runs: int = 2,
 ) -> Choice:
@@ -173,7 +196,7 @@ def choose(
         What is to be carried where.
     error
         Relative L2 error of the exit field that is allowed; its square is the share of wrong energy.
-    memory_bytes, seconds
+    memory_gb, seconds
         Memory that may be used, and time that all runs may take.
     runs
         How often fields will be carried forward or back, over which the set-up is shared.
@@ -187,12 +210,12 @@ def choose(
     """
     if not 0.0 < error < 2.0:
         raise InputError(f"error = {error!r}: must be above 0 and below 2")
-    for name, value in (("memory_bytes", memory_bytes), ("seconds", seconds)):
+    for name, value in (("memory_gb", memory_gb), ("seconds", seconds)):
         if not value > 0.0:
             raise InputError(f"{name} = {value!r}: must be above 0")
     if runs < 1:
         raise InputError(f"runs = {runs}: must be at least 1")
-    allowed = Allowed(error, memory_bytes, seconds, runs)
+    allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
     weighed = tuple(predictions(scene, error))
     holding = [p for p in weighed if allowed.fault(p) is None]
     if not holding:
@@ -202,15 +225,9 @@ def choose(
     return Choice(best, weighed, _reason(best, weighed, allowed))
 
 
-def chosen_engine(scene: Scene, **allowed: Any) -> Engine:
-    """The engine that :func:`choose` takes with the same arguments, made."""
-    chosen = choose(scene, **allowed).chosen
-    return make_engine(chosen.engine, scene, **chosen.settings)
-
-
 @dataclass(frozen=True)
 class Allowed:
-    """What a choice must keep to; as the arguments of :func:`choose`."""
+    """What a choice must keep to."""
 
     error: float
     memory_bytes: float

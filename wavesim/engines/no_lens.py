@@ -11,7 +11,8 @@ from typing import Any
 
 from wavesim.engines.surfaces.grids import refuse_if_huge
 from wavesim.fields.grid_transfer import GridTransfer
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
 
 
 class NoLens(Engine):

@@ -30,7 +30,8 @@ from wavesim.fields.field import Grid
 from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.rays.interfaces import transmission
 from wavesim.runtime.speed import exponential_seconds, pass_seconds
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

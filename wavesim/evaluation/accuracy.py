@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.engines.registry import engine_class, make_engine
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.registry import engine_class
 from wavesim.fields.field import Field, relative_error
 from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.scene.engine import Cost, Engine
@@ -105,7 +106,7 @@ def hold_against(
     case
         The scene.
     engine, settings
-        As for :func:`wavesim.engines.registry.make_engine`.
+        As for :func:`wavesim.engines.choosing.engine_for`.
     oracle
         Name of the scene, for the result.
 
@@ -119,7 +120,7 @@ def hold_against(
         warnings.simplefilter("always")
         built, seconds, setup_seconds, field = _timed(engine, case, settings)
         peak = peak_bytes(engine, case, settings)
-        fresh = make_engine(engine, case.scene, **settings)
+        fresh = engine_for(case.scene, engine, **settings)
         predicted, predicted_error = fresh.cost(), fresh.predicted_error()
     return OracleResult(
         engine=engine,
@@ -145,7 +146,7 @@ def _plain(value: Any) -> Any:
 def _timed(engine: str, case: OracleCase, settings: Mapping[str, Any]) -> tuple[Engine, float, float, Field]:
     """The engine, seconds for a run, seconds that the first run took longer, and the exit field."""
     started = time.perf_counter()
-    built = make_engine(engine, case.scene, **settings)
+    built = engine_for(case.scene, engine, **settings)
     field = built.forward(case.object_field)
     first = time.perf_counter() - started
     best = _seconds(built, case.object_field)
@@ -168,7 +169,7 @@ def peak_bytes(engine: str, case: OracleCase, settings: Mapping[str, Any]) -> in
     try:
         tracemalloc.reset_peak()
         before, _ = tracemalloc.get_traced_memory()
-        make_engine(engine, case.scene, **settings).forward(case.object_field)
+        engine_for(case.scene, engine, **settings).forward(case.object_field)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         if not running:

@@ -17,7 +17,8 @@ import numpy as np
 from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, SamplingError, atomic_path
 from lensdesign.lens.lens import Lens
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.registry import ENGINES, engine_class
 from wavesim.evaluation.accuracy import hold_against
 from wavesim.fields.field import Field
 from wavesim.oracles.registry import OracleCase, oracle_case
@@ -73,25 +74,12 @@ class Measured:
 
 def variants() -> tuple[Variant, ...]:
     """Every engine over a range of its settings."""
-    eikonal: list[Variant] = [
-        (f"eikonal, {kind}", "eikonal", {"error": error, "quadratic": kind})
-        for kind in ("low-rank", "mean")
-        for error in (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)
-    ]
-    slices: list[Variant] = [
-        (f"slices, {kind}", "slices", {"slices": count, "compensation": kind})
-        for kind, counts in (
-            ("oblique", (3, 10, 30, 100, 300, 1000)),
-            ("vertical", (10, 30, 100, 300, 1000, 3000)),
-        )
-        for count in counts
-    ]
-    wpm: list[Variant] = [
-        (f"wpm, {kind}", "wpm", {"step_um": step, "interface": kind})
-        for kind, steps in (("substep", (2.0, 1.0, 0.5, 0.25)), ("staircase", (0.25, 0.1, 0.05)))
-        for step in steps
-    ]
-    return (*eikonal, *slices, *wpm, ("thin lens", "thin-lens", {}), ("no lens", "no-lens", {}))
+    return tuple(
+        (family, name, settings)
+        for name in ENGINES
+        for family, curve in engine_class(name).curves().items()
+        for settings in curve
+    )
 
 
 def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) -> OracleCase:
@@ -110,8 +98,8 @@ def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) 
         `exact` is that of the wave propagation method with fine steps; `uncertainty` is its own estimate.
     """
     scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
-    step_um = make_engine("wpm", scene).settings()["step_um"]
-    truth = make_engine("wpm", scene, step_um=REFERENCE_SHARE * step_um)
+    step_um = engine_for(scene, "wpm").settings()["step_um"]
+    truth = engine_for(scene, "wpm", step_um=REFERENCE_SHARE * step_um)
     start = random_field(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
     unknown = [part.relative_error for part in truth.neglected()]
     return OracleCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
@@ -174,7 +162,7 @@ def _measure(name: str, case: OracleCase, variant: Variant, most_seconds: float)
     label = _label(settings)
     nothing = (float("nan"),) * 7
     try:
-        cost = make_engine(engine, case.scene, **settings).cost()
+        cost = engine_for(case.scene, engine, **settings).cost()
         seconds = cost.setup_seconds + cost.seconds
         if seconds > most_seconds:
             return Measured(

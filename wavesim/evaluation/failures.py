@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.engines import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.free_space import propagate
@@ -103,7 +103,7 @@ def slice_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
     for kind in ("oblique", "vertical"):
 
         def cell(slices: float, aperture: float, kind: str = kind) -> tuple[float, int]:
-            engine = make_engine("slices", cases[aperture].scene, slices=int(slices), compensation=kind)
+            engine = engine_for(cases[aperture].scene, "slices", slices=int(slices), compensation=kind)
             return _run(engine, cases[aperture])
 
         labels = ("slices of each surface", "numerical aperture")
@@ -141,10 +141,10 @@ def tile_map(lens: Lens) -> FailureMap:
 
     def cell(width: float, height: float) -> tuple[float, int]:
         case = lens_case(lens, width, height)
-        guarded = make_engine(
-            "eikonal", case.scene, tile_width_mm=1.01 * width, quadratic="mean", error=TILE_ERROR
+        guarded = engine_for(
+            case.scene, "eikonal", tile_width_mm=1.01 * width, quadratic="mean", error=TILE_ERROR
         )
-        free = make_engine("eikonal", case.scene, tile_width_mm=1.01 * width, quadratic="mean", error=1.0)
+        free = engine_for(case.scene, "eikonal", tile_width_mm=1.01 * width, quadratic="mean", error=1.0)
         return _run(guarded, case, free)
 
     labels = ("tile width (mm)", "field height (mm)")
@@ -157,7 +157,7 @@ def step_maps() -> Iterator[FailureMap]:
 
         def cell(step_um: float, incidence: float, kind: str = kind) -> tuple[float, int]:
             case = oracle_case("tilted-plate", incidence_deg=incidence)
-            return _run(make_engine("wpm", case.scene, step_um=step_um, interface=kind), case)
+            return _run(engine_for(case.scene, "wpm", step_um=step_um, interface=kind), case)
 
         labels = ("step (um)", "angle of incidence (deg)")
         name = f"wave propagation method, {kind}"

@@ -18,11 +18,12 @@ from scipy.optimize import minimize_scalar
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.scene.engine import Engine, Scene
-from wavesim.scene.patches import exit_grid, wavelength_of
+from wavesim.scene.engine import Engine
+from wavesim.scene.patches import exit_grid
+from wavesim.scene.scene import Scene, wavelength_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -163,7 +164,7 @@ def resolve(
     """
     _refuse(lens, line_widths_um, field_mm, bars)
     scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
-    truth, tested = make_engine(reference, scene), make_engine(engine, scene, **settings)
+    truth, tested = engine_for(scene, reference), engine_for(scene, engine, **settings)
     lines = tuple(_line_contrast(truth, tested, width, bars) for width in line_widths_um)
     return Resolved(field_mm, engine, reference, tested.settings(), lines)
 

@@ -30,7 +30,8 @@ from wavesim.objects.illumination import (
 from wavesim.objects.phantom import tissue_phantom
 from wavesim.objects.targets import Ground, phase_target, picture_target, read_grey, siemens_star
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
-from wavesim.scene.patches import OBJECT_FINENESS, wavelength_of
+from wavesim.scene.patches import OBJECT_FINENESS
+from wavesim.scene.scene import wavelength_of
 
 FIELD_MARGIN = 1.02
 """Of the design's field, what a patch may take: a field stop is made a little larger than the field."""

@@ -27,7 +27,7 @@ from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -18,7 +18,7 @@ from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import SPREAD_CUT, Beam, superpose
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Any
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 ORACLES: dict[str, str] = {
     "cylinder": "wavesim.oracles.cylinder:cylinder_scene",

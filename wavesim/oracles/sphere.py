@@ -30,7 +30,7 @@ from wavesim.oracles.cylinder import (
     round_lens,
 )
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -18,7 +18,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import Beam, superpose
 from wavesim.oracles.plane_interface import STOP_SPREADS, transmitted_te
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 STEEPEST_DEG = 50.0
 WAIST_WIDTHS, GAP_MM = 1.5, 0.02

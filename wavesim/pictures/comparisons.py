@@ -22,7 +22,10 @@ STYLES = {
     "wpm": ("#7a4fa3", "^"),
     "thin lens": ("#555555", "P"),
     "no lens": ("#999999", "X"),
+    "": ("#b03a6b", "v"),
 }
+"""Colour and marker of families whose names begin so."""
+
 DECADES = (-4.0, 0.5)
 
 

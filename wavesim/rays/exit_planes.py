@@ -12,7 +12,7 @@ from wavesim.fields.field import Grid
 from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.rays.maps import refuse_fold, sample_points
 from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

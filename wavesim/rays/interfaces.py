@@ -15,7 +15,7 @@ from lensdesign.errors import InputError
 from lensdesign.tracing.bundles import launch_compiled
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.rays import RayTrace, trace_compiled
-from wavesim.scene.engine import Coating, Scene
+from wavesim.scene.scene import Coating, Scene
 
 Array = NDArray[np.float64]
 

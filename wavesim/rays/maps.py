@@ -18,7 +18,7 @@ from scipy.linalg import lstsq
 
 from lensdesign.errors import InputError
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from lensdesign.tracing.bundles import launch_pairs
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 from lensdesign.tracing.status import Status
 from wavesim.rays.interfaces import refuse_skew, transmission
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

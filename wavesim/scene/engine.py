@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, ClassVar, Literal
 
@@ -20,79 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation
-from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Field, Grid
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
-Coating = Literal["ideal", "bare"]
+
+Way = Literal["forward", "adjoint"]
+
+Task = tuple[int, NDArray[np.complexfloating]]
+"""Number of a part of the object, and values on it (forward), or on its grid behind the lens (adjoint)."""
+
+Perform = Callable[[Way, Iterable[Task]], Iterator[Task]]
+"""Does tasks, in their order, with the same numbers in what comes back: values of the other kind."""
 
 SAFETY = 2.0
 """Makes 19 of 20 estimates upper bounds; measured by `python -m benchmarks.chooser`."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A lens, and the two grids between which a field is carried.
-
-    Attributes
-    ----------
-    lens : Lens
-        The nominal lens.
-    object_grid, exit_grid : Grid
-        In front of the lens and behind it; both lines, or both planes.
-    wavelength_um : float
-        Vacuum wavelength.
-    pose, surface_perturbations
-        As in :func:`lensdesign.trace`: one displaced or perturbed lens. The grids stay where they are.
-    coating : {"ideal", "bare"}
-        Whether surfaces transmit everything, or what Fresnel's formulas leave (TE on a line; the mean of
-        both polarizations on a plane).
-
-    Raises
-    ------
-    InputError
-        If the grids do not fit each other, or the lens.
-    """
-
-    lens: Lens
-    object_grid: Grid
-    exit_grid: Grid
-    wavelength_um: float
-    pose: Pose = Pose()
-    surface_perturbations: Mapping[int, SurfacePerturbation] = field(default_factory=dict)
-    coating: Coating = "ideal"
-
-    def __post_init__(self) -> None:
-        if self.object_grid.is_line != self.exit_grid.is_line:
-            raise InputError("object grid and exit grid: both must be lines, or both planes")
-        if self.object_grid.z_mm >= 0.0:
-            raise InputError(
-                f"object grid at z = {self.object_grid.z_mm:g} mm: must lie in front of the front vertex, "
-                "z < 0"
-            )
-        exit_vertex = self.lens.exit_vertex_z_mm
-        if self.exit_grid.z_mm < exit_vertex:
-            raise InputError(
-                f"exit grid at z = {self.exit_grid.z_mm:g} mm: must not lie in front of the exit vertex, "
-                f"z >= {exit_vertex:g} mm"
-            )
-        if self.coating not in ("ideal", "bare"):
-            raise InputError(f"coating = {self.coating!r}: allowed: ideal, bare")
-        if self.system.trials is not None:
-            raise InputError("a scene is that of one lens: the perturbations hold many trials")
-
-    @cached_property
-    def system(self) -> CompiledSystem:
-        """The lens as arrays, in place."""
-        return compile_system(self.lens, self.wavelength_um, self.pose, self.surface_perturbations)
-
-    @property
-    def wavenumber_per_mm(self) -> float:
-        """2 pi over the vacuum wavelength."""
-        return 2e3 * np.pi / self.wavelength_um
 
 
 @dataclass(frozen=True)
@@ -141,11 +83,21 @@ class Engine(ABC):
 
     name: ClassVar[str]
 
-    any_plane: ClassVar[bool] = False
-    """Whether the way to another plane costs what the first did, with no free space to be carried through."""
+    gain: ClassVar[float] = math.inf
+    """Of the error of the candidate before, what the next may have at most for further ones to be tried."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        """Settings worth trying where a relative error of the exit field is allowed, the cheapest first."""
+        yield {}
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        """Settings over a range, by what they make of the engine: its curves in a comparison."""
+        return {cls.name.replace("-", " "): [{}]}
 
     @abstractmethod
     def _forward(self, values: Any) -> Any:
@@ -218,3 +170,59 @@ class Engine(ABC):
             )
         if not math.isfinite(abs(complex(field.values.sum()))):
             raise InputError("the field holds values that are not finite")
+
+
+class Tiled(Engine):
+    """An engine that does its work in parts of the object, on any plane alike.
+
+    Parts can be kept, told of as they are done, and done elsewhere.
+
+    Attributes
+    ----------
+    report : callable or None
+        Told after every part how many are done and how many there are, as (done, all).
+    perform : callable or None
+        Does the work of parts elsewhere; None is here.
+    """
+
+    report: Callable[[int, int], None] | None = None
+    perform: Perform | None = None
+
+    @property
+    @abstractmethod
+    def parts(self) -> int:
+        """How many parts there are."""
+
+    @property
+    @abstractmethod
+    def sums_bytes(self) -> int:
+        """Of the fields of all parts on their own grids."""
+
+    @abstractmethod
+    def forward_in_bands(
+        self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
+    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+        """As :meth:`forward`, some rows of the exit grid at a time, so that it need not fit into memory.
+
+        Parameters
+        ----------
+        field
+            On the object grid.
+        rows
+            In a band.
+        sums
+            Where the fields of parts on their own grids are kept, by number; those that it holds are not
+            computed again. A dict keeps them in memory,
+            :class:`wavesim.engines.whole_field.kept.KeptTiles` in files.
+
+        Yields
+        ------
+        rows : slice
+            Of the exit grid.
+        values : ndarray of complex64
+
+        Raises
+        ------
+        InputError
+            As :meth:`forward`.
+        """

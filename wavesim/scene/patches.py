@@ -10,7 +10,7 @@ from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Grid
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene, wavelength_of
 
 OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
 """Pitch of a patch's grids, as shares of half the period of the finest fringes there."""
@@ -99,20 +99,6 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
         )
     count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
-
-
-def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
-    """The wavelength asked for, or the design's first one.
-
-    Raises
-    ------
-    InputError
-        If it is not finite and above 0.
-    """
-    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    if not (math.isfinite(wavelength) and wavelength > 0.0):
-        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and greater than 0")
-    return wavelength
 
 
 def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:

@@ -16,7 +16,7 @@ from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
 from wavesim.pictures.calibrations import calibration_figure
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 TRUE = Mounting(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0)
 RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from wavesim.calibration.mounting import Mounting, motion, parameter_names, plane_of, refuse_parameters
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 numbers = st.floats(-1.0, 1.0)
 

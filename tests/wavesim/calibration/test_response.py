@@ -9,10 +9,10 @@ from lensdesign import load_design, scaled
 from wavesim.calibration.mounting import Mounting, parameter_names
 from wavesim.calibration.response import mounting_response
 from wavesim.camera.recorded import Recorded
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 NAMES = parameter_names(2)
 STEPS = dict.fromkeys(NAMES, 5e-5) | {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
@@ -35,7 +35,7 @@ class Bench:
         self.recorded = [Recorded(0.0, np.ones(exit_grid.shape)), Recorded(0.6, np.ones(exit_grid.shape))]
 
     def model(self, mounting: Mounting, active_width: float = 0.0) -> RecordingModel:
-        engine = make_engine("eikonal", mounting.scene(self.scene), error=0.1)
+        engine = engine_for(mounting.scene(self.scene), "eikonal", error=0.1)
         planes = mounting.recorded(self.recorded)
         return RecordingModel(engine, mounting.illumination(self.light), planes, 1.0, active_width)
 

@@ -19,12 +19,14 @@ from wavesim.camera import recording as image_recording
 from wavesim.camera.exposures import Electronics, estimate_intensity
 from wavesim.camera.frames import read_frame
 from wavesim.camera.recording import PARTS, Imaged, Recording, drop_parts, image_patch, imaging_need
-from wavesim.camera.windows import OVERSAMPLING, exit_scene, imaging_engine, light_window, sensor_window
+from wavesim.camera.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
+from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import kept as kept_tiles
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.fields.field import relative_error
 from wavesim.objects.patch import make_illumination, make_target, object_patch
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
 PLANES_MM = (0.0625, 0.6875)
 CAMERA = Electronics(full_well_electrons=1e8, read_noise_electrons=0.0, bits=16, offset_counts=0.0)
@@ -60,7 +62,7 @@ class Scenery:
         narrow = {"tile_width_mm": 0.006} if name == "two-level" else {}
         place = name, scene.exit_grid
         if place not in self.engines:
-            self.engines[place] = imaging_engine(scene, name, 1, 0.03, **narrow)
+            self.engines[place] = engine_for(scene, name, error=0.03, **narrow)
         return self.engines[place]
 
     def imaged(self, name: str, recording: Recording, **changes: Any) -> Imaged:
@@ -157,7 +159,6 @@ import sys
 sys.path[:0] = ["tests/support", "tests/wavesim/camera"]
 from test_recording import CAMERA, PLANES_MM, Scenery
 from wavesim.camera.recording import Recording, image_patch, imaging_need
-from wavesim.camera.windows import imaging_engine
 from pathlib import Path
 import tempfile
 scenery = Scenery()

@@ -110,14 +110,14 @@ def test_progress_is_told_within_an_iteration(
     def shown() -> Iterator[Bar]:
         yield bar
 
-    make = reconstruction_run.imaging_engine
+    make = reconstruction_run.engine_for
 
     def kept(*arguments: Any, **settings: Any) -> Any:
         engines.append(make(*arguments, **settings))
         return engines[-1]
 
     monkeypatch.setattr(reconstruction_run, "progress_bar", shown)
-    monkeypatch.setattr(reconstruction_run, "imaging_engine", kept)
+    monkeypatch.setattr(reconstruction_run, "engine_for", kept)
     options = ("--engine", "two-level", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code == 0, err

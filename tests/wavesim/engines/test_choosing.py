@@ -3,7 +3,9 @@
 import json
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +13,16 @@ import pytest
 from lensdesign import load_design, save_design, scaled
 from lensdesign.errors import InputError, SamplingError
 from wavesim.cli.commands import main
-from wavesim.engines.choosing import choose, chosen_engine, predict, predictions
-from wavesim.engines.registry import make_engine
-from wavesim.evaluation.engines import lens_case
+from wavesim.engines.choosing import choose, engine_for, predict, predictions
+from wavesim.engines.registry import ENGINES
+from wavesim.evaluation.engines import compare, lens_case, variants
 from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning
-from wavesim.scene.engine import SAFETY
+from wavesim.pictures.comparisons import comparison_figure
+from wavesim.scene.engine import SAFETY, Cost, Engine, Neglected
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scene import Scene
 
 PAPER = load_design("designs/paper_singlet.toml")
 TWIN = scaled(PAPER, 1 / 16)
@@ -54,7 +58,7 @@ def test_predictions_hold() -> None:
         for prediction in predictions(case.scene, error):
             if prediction.engine not in ("eikonal", "slices", "thin-lens"):
                 continue
-            engine = make_engine(prediction.engine, case.scene, **prediction.settings)
+            engine = engine_for(case.scene, prediction.engine, **prediction.settings)
             found = relative_error(engine.forward(case.object_field).values, case.exact.values)
             bound.append(found <= prediction.relative_error)
             near.append(prediction.relative_error < 5.0 * found)
@@ -64,7 +68,7 @@ def test_predictions_hold() -> None:
 
 
 def test_prediction_is_the_sum_of_squares() -> None:
-    engine = make_engine("slices", SCENE, slices=100, compensation="oblique")
+    engine = engine_for(SCENE, "slices", slices=100, compensation="oblique")
     parts = [part.relative_error for part in engine.neglected()]
     assert predict(SCENE, "slices", slices=100, compensation="oblique").relative_error == pytest.approx(
         SAFETY * np.sqrt(np.sum(np.square(parts)))
@@ -75,7 +79,7 @@ def test_prediction_is_the_sum_of_squares() -> None:
 def test_memory_and_time_allowed_are_kept() -> None:
     free = choose(SCENE, 0.01)
     with pytest.raises(SamplingError, match="GB allowed"):
-        choose(SCENE, 0.01, memory_bytes=1e4)
+        choose(SCENE, 0.01, memory_gb=1e-5)
     with pytest.raises(SamplingError, match="s allowed"):
         choose(SCENE, 0.01, seconds=1e-9)
     assert free.chosen.peak_bytes > 1e4
@@ -90,10 +94,15 @@ def test_the_whole_plane_of_the_lens_is_not_for_waves() -> None:
 
 
 def test_engine_auto() -> None:
-    engine = make_engine("auto", SCENE, error=0.2)
-    assert type(engine) is type(chosen_engine(SCENE, error=0.2))
+    engine = engine_for(SCENE, "auto", error=0.2)
+    chosen = choose(SCENE, error=0.2).chosen
+    assert (engine.name, engine.key()) == (
+        chosen.engine,
+        engine_for(SCENE, chosen.engine, **chosen.settings).key(),
+    )
+    assert engine_for(SCENE).name == choose(SCENE).chosen.engine
     with pytest.raises(InputError, match="slices"):
-        make_engine("auto", SCENE, slices=3)
+        engine_for(SCENE, "auto", slices=3)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +111,7 @@ def test_engine_auto() -> None:
         {"error": 0.0},
         {"error": 2.0},
         {"error": np.nan},
-        {"memory_bytes": 0.0},
+        {"memory_gb": 0.0},
         {"seconds": np.nan},
         {"runs": 0},
     ],
@@ -144,3 +153,58 @@ def test_command_refuses(
         main()
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("error: ")
+
+
+class Mirror(Engine):
+    """All that an engine is: two ways, what they cost, what they leave out, and what is worth trying."""
+
+    name = "mirror"
+    gain = 0.9
+
+    def __init__(self, scene: Scene, *, share: float = 1.0) -> None:
+        super().__init__(scene)
+        self.share = share
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        return ({"share": share} for share in (1.0, 0.5, 0.25, 0.24, 0.01))
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        return {"mirror, dim": [{"share": 0.5}, {"share": 0.25}]}
+
+    def _forward(self, values: Any) -> Any:
+        return self.share * np.resize(values, self.scene.exit_grid.shape)
+
+    def _adjoint(self, values: Any) -> Any:
+        return self.share * np.resize(values, self.scene.object_grid.shape)
+
+    def cost(self) -> Cost:
+        return Cost(1e-9, 0.0, 8)
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        return (Neglected("the lens", 0.1 * self.share),)
+
+    def settings(self) -> dict[str, Any]:
+        return {"share": self.share}
+
+
+def test_a_new_engine_is_a_class_and_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ENGINES, "mirror", f"{__name__}:Mirror")
+    assert isinstance(engine_for(SCENE, "mirror", share=0.3), Mirror)
+    with pytest.raises(InputError, match=r"engine mirror: shares = 1: .*did you mean share"):
+        engine_for(SCENE, "mirror", shares=1)
+    weighed = [p.settings["share"] for p in choose(SCENE, 0.06).predictions if p.engine == "mirror"]
+    assert weighed == [1.0, 0.5, 0.25]  # up to the first that holds
+    weighed = [p.settings["share"] for p in choose(SCENE, 0.01).predictions if p.engine == "mirror"]
+    assert weighed == [1.0, 0.5, 0.25, 0.24]  # up to the first that brings no gain
+    found = engine_for(SCENE, error=0.06)
+    assert (found.name, found.settings()) == ("mirror", {"share": 0.25})
+    case = lens_case(TWIN, 0.01, plane_distance_mm=0.125)
+    rows = compare({"twin": case}, [variant for variant in variants() if variant[1] == "mirror"])
+    assert [(row.family, row.setting) for row in rows] == [
+        ("mirror, dim", "share 0.5"),
+        ("mirror, dim", "share 0.25"),
+    ]
+    assert all(row.predicted_error < row.relative_error for row in rows)
+    assert comparison_figure(rows, "all engines").axes

@@ -21,7 +21,7 @@ from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.pupil.characteristic import PupilSampler
 from wavesim.rays.interfaces import surface_map
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 PAPER = load_design("designs/paper_singlet.toml")
 WAVELENGTH_UM = 0.532

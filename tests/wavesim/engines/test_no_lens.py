@@ -13,7 +13,7 @@ from lensdesign.errors import SamplingError
 from wavesim.engines.no_lens import NoLens
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.oracles.beam import Beam
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 

@@ -11,10 +11,11 @@ from lensdesign import Lens, load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.engines.registry import ENGINES, engine_class, make_engine
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.registry import ENGINES, engine_class
 from wavesim.fields.field import Field, Grid
-from wavesim.scene.engine import Scene
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")
@@ -29,26 +30,26 @@ PLANES_ONLY = ("two-level",)
 def test_every_engine_is_made_by_its_name(paper_lens: Lens, name: str) -> None:
     shape = (20, 20) if name in PLANES_ONLY else (20,)
     scene = Scene(paper_lens, Grid(shape, 1e-3, -13.5), Grid(shape, 1e-3, 12.7), 0.532)
-    engine = make_engine(name, scene)
+    engine = engine_for(scene, name)
     assert type(engine) is engine_class(name)
     assert engine.name == name
     assert engine.scene is scene
 
 
 def test_settings_reach_the_engine(scene: Scene) -> None:
-    assert make_engine("wpm", scene, step_um=0.25).settings()["step_um"] == 0.25
+    assert engine_for(scene, "wpm", step_um=0.25).settings()["step_um"] == 0.25
 
 
 def test_an_unknown_engine_is_refused_with_a_hint(scene: Scene) -> None:
     with pytest.raises(InputError, match=r"engine = 'slice'.*allowed: .*wpm.*slices"):
-        make_engine("slice", scene)
+        engine_for(scene, "slice")
 
 
 def test_an_unknown_setting_is_refused_with_a_hint(scene: Scene) -> None:
     with pytest.raises(InputError, match=r"engine wpm: step_umm = 1.0.*allowed: .*step_um"):
-        make_engine("wpm", scene, step_umm=1.0)
+        engine_for(scene, "wpm", step_umm=1.0)
     with pytest.raises(InputError, match=r"engine no-lens: pitch_mm = 1.0.*allowed: force"):
-        make_engine("no-lens", scene, pitch_mm=1.0)
+        engine_for(scene, "no-lens", pitch_mm=1.0)
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -56,7 +57,7 @@ def test_an_unknown_setting_is_refused_with_a_hint(scene: Scene) -> None:
 def test_no_engine_takes_or_gives_what_is_not_finite(name: str, value: float) -> None:
     twin = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     scene = patch_scene(twin, 0.01, plane_distance_mm=0.1, meridional=name not in PLANES_ONLY)
-    engine = make_engine(name, scene)
+    engine = engine_for(scene, name)
     for grid, carry in ((scene.object_grid, engine.forward), (scene.exit_grid, engine.adjoint)):
         values = np.ones(grid.shape, complex)
         assert np.all(np.isfinite(carry(Field(grid, values, 0.532)).values))
@@ -74,7 +75,7 @@ def test_engines_have_the_same_key_only_where_they_do_the_same(paper_lens: Lens)
     def key(values: np.ndarray, **settings: Any) -> str:
         figure = SurfaceFigure(8.5, 0.45, values)
         scene = Scene(paper_lens, *ends, 0.532, surface_perturbations={0: SurfacePerturbation(figure=figure)})
-        engine = make_engine("slices", scene, **settings)
+        engine = engine_for(scene, "slices", **settings)
         before = engine.key()
         scene.system  # noqa: B018
         assert engine.key() == before

@@ -17,7 +17,7 @@ from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.thin_lens import ThinLens
 from wavesim.fields.field import Field, Grid, correlation, relative_error
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5
 K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM

@@ -12,7 +12,8 @@ from wavesim.engines.registry import ENGINES
 from wavesim.evaluation.accuracy import run_oracle
 from wavesim.fields.field import relative_error
 from wavesim.oracles.registry import ORACLES, oracle_case
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
 
 BALLAST_BYTES = 24_000_000
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError, SamplingError
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import (
     as_passed,
     bar_contrast,
@@ -24,7 +24,7 @@ from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 GRID = Grid((400, 400), 2.5e-4, 0.0)
 ELEMENTS = usaf_elements((8, 9))
@@ -162,7 +162,7 @@ def test_what_a_lens_passes_by_aperture_and_by_engine() -> None:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
     scene = Scene(lens, grid, Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08), WAVELENGTH)
-    engine = make_engine("eikonal", scene, error=0.1)
+    engine = engine_for(scene, "eikonal", error=0.1)
     inside = np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.022
     chart = usaf_chart(grid, [UsafElement(8, 3, (0.0, 0.0)), UsafElement(8, 6, (0.0, 0.012))], "bright")
     lit = Field(grid, inside.astype(np.complex64), WAVELENGTH)

@@ -21,10 +21,11 @@ from wavesim.camera.windows import (
     diversity,
     exit_scene,
     footprint_mm,
-    imaging_engine,
+    imaging_error,
     light_window,
     sensor_window,
 )
+from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import element_contrasts
 from wavesim.objects.patch import (
     MAKERS,
@@ -210,12 +211,13 @@ def test_diversity_is_that_of_the_formula_and_told_where_it_is_low() -> None:
 def test_engines_of_choice() -> None:
     patch = object_patch(SMALL, 0.03)
     scene = exit_scene(SMALL, patch, SMALL.sensor.replaced(pixels=(200, 200)), 0.0625)
-    chosen = imaging_engine(scene, "auto", 10)
+    chosen = engine_for(scene, error=imaging_error("auto"), runs=10)
     assert chosen.name == "eikonal"
     assert chosen.settings()["error"] <= TILE_ERROR
-    assert imaging_engine(scene, "eikonal", 1, 0.2).settings()["error"] == 0.2
-    assert imaging_engine(scene, "slices", 1, slices=12).settings()["slices"] == 12
+    assert engine_for(scene, "eikonal", error=imaging_error("eikonal")).settings()["error"] == TILE_ERROR
+    assert imaging_error("eikonal", 0.2) == imaging_error("auto", 0.2) == 0.2
+    assert imaging_error("slices") is None
     with pytest.raises(InputError, match="auto: slices = 12: there is no such setting"):
-        imaging_engine(scene, "auto", 1, slices=12)
-    with pytest.raises(InputError, match="engine slices has no such setting"):
-        imaging_engine(scene, "slices", 1, 0.1)
+        engine_for(scene, slices=12)
+    with pytest.raises(InputError, match=r"engine slices: error = 0\.1: there is no such setting"):
+        engine_for(scene, "slices", error=0.1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError, SamplingError
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import relative_error
 from wavesim.oracles.registry import oracle_case
 
@@ -12,13 +12,13 @@ from wavesim.oracles.registry import oracle_case
 @pytest.mark.parametrize("incidence_deg", [-30.0, 0.0, 10.0, 30.0])
 def test_waves_with_the_surface_in_its_place_agree(incidence_deg: float) -> None:
     case = oracle_case("tilted-plate", incidence_deg=incidence_deg)
-    field = make_engine("wpm", case.scene).forward(case.object_field)
+    field = engine_for(case.scene, "wpm").forward(case.object_field)
     assert relative_error(field.values, case.exact.values) < 6e-3
 
 
 def test_a_plate_of_air_is_free_space() -> None:
     case = oracle_case("tilted-plate", incidence_deg=20.0, index=1.0)
-    free = make_engine("no-lens", case.scene).forward(case.object_field)
+    free = engine_for(case.scene, "no-lens").forward(case.object_field)
     assert relative_error(free.values, case.exact.values) < 1e-8
 
 
@@ -34,7 +34,7 @@ def test_the_beam_is_displaced_as_rays_are() -> None:
 
 def test_stairs_that_feed_on_themselves_are_refused() -> None:
     case = oracle_case("tilted-plate", incidence_deg=50.0)
-    stairs = make_engine("wpm", case.scene, interface="staircase")
+    stairs = engine_for(case.scene, "wpm", interface="staircase")
     with pytest.raises(SamplingError, match="times the energy"):
         stairs.forward(case.object_field)
 

@@ -23,8 +23,8 @@ from wavesim.pupil.patch_return import PerturbedPatch, ReturnedPatch
 from wavesim.pupil.pupil import refocus
 from wavesim.pupil.ray_aiming import RayAimError
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.engine import Scene
 from wavesim.scene.patches import exit_grid
+from wavesim.scene.scene import Scene
 
 Values = NDArray[np.complex128]
 

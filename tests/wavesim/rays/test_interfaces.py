@@ -15,7 +15,7 @@ from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import crossings, surface_map, transmission
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5
 RADIUS_MM = 5.0

@@ -9,7 +9,7 @@ from lensdesign import Lens, Pose
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import fit_map, ray_map
 from wavesim.rays.ray_bundles import FoldError, trace_bundle
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 
 def scene_of(lens: Lens, dimensions: int) -> Scene:

@@ -10,7 +10,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from wavesim.fields.field import Grid
 from wavesim.rays.ray_bundles import open_pupil, shoot, trace_bundle
-from wavesim.scene.engine import Coating, Scene
+from wavesim.scene.scene import Coating, Scene
 
 STOP_MM, INDEX = 0.5, 1.5
 

@@ -10,12 +10,13 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, recorded_intensity
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.free_space import transfer_function
 from wavesim.reconstruction.bootstrap import uncertainty
 from wavesim.reconstruction.from_object import Reconstructed, reconstruct
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
 SEEDS = 16
 SETTINGS = {"kind": "amplitude", "tv_weight": "auto"}
@@ -26,7 +27,7 @@ def lit() -> tuple[Engine, Field]:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((64, 64), 4.2e-4, lens.object_z_mm)
     exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-    engine = make_engine("eikonal", Scene(lens, grid, exit_grid, 0.532), error=0.1)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.1)
     stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(np.complex64)
     return engine, Field(grid, stop, 0.532)
 

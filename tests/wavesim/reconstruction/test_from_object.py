@@ -12,13 +12,14 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, recorded_intensity
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.free_space import transfer_function
 from wavesim.reconstruction.from_object import LEAST_TV, Kind, Progressed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ def case() -> Case:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     object_grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
     exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-    engine = make_engine("eikonal", Scene(lens, object_grid, exit_grid, 0.532), error=0.1)
+    engine = engine_for(Scene(lens, object_grid, exit_grid, 0.532), "eikonal", error=0.1)
     y, x = object_grid.y_mm[:, None], object_grid.x_mm
     stop = (np.hypot(y, x) < 0.024).astype(np.complex64)
     rng = np.random.default_rng(7)

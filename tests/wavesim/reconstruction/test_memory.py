@@ -18,7 +18,8 @@ from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.from_object import Kind, reconstruct
 from wavesim.reconstruction.memory import reconstruction_bytes
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Cost, Engine, Scene
+from wavesim.scene.engine import Cost, Engine
+from wavesim.scene.scene import Scene
 
 
 class Nothing(Engine):

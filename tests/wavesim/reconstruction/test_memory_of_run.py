@@ -21,7 +21,8 @@ from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
 from wavesim.runtime.memory import BASE_BYTES
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Cost, Engine, Scene
+from wavesim.scene.engine import Cost, Engine
+from wavesim.scene.scene import Scene
 
 SHAPE = (4000, 300)
 """Many rows: what goes in blocks of rows is to be small beside all."""

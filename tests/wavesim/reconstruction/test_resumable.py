@@ -8,13 +8,13 @@ from places import DESIGNS
 
 from lensdesign import load_design, scaled
 from wavesim.camera.recorded import Recorded
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.reconstruction.retrieval_state import RetrievalState
 from wavesim.runtime.checkpoint import Checkpoint
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 DESIGN = DESIGNS / "paper_singlet.toml"
 
@@ -55,7 +55,7 @@ def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     lens = scaled(load_design(DESIGN), 1 / 64)
     grid = Grid((60, 60), 5e-4, lens.object_z_mm)
     exit_grid = Grid((96, 96), 3.2e-3, lens.exit_vertex_z_mm + 0.04)
-    engine = make_engine("eikonal", Scene(lens, grid, exit_grid, 0.532), error=0.3)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
     light = Field(grid, (np.sqrt(grid.radius_squared_mm2()) < 0.013).astype(np.complex64), 0.532)
     modelled = np.abs(engine.forward(light).values)
     planes = [Recorded(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]

@@ -15,7 +15,7 @@ import pytest
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.illumination import field_stop
 from wavesim.reconstruction import resumable
@@ -23,7 +23,7 @@ from wavesim.reconstruction.from_object import Progressed
 from wavesim.reconstruction.resumable import reconstruct_resumably
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def taken(paper_lens: Lens) -> tuple[Any, Field, list[Recorded]]:
     """Engine, light and one recorded plane."""
     lens = scaled(paper_lens, 1 / 32)
     grid = Grid((48, 48), 4.2e-4, lens.object_z_mm)
-    engine = make_engine(
+    engine = engine_for(
         "eikonal", Scene(lens, grid, Grid((90, 90), 3.2e-3, lens.exit_vertex_z_mm + 0.08), 0.532), error=0.3
     )
     light = Field(grid, field_stop(grid, "disc", 0.019).astype(np.complex64), 0.532)

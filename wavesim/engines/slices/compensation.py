@@ -18,7 +18,7 @@ from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
 from wavesim.rays.maps import fit_map
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -52,7 +52,8 @@ from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.fields.guards import SamplingWarning
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -92,6 +93,18 @@ class AnnularSlices(Engine):
     """
 
     name = "slices"
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        return ({"slices": count, "compensation": "oblique"} for count in (10, 30, 100, 300, 1000))
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        counts = {"oblique": (3, 10, 30, 100, 300, 1000), "vertical": (10, 30, 100, 300, 1000, 3000)}
+        return {
+            f"slices, {kind}": [{"slices": count, "compensation": kind} for count in counts[kind]]
+            for kind in counts
+        }
 
     def __init__(
         self,

@@ -19,7 +19,7 @@ from lensdesign.lens import shapes
 from wavesim.engines.slices.compensation import CentreRays
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.rays.interfaces import surface_map
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 Spacing = Literal["equal", "paper", "equal-phase"]

@@ -23,7 +23,8 @@ from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import refuse_skew, surface_map
-from wavesim.scene.engine import Cost, Scene
+from wavesim.scene.engine import Cost
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from lensdesign.errors import InputError, SamplingError
 from lensdesign.tracing.compiled import CompiledSystem
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

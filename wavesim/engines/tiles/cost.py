@@ -14,7 +14,8 @@ from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
-from wavesim.scene.engine import Cost, Scene
+from wavesim.scene.engine import Cost
+from wavesim.scene.scene import Scene
 
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
 """To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""

@@ -13,7 +13,7 @@ from wavesim.engines.tiles.operator import Tile
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import shoot
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ path V come from rays, so that it is the leading order in wavelength over the di
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, get_args
 
@@ -26,7 +27,14 @@ from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, ray_map
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import one_blas_thread
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
+
+TILE_SHARE, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
+"""Of the error allowed, what tiles are chosen to leave by their width; the least and the most they may."""
+
+NARROWEST = 8
+"""Tile that is tried, in object samples."""
 
 EXPANSION_SHARE = 0.5
 """Of the error allowed, what a tile's expansion may take."""
@@ -63,6 +71,27 @@ class EikonalTiles(Engine):
     """
 
     name = "eikonal"
+    gain = 0.95
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        """Wide tiles, then narrower ones."""
+        tiles = {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
+        yield tiles
+        grid = scene.object_grid
+        width = 0.5 * max(grid.shape) * grid.pitch_mm
+        while width > 0.5 * NARROWEST * grid.pitch_mm:
+            yield {**tiles, "tile_width_mm": width}
+            width *= 0.5
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        return {
+            f"eikonal, {kind}": [
+                {"error": error, "quadratic": kind} for error in (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)
+            ]
+            for kind in ("low-rank", "mean")
+        }
 
     def __init__(
         self,
@@ -76,8 +105,8 @@ class EikonalTiles(Engine):
         super().__init__(scene)
         if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
             raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
-        if not 1e-5 <= error <= 1.0:
-            raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
+        if not LEAST_ERROR <= error <= 1.0:
+            raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
         if quadratic not in get_args(Quadratic):
             raise InputError(f"quadratic = {quadratic!r}: allowed: {', '.join(get_args(Quadratic))}")
         if plane_z_mm is not None and not math.isfinite(plane_z_mm):

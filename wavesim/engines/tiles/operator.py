@@ -29,7 +29,7 @@ from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import RayBundle
 from wavesim.runtime.device import Precision, folded, fourier_plan
 from wavesim.runtime.threads import THREADS
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

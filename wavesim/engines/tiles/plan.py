@@ -17,7 +17,7 @@ from wavesim.engines.tiles.residual import MAX_RANK, Quadratic, Residual, Separa
 from wavesim.fields.field import Grid
 from wavesim.fields.guards import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 RANK_SOUGHT = 5
 """Terms that a tile may take before narrower tiles are cheaper."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from wavesim.rays.maps import RayMap, RayMapError, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import shoot, trace_bundle
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from wavesim.engines.whole_field.tiles import FieldSettings, SuperTile
 from wavesim.runtime.speed import pass_seconds
 from wavesim.runtime.threads import THREADS
-from wavesim.scene.engine import Cost, Scene
+from wavesim.scene.engine import Cost
+from wavesim.scene.scene import Scene
 
 COMPLEX64 = 8
 

@@ -9,7 +9,7 @@ few polynomials. All values are complex64; phases are made in float64.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, MutableMapping
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.engines.tiles.edge import edge_error, rim_share
+from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import COMPLEX64, two_level_cost
@@ -29,17 +30,15 @@ from wavesim.engines.whole_field.tiles import (
     TAPER,
     TAPER_LOSS,
     FieldSettings,
-    Perform,
     SuperTile,
-    Task,
-    Way,
 )
 from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMapError, ray_map
 from wavesim.runtime.device import Device, Precision, device_named
 from wavesim.runtime.threads import one_blas_thread
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Neglected, Task, Tiled, Way
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -52,6 +51,9 @@ EXPANSION_SHARE, MAPS_SHARE, INTERPOLATION_SHARE, TRANSFORM_SHARE = 0.5, 0.01, 0
 
 NARROWINGS = 3
 """How often tiles whose width was not asked for are halved where rays cannot be followed all over them."""
+
+MANY_TILES = 16
+"""Along a side of the object, from which on tiles in two levels are worth their set-up."""
 
 LEAST_ERROR = 1e-4
 """That may be asked for: values are complex64."""
@@ -73,15 +75,11 @@ def tiles_along(scene: Scene) -> float:
     return 0.0 if grid.is_line else max(grid.shape) * grid.pitch_mm / tile_width_for(scene)
 
 
-class TwoLevelTiles(Engine):
+class TwoLevelTiles(Tiled):
     """Eikonal tiles summed in two levels, for planes.
 
     Attributes
     ----------
-    report : callable or None
-        Told after every super-tile how many are done and how many there are, as (done, all).
-    perform : callable or None
-        Does super-tiles' work elsewhere (:data:`wavesim.engines.whole_field.tiles.Perform`); None is here.
     device : Device or None
         Does the work in place of the compiled loops.
 
@@ -109,7 +107,15 @@ class TwoLevelTiles(Engine):
     """
 
     name = "two-level"
-    any_plane = True
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        if tiles_along(scene) > MANY_TILES:
+            yield {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        return {}  # comparisons are on lines
 
     def __init__(
         self,
@@ -130,8 +136,6 @@ class TwoLevelTiles(Engine):
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
         self._asked_width_mm, self._tiles_across, self._error = tile_width_mm, tiles_across, error
-        self.report: Callable[[int, int], None] | None = None
-        self.perform: Perform | None = None
         self.device: Device | None = None if device == "cpu" else device_named(device)
 
     @cached_property
@@ -209,8 +213,11 @@ class TwoLevelTiles(Engine):
             return tuple(group for group in groups if not group.empty)
 
     @property
+    def parts(self) -> int:
+        return len(self.groups)
+
+    @property
     def sums_bytes(self) -> int:
-        """Of the fields of all super-tiles on their own grids."""
         return sum(8 * math.prod(group.shape) for group in self.groups)
 
     def _forward(self, values: Any) -> Any:
@@ -235,30 +242,6 @@ class TwoLevelTiles(Engine):
     def forward_in_bands(
         self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
     ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
-        """As :meth:`forward`, some rows of the exit grid at a time, so that it need not fit into memory.
-
-        Parameters
-        ----------
-        field
-            On the object grid.
-        rows
-            In a band.
-        sums
-            Where the fields of super-tiles on their own grids are kept, by number; those that it holds are
-            not computed again. A dict keeps them in memory,
-            :class:`wavesim.engines.whole_field.kept.KeptTiles` in files.
-
-        Yields
-        ------
-        rows : slice
-            Of the exit grid.
-        values : ndarray of complex64
-
-        Raises
-        ------
-        InputError
-            As :meth:`forward`.
-        """
         self._refuse_stranger(field, self.scene.object_grid, "object")
         yield from self._in_bands(field.values, rows, sums)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavesim.engines.tiles.residual import MAX_RANK, Separable, at_tile_nodes, tile_residual
 from wavesim.engines.whole_field.ray_maps import OverField, Region, field_terms, fit_over_field, solve
 from wavesim.rays.maps import RayMap, RayMapError
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from lensdesign.common.clusters import RETRIES, cluster_client, thread_counter, toolkit_version
 from lensdesign.errors import InputError, TransferLensError
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.tiles import Task, Way
-from wavesim.scene.engine import Engine, Scene
+from wavesim.scene.engine import Engine, Task, Way
+from wavesim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future

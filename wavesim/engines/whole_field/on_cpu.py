@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.engines.whole_field.carried import Carried
-from wavesim.engines.whole_field.tiles import SuperTile, Way, carry_tiles, tile_frame
+from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles, tile_frame
 from wavesim.runtime.device import device_named
 from wavesim.runtime.threads import THREADS, one_blas_thread
+from wavesim.scene.engine import Way
 
 
 class OnCpu:

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.engines.whole_field.carried import Carried
-from wavesim.engines.whole_field.tiles import SuperTile, TileFrame, Way, carry_tiles, tile_frame
+from wavesim.engines.whole_field.tiles import SuperTile, TileFrame, carry_tiles, tile_frame
 from wavesim.fields.resampling import Weights
 from wavesim.runtime.device import Device
 from wavesim.runtime.threads import THREADS, one_blas_thread
+from wavesim.scene.engine import Way
 
 MOST_ROWS, LEAST_ROWS = 512, 16
 """Of a block."""

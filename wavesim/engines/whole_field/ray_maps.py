@@ -19,7 +19,7 @@ from scipy.linalg import lstsq
 
 from wavesim.rays.maps import RayMapError, SmoothMap, refuse_fold
 from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ both carriers, and a super-tile from there to the plane with the super-tile's ca
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,10 @@ from wavesim.engines.whole_field.ray_maps import REACH, FieldMaps
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.device import Device, Precision, folded
-from wavesim.scene.engine import Scene
+from wavesim.scene.engine import Way
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
-
-Way = Literal["forward", "adjoint"]
-
-Task = tuple[int, NDArray[np.complexfloating]]
-"""Number of a super-tile; values on its part of the object (forward), or on its own grid (adjoint)."""
-
-Perform = Callable[[Way, Iterable[Task]], Iterator[Task]]
-"""Does tasks, in their order, with the same numbers in what comes back: values of the other kind."""
 
 TAPER = 3.0
 """Samples of a super-tile's grid over which the aperture's edge rises."""

@@ -42,7 +42,8 @@ from wavesim.engines.wpm.cost import passage_cost, setup_cost
 from wavesim.engines.wpm.staircase import Staircase
 from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.fields.guards import SamplingWarning
-from wavesim.scene.engine import Cost, Engine, Neglected, Scene
+from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
 Interface = Literal["substep", "staircase"]
@@ -94,6 +95,14 @@ class WavePropagation(Engine):
     """
 
     name = "wpm"
+
+    @classmethod
+    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+        steps_um = {"substep": (2.0, 1.0, 0.5, 0.25), "staircase": (0.25, 0.1, 0.05)}
+        return {
+            f"wpm, {kind}": [{"step_um": step, "interface": kind} for step in steps_um[kind]]
+            for kind in steps_um
+        }
 
     def __init__(
         self,

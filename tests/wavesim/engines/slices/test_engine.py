@@ -25,7 +25,7 @@ from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.cylinder import cylinder_scene
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -15,7 +15,7 @@ from wavesim.engines.slices.engine import AnnularSlices
 from wavesim.engines.slices.steps import BLOCK_SAMPLES, _factor, _keep_band
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 

@@ -15,7 +15,8 @@ from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.surfaces.grids import refuse_if_huge, working_grid
 from wavesim.fields.field import Grid
-from wavesim.scene.engine import Cost, Scene
+from wavesim.scene.engine import Cost
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5
 

@@ -24,7 +24,7 @@ from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.registry import oracle_case
 from wavesim.rays.maps import ray_map
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 POSE = Pose(tilt_x_deg=0.4, decenter_x_mm=0.05, tilt_y_deg=0.2)

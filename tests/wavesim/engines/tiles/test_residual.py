@@ -12,7 +12,7 @@ from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
 from wavesim.engines.tiles.residual import Residual, tile_residual
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import RayMapError, ray_map
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.5
 K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM

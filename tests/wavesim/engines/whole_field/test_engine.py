@@ -21,7 +21,7 @@ from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 POSE = Pose(tilt_x_deg=0.4, decenter_x_mm=0.05, tilt_y_deg=0.2)

@@ -13,12 +13,12 @@ from dask_cluster import Cluster
 
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.on_cluster import ClusterError, ScenePacket, tile_cluster, work
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 pytest.importorskip("distributed")
 
@@ -74,7 +74,7 @@ def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
     with pytest.raises(InputError, match="a cluster needs engine two-level"):
         cluster_tiles.TileCluster.take(
-            object.__new__(cluster_tiles.TileCluster), make_engine("no-lens", scene)
+            object.__new__(cluster_tiles.TileCluster), engine_for(scene, "no-lens")
         )
 
 

@@ -15,14 +15,14 @@ from places import ROOT
 
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
-from wavesim.engines.registry import make_engine
+from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field.carried import Carried, ways_between
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.on_gpu import DeviceStep, blocks_of
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.runtime.device import Device, device_named
-from wavesim.scene.engine import Scene
+from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
 SAME = 1e-5
@@ -141,7 +141,7 @@ def test_the_device_is_told_among_the_settings(known: Any, monkeypatch: pytest.M
     assert "device" not in engine.settings()
     assert on(engine, device).settings() == engine.settings() | {"device": "gpu"}
     monkeypatch.setattr("wavesim.engines.whole_field.engine.device_named", lambda name: device)
-    made = make_engine("two-level", engine.scene, device="gpu")
+    made = engine_for(engine.scene, "two-level", device="gpu")
     assert isinstance(made, TwoLevelTiles)
     assert made.device is device
 

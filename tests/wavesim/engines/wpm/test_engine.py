@@ -21,7 +21,7 @@ from wavesim.fields.field import Array, Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.cylinder import cylinder_scene
 from wavesim.oracles.registry import OracleCase
-from wavesim.scene.engine import Coating, Scene
+from wavesim.scene.scene import Coating, Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5195
 K_PER_MM = 2e3 * math.pi / WAVELENGTH_UM

@@ -1,0 +1,95 @@
+"""What is carried where: a lens in its place, the grids before and behind it, and the light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from wavesim.fields.field import Grid
+
+Coating = Literal["ideal", "bare"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A lens, and the two grids between which a field is carried.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    object_grid, exit_grid : Grid
+        In front of the lens and behind it; both lines, or both planes.
+    wavelength_um : float
+        Vacuum wavelength.
+    pose, surface_perturbations
+        As in :func:`lensdesign.trace`: one displaced or perturbed lens. The grids stay where they are.
+    coating : {"ideal", "bare"}
+        Whether surfaces transmit everything, or what Fresnel's formulas leave (TE on a line; the mean of
+        both polarizations on a plane).
+
+    Raises
+    ------
+    InputError
+        If the grids do not fit each other, or the lens.
+    """
+
+    lens: Lens
+    object_grid: Grid
+    exit_grid: Grid
+    wavelength_um: float
+    pose: Pose = Pose()
+    surface_perturbations: Mapping[int, SurfacePerturbation] = field(default_factory=dict)
+    coating: Coating = "ideal"
+
+    def __post_init__(self) -> None:
+        if self.object_grid.is_line != self.exit_grid.is_line:
+            raise InputError("object grid and exit grid: both must be lines, or both planes")
+        if self.object_grid.z_mm >= 0.0:
+            raise InputError(
+                f"object grid at z = {self.object_grid.z_mm:g} mm: must lie in front of the front vertex, "
+                "z < 0"
+            )
+        exit_vertex = self.lens.exit_vertex_z_mm
+        if self.exit_grid.z_mm < exit_vertex:
+            raise InputError(
+                f"exit grid at z = {self.exit_grid.z_mm:g} mm: must not lie in front of the exit vertex, "
+                f"z >= {exit_vertex:g} mm"
+            )
+        if self.coating not in ("ideal", "bare"):
+            raise InputError(f"coating = {self.coating!r}: allowed: ideal, bare")
+        if self.system.trials is not None:
+            raise InputError("a scene is that of one lens: the perturbations hold many trials")
+
+    @cached_property
+    def system(self) -> CompiledSystem:
+        """The lens as arrays, in place."""
+        return compile_system(self.lens, self.wavelength_um, self.pose, self.surface_perturbations)
+
+    @property
+    def wavenumber_per_mm(self) -> float:
+        """2 pi over the vacuum wavelength."""
+        return 2e3 * np.pi / self.wavelength_um
+
+
+def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
+    """The wavelength asked for, or the design's first one.
+
+    Raises
+    ------
+    InputError
+        If it is not finite and above 0.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    if not (math.isfinite(wavelength) and wavelength > 0.0):
+        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and greater than 0")
+    return wavelength
