@@ -106,7 +106,7 @@ class EikonalTiles(Engine):
         if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
             raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
         if not LEAST_ERROR <= error <= 1.0:
-            raise InputError(f"error = {error!r}: must be from {LEAST_ERROR:g} to 1")
+            raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
         if quadratic not in get_args(Quadratic):
             raise InputError(f"quadratic = {quadratic!r}: allowed: {', '.join(get_args(Quadratic))}")
         if plane_z_mm is not None and not math.isfinite(plane_z_mm):
