@@ -52,16 +52,14 @@ from .evaluation.metrics import (
 from .evaluation.resolving import LineContrast, Resolved, bars_field, resolve
 from .evaluation.similarity import psnr_db, ssim
 from .fields.field import Field, Grid, correlation, relative_error
-from .fields.free_space import propagate, propagate_adjoint
 from .fields.guards import (
     SamplingWarning,
     check_propagation,
     critical_distance_mm,
     predicted_relative_error,
 )
+from .fields.passage import Passage, propagate
 from .fields.spectrum import SpectrumSupport, spectrum_support
-from .fields.tilted_planes import from_tilted_plane, to_tilted_plane
-from .fields.windowed import propagate_to, propagate_to_adjoint
 from .objects.illumination import field_stop, gaussian_beam, measured_field, plane_wave
 from .objects.patch import (
     Patch,
@@ -139,6 +137,7 @@ __all__ = [
     "NoLens",
     "OracleCase",
     "OracleResult",
+    "Passage",
     "Patch",
     "PatchChain",
     "PictureLayer",
@@ -183,7 +182,6 @@ __all__ = [
     "field_layers",
     "field_stop",
     "frame_layer",
-    "from_tilted_plane",
     "gaussian_beam",
     "image_patch",
     "line_pair_contrast",
@@ -206,9 +204,6 @@ __all__ = [
     "predict",
     "predicted_relative_error",
     "propagate",
-    "propagate_adjoint",
-    "propagate_to",
-    "propagate_to_adjoint",
     "prox_tv",
     "psf",
     "psnr_db",
@@ -241,7 +236,6 @@ __all__ = [
     "strehl",
     "svfg",
     "tissue_phantom",
-    "to_tilted_plane",
     "uncertainty",
     "usaf_chart",
     "usaf_charts_of",

@@ -184,7 +184,7 @@ class Chain:
         """
         from wavesim import Field, FootprintWarning, SamplingWarning, SaturationWarning
         from wavesim.engines.choosing import engine_for
-        from wavesim.fields.windowed import propagate_to
+        from wavesim.fields.passage import propagate
 
         scene = self.scene(system)
         behind = Field(scene.object_grid, self.light.values * self.transmission, scene.wavelength_um)
@@ -195,7 +195,7 @@ class Chain:
             first = engine_for(scene, "eikonal", error=TILE_ERROR).forward(behind)
             for distance, delta in zip(self.planes_mm, system.plane_distances_mm, strict=True):
                 z_mm = self.lens.exit_vertex_z_mm + distance + delta
-                there = first if z_mm == first.grid.z_mm else propagate_to(first, first.grid.at(z_mm))
+                there = first if z_mm == first.grid.z_mm else propagate(first, first.grid.at(z_mm))
                 pixels.append(_on_sensor(there, system.sensor_tilt_deg))
             return self._amplitudes(pixels, electrons, bits, noise)
 
@@ -350,11 +350,11 @@ class Chain:
 
 def _on_sensor(field: LightField, tilt_deg: tuple[float, float]) -> LightField:
     """A field in the frame of a sensor whose middle is that of the field's grid."""
-    from wavesim.fields.tilted_planes import to_tilted_plane
+    from wavesim.fields.passage import propagate
 
     own = replace(field.grid, centre_mm=(0.0, 0.0))
     if not any(tilt_deg):
         return replace(field, grid=own)
-    about_x, about_y = (math.radians(angle) for angle in tilt_deg)
-    tilted = to_tilted_plane(field, about_x, about_y, own.at(0.0), coarse_output=True)
+    tilt = (math.radians(tilt_deg[0]), math.radians(tilt_deg[1]))
+    tilted = propagate(field, own.at(0.0), target_tilt_rad=tilt, coarse_output=True)
     return replace(tilted, grid=own)

@@ -21,8 +21,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, rotation_matrix
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.fields.free_space import axial_wavenumber_per_mm
-from wavesim.fields.plane_waves import fft_frequencies
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating]
@@ -204,8 +203,9 @@ def gradient(field: Field) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Derivatives of a field along x, y and z, the last for waves towards +z."""
     grid = field.grid
     spectrum = scipy.fft.fft2(np.asarray(field.values), workers=-1)
-    rows, columns = (2j * np.pi * f for f in fft_frequencies(grid.shape, grid.pitch_mm))
-    along_z, _ = axial_wavenumber_per_mm(grid.shape, grid.pitch_mm, field.wavelength_um, field.index)
+    cycles = fft_frequencies(grid.shape, grid.pitch_mm)
+    rows, columns = (2j * np.pi * f for f in cycles)
+    along_z, _ = axial_wavenumbers(cycles, field.wavelength_um, field.index)
     factors = (columns, rows, 1j * along_z)
     return tuple(  # type: ignore[return-value]
         scipy.fft.ifft2(spectrum * factor.astype(spectrum.dtype), workers=-1, overwrite_x=True)

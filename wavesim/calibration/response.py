@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavesim.calibration.mounting import WORKING_DISTANCE, Mounting, gradient, motion, plane_of
 from wavesim.fields.field import Field
-from wavesim.fields.free_space import axial_wavenumber_per_mm
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.reconstruction.recording_model import RecordingModel
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -88,9 +88,9 @@ def mounting_response(
         for name in parameters
         if plane_of(name) is None
     }
-    along_z = 1j * axial_wavenumber_per_mm(
-        behind.grid.shape, behind.grid.pitch_mm, behind.wavelength_um, behind.index
-    )[0].astype(model.illumination.values.real.dtype)
+    cycles = fft_frequencies(behind.grid.shape, behind.grid.pitch_mm)
+    kz, _ = axial_wavenumbers(cycles, behind.wavelength_um, behind.index)
+    along_z = 1j * kz.astype(model.illumination.values.real.dtype)
     recorded, seen, slopes = [], [], []
     for number, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):
         root = 1.0 if weight is None else np.sqrt(weight)

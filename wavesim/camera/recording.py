@@ -28,8 +28,8 @@ from wavesim.camera.sensor import frames_of_light, record_exposures, sensor_grid
 from wavesim.camera.windows import OVERSAMPLING
 from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.passage import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
-from wavesim.fields.windowed import propagate_to
 from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.runtime.checkpoint import key_of
 from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
@@ -205,7 +205,7 @@ def _from_first(
     planes = recording.plane_distances_mm
     grid = sensor_grid(windows[number], first.grid.z_mm + planes[number] - planes[0], OVERSAMPLING)
     return record_exposures(
-        first if grid == first.grid else propagate_to(first, grid),
+        first if grid == first.grid else propagate(first, grid),
         sensor,
         planes[number],
         recording.electronics,

@@ -28,7 +28,7 @@ from wavesim.camera.exposures import (
 from wavesim.camera.frames import Array, Frame, FrameSettings
 from wavesim.camera.pixel_light import PixelLight
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.windowed import propagate_to
+from wavesim.fields.passage import propagate
 
 LOST = 1e-3
 """Share of the light beside the sensor from which on it is told."""
@@ -117,7 +117,7 @@ def light_on_pixels(
     if (part := grid.samples_among(field.grid)) is not None:
         field = Field(grid, field.values[part], field.wavelength_um, field.index)
     elif field.grid != grid:
-        field = propagate_to(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
+        field = propagate(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
     light = PixelLight(sensor, field.values.dtype, oversampling, active_width)
     light.add(slice(0, len(field.values)), np.asarray(field.values))
     tell_footprint(light.caught * grid.cell, total, sensor)

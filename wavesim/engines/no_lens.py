@@ -10,7 +10,8 @@ from functools import cached_property
 from typing import Any
 
 from wavesim.engines.surfaces.grids import refuse_if_huge
-from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.fields.passage import Passage
+from wavesim.runtime.arrays import in_double
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
 
@@ -33,21 +34,21 @@ class NoLens(Engine):
         self._force = force
 
     @cached_property
-    def _transfer(self) -> GridTransfer:
+    def _transfer(self) -> Passage:
         scene = self.scene
         index = float(scene.system.index[0, 0])
-        return GridTransfer(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
+        return Passage(scene.object_grid, scene.exit_grid, scene.wavelength_um, index)
 
     @cached_property
-    def _prepared(self) -> GridTransfer:
+    def _prepared(self) -> Passage:
         refuse_if_huge(self.name, self._transfer.samples, self.cost(), self._force)
         return self._transfer
 
     def _forward(self, values: Any) -> Any:
-        return self._prepared.forward(values)
+        return self._prepared.forward(in_double(values))
 
     def _adjoint(self, values: Any) -> Any:
-        return self._prepared.adjoint(values)
+        return self._prepared.adjoint(in_double(values))
 
     def cost(self) -> Cost:
         return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)

@@ -27,8 +27,9 @@ from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import trace_compiled
 from wavesim.engines.surfaces.grids import refuse_if_huge
 from wavesim.fields.field import Grid
-from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.fields.passage import Passage
 from wavesim.rays.interfaces import transmission
+from wavesim.runtime.arrays import in_double
 from wavesim.runtime.speed import exponential_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
@@ -187,17 +188,17 @@ class ThinLens(Engine):
         return float(np.prod(factors))
 
     @cached_property
-    def _transfers(self) -> tuple[GridTransfer, GridTransfer]:
+    def _transfers(self) -> tuple[Passage, Passage]:
         """From the object to the front principal plane, and from the rear one to the exit."""
         scene, (front, rear) = self.scene, self.lens_grids
         before, behind = (float(n) for n in scene.system.index[0, [0, -1]])
         return (
-            GridTransfer(scene.object_grid, front, scene.wavelength_um, before),
-            GridTransfer(rear, scene.exit_grid, scene.wavelength_um, behind),
+            Passage(scene.object_grid, front, scene.wavelength_um, before),
+            Passage(rear, scene.exit_grid, scene.wavelength_um, behind),
         )
 
     @cached_property
-    def _prepared(self) -> tuple[GridTransfer, NDArray[np.complex128], GridTransfer]:
+    def _prepared(self) -> tuple[Passage, NDArray[np.complex128], Passage]:
         into, out_of = self._transfers
         size = max(self.lens_grids[0].size, into.samples, out_of.samples)
         refuse_if_huge(self.name, size, self.cost(), self._force)
@@ -205,11 +206,11 @@ class ThinLens(Engine):
 
     def _forward(self, values: Any) -> Any:
         into, phase, out_of = self._prepared
-        return out_of.forward(into.forward(values) * phase)
+        return out_of.forward(into.forward(in_double(values)) * phase)
 
     def _adjoint(self, values: Any) -> Any:
         into, phase, out_of = self._prepared
-        return into.adjoint(out_of.adjoint(values) * phase.conj())
+        return into.adjoint(out_of.adjoint(in_double(values)) * phase.conj())
 
     def settings(self) -> dict[str, Any]:
         return {"pitch_mm": self.lens_grids[0].pitch_mm}

@@ -15,8 +15,8 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.engines import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.free_space import propagate
 from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.passage import propagate
 from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.rays.ray_bundles import FoldError

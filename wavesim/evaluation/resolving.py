@@ -21,6 +21,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.fields.field import Field, Grid, correlation
+from wavesim.fields.plane_waves import axial_wavenumbers, wave_factor
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import exit_grid
 from wavesim.scene.scene import Scene, wavelength_of
@@ -283,13 +284,12 @@ def register(
     # Padding keeps what is shifted over an end from coming back at the other.
     count = scipy.fft.next_fast_len(2 * len(values))
     cycles = scipy.fft.fftfreq(count, grid.pitch_mm)
-    k = 2e3 * np.pi / wavelength_um
-    kz = np.sqrt(np.maximum(k * k - (2.0 * np.pi * cycles) ** 2, 0.0)) - k
+    kz = axial_wavenumbers([cycles], wavelength_um, 1.0)[0] - 2e3 * np.pi / wavelength_um
     spectrum = scipy.fft.fft(values, count)
     product = spectrum * np.conj(scipy.fft.fft(target, count))
 
     def overlap(distance: float) -> Array:
-        return np.abs(scipy.fft.ifft(product * np.exp(1j * kz * distance)))
+        return np.abs(scipy.fft.ifft(product * wave_factor(kz * distance)))
 
     distances = np.arange(-REFOCUS_RANGE_MM, REFOCUS_RANGE_MM + REFOCUS_STEP_MM, REFOCUS_STEP_MM)
     rough = distances[int(np.argmax([overlap(d).max() for d in distances]))]
@@ -298,7 +298,7 @@ def register(
     distance = float(fine.x)
     lag = _peak(overlap(distance))
     shift = (lag - count if lag > count / 2 else lag) * grid.pitch_mm
-    turned = spectrum * np.exp(1j * (kz * distance + 2.0 * np.pi * cycles * shift))
+    turned = spectrum * wave_factor(kz * distance + 2.0 * np.pi * cycles * shift)
     return distance, float(shift), scipy.fft.ifft(turned)[: len(values)]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -35,6 +36,8 @@ EDGE = 0.8
 """Start of what counts as the edge of the Nyquist band: what is folded back may cancel close to its end."""
 DARK = 1e-8
 """Intensity, relative to the brightest row, under which a row of the field counts as dark."""
+MOST_SAMPLES = 2**27
+"""Of a spectrum, beyond which a propagation is refused: 2 GiB."""
 
 
 class SamplingWarning(UserWarning):
@@ -104,7 +107,7 @@ def measure_propagation(
     grid
         Where to; the same samples in the other plane if left out.
     pad, band_limit
-        As of :func:`wavesim.fields.free_space.propagate`.
+        As of :class:`wavesim.fields.passage.Passage`.
     """
     target = grid or field.grid
     xp = array_module(field.values)
@@ -133,7 +136,7 @@ def measure_propagation(
         place = abs(walk + middle - pair.shift_mm)
         inside = place < pair.half_out_mm + half
         strays = place > counts[axis] * pair.pitch_mm - pair.half_out_mm - half - 0.5 * blur
-        passed = pair.passage(counts[axis]).weight(walk, xp) if band_limit else xp.ones_like(walk)
+        passed = pair.pass_band(counts[axis]).weight(walk, xp) if band_limit else xp.ones_like(walk)
         wrong = xp.where(strays, passed**2, 0.0 * walk) + xp.where(inside, (1.0 - passed) ** 2, 0.0 * walk)
         lands, astray = lands & inside, astray + wrong
     squared = sum((2.0 * math.pi * across) ** 2 for across in cycles)
@@ -237,6 +240,15 @@ def check_propagation(
     return found
 
 
+def refuse_huge(counts: Sequence[int], what: str) -> None:
+    """Refuse more than `MOST_SAMPLES` of a spectrum."""
+    if math.prod(counts) > MOST_SAMPLES:
+        raise SamplingError(
+            f"{what} takes {_sides(tuple(counts))} samples of the spectrum, more than {MOST_SAMPLES:.3g}: "
+            "give smaller windows or a coarser pitch"
+        )
+
+
 def predicted_relative_error(
     grid: Grid,
     wavelength_um: float,
@@ -254,7 +266,7 @@ def predicted_relative_error(
     Parameters
     ----------
     grid, wavelength_um, distance_mm, index, pad
-        As of :func:`wavesim.fields.free_space.propagate`.
+        As of :class:`wavesim.fields.passage.Passage`.
     numerical_aperture
         Index times the sine of the angle at which the intensity is 1/e^2 of that on the axis.
 

@@ -16,13 +16,19 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+from numpy.typing import DTypeLike, NDArray
 
 from wavesim.fields.field import Grid
 
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+TURN = 2.0 * math.pi
 FADE_ZONES = 6.0
 """Width of the fade in Fresnel lengths sqrt(wavelength * distance)."""
 STEEPEST_COSINE = 0.3
 """Beyond this slope waves carry too little light over a distance to widen the fade for."""
+FACTOR_ROWS = 16
+"""Of a factor that is kept, made at a time."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ def walks_mm(cycles_per_mm: Sequence[Any], kz: Any, distance_mm: float, xp: Any 
 
 
 @dataclass(frozen=True)
-class Passage:
+class PassBand:
     """Along one axis, which walks a transfer function lets pass.
 
     Attributes
@@ -109,27 +115,99 @@ class Passage:
         return xp.sin(0.5 * math.pi * xp.sin(0.5 * math.pi * part) ** 2) ** 2
 
 
+def wave_factor(phase: Any, dtype: Any = None, xp: Any = np) -> Any:
+    """exp(i phase) of phases in float64, which are reduced before they are rounded to a single `dtype`.
+
+    complex64 if that is the `dtype`, else complex128.
+    """
+    kind = xp.complex64 if dtype == xp.complex64 else xp.complex128
+    if kind == xp.complex64:
+        phase = xp.asarray(phase - TURN * xp.round(phase / TURN), dtype=xp.float32)
+    if not hasattr(phase, "real"):  # of the array API alone: no parts to write to
+        return xp.cos(phase) + 1j * xp.sin(phase)
+    result = xp.empty(phase.shape, dtype=kind)
+    xp.cos(phase, out=result.real)
+    xp.sin(phase, out=result.imag)
+    return result
+
+
 def transfer(
     cycles_per_mm: Sequence[Any],
     wavelength_um: float,
     index: float,
     distance_mm: float,
-    passages: Sequence[Passage] | None,
+    bands: Sequence[PassBand] | None = None,
+    *,
+    dtype: Any = None,
     xp: Any = np,
 ) -> Any:
-    """Factor of each plane wave over a distance, decaying ones left out: complex128.
+    """Factor of each plane wave over a distance, decaying ones left out: complex128, or as `dtype` says.
 
-    With `passages` it is taken to the shifted output window, and what does not pass is left out.
+    With `bands` it is taken to the shifted output window, and what does not pass is left out.
     """
     kz, propagating = axial_wavenumbers(cycles_per_mm, wavelength_um, index, xp)
     phase = kz * distance_mm
     weight = xp.asarray(propagating, dtype=xp.float64)
-    if passages is not None:
+    if bands is not None:
         walks = walks_mm(cycles_per_mm, kz, distance_mm, xp)
-        for cycles, walk, passage in zip(cycles_per_mm, walks, passages, strict=True):
-            weight = weight * passage.weight(walk, xp)
-            phase = phase + 2.0 * math.pi * passage.shift_mm * cycles
-    return weight * xp.exp(1j * phase)
+        for cycles, walk, band in zip(cycles_per_mm, walks, bands, strict=True):
+            weight = weight * band.weight(walk, xp)
+            phase = phase + TURN * band.shift_mm * cycles
+    factor = wave_factor(phase, dtype, xp)
+    return factor * xp.asarray(weight, dtype=xp.float32 if factor.dtype == xp.complex64 else xp.float64)
+
+
+class PlaneWay:
+    """Free space between parallel planes, as a factor of a field's spectrum: `spectrum * way`.
+
+    The factor is the same for a frequency and its negative along each axis: a quarter of it is kept.
+
+    Parameters
+    ----------
+    grid
+        Of the field, on either plane.
+    wavelength_um
+        Vacuum wavelength.
+    distance_mm
+        From the first plane to the second.
+    dtype
+        Of the factor.
+
+    Attributes
+    ----------
+    factor : ndarray
+        For frequencies that are not negative; one sample, 1, where the way changes nothing.
+    rows, columns : ndarray of int
+        Which row and column of the factor belong to each row and column of a spectrum; a line is one row.
+    is_none : bool
+        Whether the way changes nothing.
+    """
+
+    __array_ufunc__ = None  # a product with an array is ours to make
+
+    def __init__(self, grid: Grid, wavelength_um: float, distance_mm: float, dtype: DTypeLike) -> None:
+        shape = (1, *grid.shape)[-2:]
+        down, across = (np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in shape)
+        self.is_none = distance_mm == 0.0 and math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
+        orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
+        self.rows, self.columns = (np.zeros_like(order) if self.is_none else order for order in orders)
+        self.factor: ComplexArray = np.ones((1, 1) if self.is_none else (len(down), len(across)), dtype)
+        for first in range(0, 0 if self.is_none else len(down), FACTOR_ROWS):
+            rows = slice(first, first + FACTOR_ROWS)
+            cycles = [down[rows, None], across]
+            self.factor[rows] = transfer(cycles, wavelength_um, 1.0, distance_mm, dtype=np.dtype(dtype))
+
+    def __rmul__(self, spectrum: ComplexArray) -> ComplexArray:
+        return self.times(spectrum.copy())
+
+    def times(self, spectrum: ComplexArray, *, back: bool = False) -> ComplexArray:
+        """A spectrum on the second plane, in place; `back`: from it to the first."""
+        if self.is_none:
+            return spectrum
+        factor = self.factor.conj() if back else self.factor
+        for row, values in zip(self.rows, np.atleast_2d(spectrum), strict=True):
+            values *= factor[row, self.columns]
+        return spectrum
 
 
 def steepest_walk_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:
@@ -172,12 +250,12 @@ class Windows:
         """Half the sum of the widths: how far from the shift a walk may be and still end inside."""
         return self.half_in_mm + self.half_out_mm
 
-    def passage(self, count: int) -> Passage:
+    def pass_band(self, count: int) -> PassBand:
         """What may pass when a period of the field has `count` samples."""
         period = count * self.pitch_mm
         if period >= 2.0 * self.reach_mm:
-            return Passage(self.shift_mm, self.reach_mm, period - self.reach_mm)
-        return Passage(self.shift_mm, 0.5 * period, 0.5 * period)
+            return PassBand(self.shift_mm, self.reach_mm, period - self.reach_mm)
+        return PassBand(self.shift_mm, 0.5 * period, 0.5 * period)
 
 
 def windows(source: Grid, target: Grid) -> list[Windows]:

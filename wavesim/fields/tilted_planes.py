@@ -4,10 +4,9 @@ A plane wave is one on every plane: turning the frame turns its wave vector, and
 changes by the Jacobian kz / kz' (Matsushima, Schimmel and Wyrowski 2003). The turned frequencies do not fall
 on the samples of the spectrum; a non-uniform Fourier sum gives its exact values there.
 
-A field on a tilted plane is a :class:`~wavesim.fields.field.Field` in the plane's own frame: its origin is
-the pivot, its axes are turned by a right-handed rotation about x, then about the turned y axis, and its z is
-0. The pivot is the centre of the grid on the straight plane. On a meridional line only a tilt about x is
-possible.
+A field on a tilted plane lies in the plane's own frame: its origin is the pivot, its axes are turned by a
+right-handed rotation about x, then about the turned y axis, and its z is 0. The pivot is the centre of the
+grid on the straight plane. On a meridional line only a tilt about x is possible.
 """
 
 from __future__ import annotations
@@ -21,12 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.fields.field import Field, Grid
-from wavesim.fields.free_space import MOST_SAMPLES
-from wavesim.fields.guards import EDGE, tell
-from wavesim.fields.plane_waves import FADE_ZONES, Samples, along, centres_mm, fft_frequencies
+from wavesim.fields.field import Grid
+from wavesim.fields.guards import EDGE, refuse_huge, tell
+from wavesim.fields.plane_waves import (
+    FADE_ZONES,
+    TURN,
+    Samples,
+    along,
+    centres_mm,
+    fft_frequencies,
+    wave_factor,
+)
 from wavesim.fields.windowed import chirp_z_transform
 from wavesim.runtime.arrays import array_module, fftn
 
@@ -36,121 +42,58 @@ ACCURACY = 1e-13
 """Of the non-uniform Fourier sums."""
 WIDEST = 4.0
 """Half-widths of the input window beyond which light on the tilted plane is not followed."""
+WAVE_SECONDS, WAVE_BYTES = {True: 2e-6, False: 6.5e-7}, 200
+"""For each sample of the spectrum, of a line or a plane: measured on two cores."""
 PROBES = 33
 """Directions along each axis from which bounds are taken."""
 
 
-def to_tilted_plane(
-    field: Field,
-    tilt_x_rad: float,
-    tilt_y_rad: float,
-    grid: Grid | None = None,
-    *,
-    check: bool = True,
-    coarse_output: bool = False,
-) -> Field:
-    """Field on the plane turned about the centre of the field's grid.
+class TiltedSamples:
+    """A passage by a non-uniform Fourier transform, to a tilted plane or from one.
 
     Parameters
     ----------
-    field
-        On a straight plane, travelling along +z.
-    tilt_x_rad, tilt_y_rad
-        Of the tilted plane; 0 about y for a line.
-    grid
-        In the tilted plane's own frame, at z = 0; the field's samples about the pivot if left out.
-    check
-        Whether to judge the sampling first.
-    coarse_output
-        Whether to accept an output pitch too coarse for the field, carrier wave included.
+    source, target, wavelength_um, index
+        Of the passage.
+    tilt_rad
+        About x and y, of the tilted plane.
+    straight
+        Whether the source is the plane that is not tilted: light travels along that one's z.
 
     Raises
     ------
-    SamplingError
-        If the samples cannot hold the field on either plane.
     InputError
         If the tilt or the grid is not usable.
-
-    Warns
-    -----
-    SamplingWarning
-        If a small part of the energy is lost.
-    """
-    target = grid or Grid(field.grid.shape, field.grid.pitch_mm, 0.0)
-    turn = _Turn(field.grid, target, field, _rotation(field.grid, tilt_x_rad, tilt_y_rad), straight=True)
-    if check:
-        turn.check(field.values, coarse_output)
-    return Field(target, turn.forward(field.values), field.wavelength_um, field.index)
-
-
-def from_tilted_plane(
-    field: Field,
-    tilt_x_rad: float,
-    tilt_y_rad: float,
-    grid: Grid,
-    *,
-    check: bool = True,
-    coarse_output: bool = False,
-) -> Field:
-    """Field on a straight plane through the pivot, from that on the tilted one; see :func:`to_tilted_plane`.
-
-    `grid` lies on the straight plane, its centre at the pivot.
-    """
-    rotation = _rotation(grid, tilt_x_rad, tilt_y_rad)
-    turn = _Turn(field.grid, grid, field, rotation.T, straight=False)
-    if check:
-        turn.check(field.values, coarse_output)
-    return Field(grid, turn.forward(field.values), field.wavelength_um, field.index)
-
-
-def to_tilted_plane_adjoint(field: Field, tilt_x_rad: float, tilt_y_rad: float, grid: Grid) -> Field:
-    """Adjoint of :func:`to_tilted_plane` from `grid`, on the straight plane, to the field's; unchecked."""
-    turn = _Turn(grid, field.grid, field, _rotation(grid, tilt_x_rad, tilt_y_rad), straight=True)
-    return Field(grid, turn.adjoint(field.values), field.wavelength_um, field.index)
-
-
-def from_tilted_plane_adjoint(field: Field, tilt_x_rad: float, tilt_y_rad: float, grid: Grid) -> Field:
-    """Adjoint of :func:`from_tilted_plane` from `grid`, on the tilted plane, to the field's; unchecked."""
-    turn = _Turn(grid, field.grid, field, _rotation(grid, tilt_x_rad, tilt_y_rad).T, straight=False)
-    return Field(grid, turn.adjoint(field.values), field.wavelength_um, field.index)
-
-
-def _rotation(grid: Grid, tilt_x_rad: float, tilt_y_rad: float) -> Array:
-    if not (abs(tilt_x_rad) < 0.5 * math.pi and abs(tilt_y_rad) < 0.5 * math.pi):
-        raise InputError(f"tilt = {tilt_x_rad!r}, {tilt_y_rad!r} rad: must lie between -pi/2 and pi/2")
-    if grid.is_line and tilt_y_rad != 0.0:
-        raise InputError(f"tilt_y_rad = {tilt_y_rad!r}: a meridional line has only a tilt about x")
-    return rotation_matrix(np.asarray(tilt_x_rad), np.asarray(tilt_y_rad))
-
-
-class _Turn:
-    """From a source frame to a target frame; `rotation` has the target's axes as columns.
-
-    Where one of them is straight, the light travels along that one's z.
     """
 
-    def __init__(self, source: Grid, target: Grid, field: Field, rotation: Array, *, straight: bool) -> None:
-        if source.is_line != target.is_line:
-            raise InputError("input grid and output grid: both must be lines, or both planes")
+    def __init__(
+        self,
+        source: Grid,
+        target: Grid,
+        wavelength_um: float,
+        index: float,
+        tilt_rad: tuple[float, float],
+        *,
+        straight: bool,
+    ) -> None:
         tilted = target if straight else source
         if tilted.z_mm != 0.0:
             raise InputError(f"grid z_mm = {tilted.z_mm:g}: a tilted plane lies at z = 0 of its own frame")
-        self.source, self.target, self.rotation = source, target, rotation
-        self.wavelength_um, self.index = field.wavelength_um, field.index
-        self.most = 1e3 * field.index / field.wavelength_um
+        rotation = _rotation(tilted, tilt_rad)
+        # With the target's axes as columns.
+        self.rotation = rotation if straight else rotation.T
+        self.source, self.target = source, target
+        self.wavelength_um, self.index = wavelength_um, index
+        self.most = 1e3 * index / wavelength_um
         # Centres from the pivot: that of the straight grid is the pivot.
         self.centre_in = (0.0,) * len(source.shape) if straight else centres_mm(source)
         self.centre_out = centres_mm(target) if straight else (0.0,) * len(target.shape)
         # Of the light along the straight frame's z, in the source frame.
-        along_z = (0.0, 0.0) if straight else (rotation[1, 2], rotation[0, 2])
+        along_z = (0.0, 0.0) if straight else (self.rotation[1, 2], self.rotation[0, 2])
         self.carrier = tuple(float(self.most * part) for part in along_z[: len(source.shape)])
         self.frequencies = self._frequencies()
-        if math.prod(f.count for f in self.frequencies) > MOST_SAMPLES:
-            sides = " x ".join(str(f.count) for f in self.frequencies)
-            raise SamplingError(
-                f"the tilt takes {sides} samples of the spectrum, more than {MOST_SAMPLES:.3g}: give smaller "
-                "windows or a coarser pitch"
-            )
+        self.samples = math.prod(f.count for f in self.frequencies)
+        refuse_huge([f.count for f in self.frequencies], "the tilt")
 
     def directions(self, cycles: Sequence[Any], rotation: Array, xp: Any = np) -> tuple[list[Any], Any, Any]:
         """Frequencies in the other frame (y, x), and the axial ones in this frame and in the other.
@@ -240,7 +183,7 @@ class _Turn:
             for c, n in zip(self.centre_in, self.source.shape, strict=True)
         ]
         phase = sum(2.0 * math.pi * f * x for f, x in zip(cycles, offset, strict=True))
-        turn = np.exp((-1j if kind == 2 else 1j) * phase)
+        turn = wave_factor(-phase if kind == 2 else phase)
         data = xp.asarray(values, dtype=xp.complex128)
         if on_device:
             points, turn = [xp.asarray(p) for p in points], xp.asarray(turn)
@@ -252,13 +195,23 @@ class _Turn:
         shape = self.source.shape if len(points) == 2 else self.source.shape[0]
         return xp.asarray(transform(*points, data * turn, shape, eps=ACCURACY, isign=1))
 
+    @property
+    def seconds(self) -> float:
+        """What one use takes on this machine."""
+        return WAVE_SECONDS[self.source.is_line] * self.samples
+
+    @property
+    def peak_bytes(self) -> int:
+        """Most memory of one use, its result not counted."""
+        return WAVE_BYTES * self.samples
+
     def measure(self, values: Any) -> dict[str, float]:
         """Parts of the field's energy that the samples cannot hold, by name."""
         xp = array_module(values)
         dimensions = len(self.source.shape)
         for axis, (n, carrier) in enumerate(zip(self.source.shape, self.carrier, strict=True)):
             x = Samples(0.0, self.source.pitch_mm, n).offsets(xp)
-            values = values * along(xp.exp(-2j * math.pi * carrier * x), axis, dimensions, xp)
+            values = values * along(wave_factor(-TURN * carrier * x, xp=xp), axis, dimensions, xp)
         power = abs(fftn(values)) ** 2
         total = float(xp.sum(power))
         if not math.isfinite(total):
@@ -310,6 +263,15 @@ class _Turn:
     def _finest_mm(self) -> float:
         """Pitch that holds all that the source's samples hold."""
         return 0.5 / max(abs(f.centre) + 0.5 * f.step * f.count for f in self.frequencies)
+
+
+def _rotation(grid: Grid, tilt_rad: tuple[float, float]) -> Array:
+    about_x, about_y = tilt_rad
+    if not (abs(about_x) < 0.5 * math.pi and abs(about_y) < 0.5 * math.pi):
+        raise InputError(f"tilt_rad = {tilt_rad}: both must lie between -pi/2 and pi/2")
+    if grid.is_line and about_y != 0.0:
+        raise InputError(f"tilt_rad = {tilt_rad}: a meridional line has only a tilt about x")
+    return rotation_matrix(np.asarray(about_x), np.asarray(about_y))
 
 
 def _nufft_library(xp: Any) -> tuple[ModuleType, bool]:

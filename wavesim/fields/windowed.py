@@ -8,23 +8,26 @@ reach the output window, and a second one to the window's samples.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.free_space import MOST_SAMPLES
-from wavesim.fields.guards import check_propagation
+from wavesim.fields.free_space import FACTOR_BYTES
+from wavesim.fields.guards import check_propagation, refuse_huge
 from wavesim.fields.plane_waves import (
-    Passage,
+    PassBand,
     Samples,
     along,
     centres_mm,
     fast_count,
     period_counts,
     transfer,
+    wave_factor,
     windows,
 )
 from wavesim.runtime.arrays import array_module, fft, ifft
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 
 
 def chirp_z_transform(
@@ -56,7 +59,7 @@ def chirp_z_transform(
     turn = sign * 2.0 * math.pi
 
     def wave(phase: Any) -> Any:
-        return along(xp.asarray(xp.exp(1j * phase), dtype=kind), axis, values.ndim, xp)
+        return along(wave_factor(phase, kind, xp), axis, values.ndim, xp)
 
     x, f = source.offsets(xp), target.offsets(xp)
     rate = 0.5 * turn * source.step * target.step
@@ -74,91 +77,62 @@ def chirp_z_transform(
     return wanted * wave(rate * order_f**2 + turn * source.centre * (f + target.centre))
 
 
-def propagate_to(field: Field, grid: Grid, *, check: bool = True, coarse_output: bool = False) -> Field:
-    """Carry a field to any grid in a parallel plane: other pitch, window and centre.
+class OtherSamples:
+    """A passage by chirp-z transforms, to any window and pitch.
 
-    Parameters
-    ----------
-    field
-        Single precision stays single; the phases are formed in double.
-    grid
-        Where to; in front of the field if it is to be carried back.
-    check
-        Whether to judge the sampling first (:func:`wavesim.fields.guards.check_propagation`).
-    coarse_output
-        Whether to accept an output pitch too coarse for the field that falls there.
-
-    Raises
-    ------
-    SamplingError
-        If the samples cannot hold the field on its way, or the spectrum needs too many of them.
-    InputError
-        If one grid is a line and the other a plane.
-
-    Warns
-    -----
-    SamplingWarning
-        If a small part of the energy is lost.
-    """
-    passing = Passing(field.grid, grid, field.wavelength_um, field.index)
-    if check:
-        if math.prod(f.count for f in passing.frequencies) > MOST_SAMPLES:
-            sides = " x ".join(str(f.count) for f in passing.frequencies)
-            raise SamplingError(
-                f"{abs(passing.distance_mm):.4g} mm from {centres_mm(field.grid)} to {centres_mm(grid)} mm "
-                f"takes {sides} samples of the spectrum, more than {MOST_SAMPLES:.3g}: give smaller windows "
-                "or a coarser input pitch"
-            )
-        check_propagation(field, passing.distance_mm, grid, coarse_output=coarse_output)
-    xp = array_module(field.values)
-    factor = passing.factor(xp) * (passing.cell * field.grid.cell)
-    values = field.values
-    for axis, (x, f) in enumerate(zip(passing.inputs, passing.frequencies, strict=True)):
-        values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
-    values = values * xp.asarray(factor, dtype=values.dtype)
-    for axis, (f, x) in enumerate(zip(passing.frequencies, passing.outputs, strict=True)):
-        values = chirp_z_transform(values, f, x, sign=1, axis=axis)
-    return Field(grid, values, field.wavelength_um, field.index)
-
-
-def propagate_to_adjoint(field: Field, grid: Grid) -> Field:
-    """Exact adjoint of :func:`propagate_to` from `grid` to the field's grid, unchecked."""
-    passing = Passing(grid, field.grid, field.wavelength_um, field.index)
-    xp = array_module(field.values)
-    factor = xp.conj(passing.factor(xp)) * (passing.cell * field.grid.cell)
-    values = field.values
-    for axis, (x, f) in enumerate(zip(passing.outputs, passing.frequencies, strict=True)):
-        values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
-    values = values * xp.asarray(factor, dtype=values.dtype)
-    for axis, (f, x) in enumerate(zip(passing.frequencies, passing.inputs, strict=True)):
-        values = chirp_z_transform(values, f, x, sign=1, axis=axis)
-    return Field(grid, values, field.wavelength_um, field.index)
-
-
-class Passing:
-    """From one grid to another: the sampled part of the spectrum, and its factor.
-
-    Input and output points are counted from the middles of their grids.
+    The sampled part of the spectrum is the one that arrives. Input and output points are counted from the
+    middles of their grids.
     """
 
     def __init__(self, source: Grid, target: Grid, wavelength_um: float, index: float) -> None:
-        if source.is_line != target.is_line:
-            raise InputError("input grid and output grid: both must be lines, or both planes")
-        self.distance_mm = target.z_mm - source.z_mm
+        self.source, self.target = source, target
         self.wavelength_um, self.index = wavelength_um, index
+        self.distance_mm = target.z_mm - source.z_mm
         self.inputs = [Samples(0.0, source.pitch_mm, n) for n in source.shape]
         self.outputs = [Samples(0.0, target.pitch_mm, n) for n in target.shape]
         counts = period_counts(source, target, wavelength_um, index, self.distance_mm)
-        self.passages = [pair.passage(n) for pair, n in zip(windows(source, target), counts, strict=True)]
+        self.bands = [pair.pass_band(n) for pair, n in zip(windows(source, target), counts, strict=True)]
         self.frequencies = self._arriving(source, counts)
-        self.cell = math.prod(f.step for f in self.frequencies)
+        self.samples = math.prod(f.count for f in self.frequencies)
+
+    def check(self, values: Any, coarse_output: bool) -> None:
+        """Warn, or refuse, where samples cannot hold the field."""
+        places = f"{centres_mm(self.source)} to {centres_mm(self.target)} mm"
+        counts = [f.count for f in self.frequencies]
+        refuse_huge(counts, f"{abs(self.distance_mm):.4g} mm from {places}")
+        field = Field(self.source, values, self.wavelength_um, self.index)
+        check_propagation(field, self.distance_mm, self.target, coarse_output=coarse_output)
+
+    def forward(self, values: Any) -> Any:
+        return self._carried(values, self.inputs, self.outputs, self.source.cell, back=False)
+
+    def adjoint(self, values: Any) -> Any:
+        return self._carried(values, self.outputs, self.inputs, self.target.cell, back=True)
+
+    def _carried(
+        self, values: Any, given: list[Samples], wanted: list[Samples], cell: float, *, back: bool
+    ) -> Any:
+        xp = array_module(values)
+        kind = xp.result_type(values.dtype, xp.complex64)
+        cell *= math.prod(f.step for f in self.frequencies)
+        dimensions = len(self.frequencies)
+        cycles = [along(f.points(xp), axis, dimensions, xp) for axis, f in enumerate(self.frequencies)]
+        factor = cell * transfer(
+            cycles, self.wavelength_um, self.index, self.distance_mm, self.bands, dtype=kind, xp=xp
+        )
+        for axis, (x, f) in enumerate(zip(given, self.frequencies, strict=True)):
+            values = chirp_z_transform(values, x, f, sign=-1, axis=axis)
+        values = values * (xp.conj(factor) if back else factor)
+        for axis, (f, x) in enumerate(zip(self.frequencies, wanted, strict=True)):
+            values = chirp_z_transform(values, f, x, sign=1, axis=axis)
+        return values
 
     def _arriving(self, source: Grid, counts: tuple[int, ...]) -> list[Samples]:
         """Frequencies that reach the output window, at the step that the period asks for."""
         nyquist = 0.5 / source.pitch_mm
         bounds = [
             self._bounds(p, nyquist, self._steepest_across(axis, nyquist))
-            for axis, p in enumerate(self.passages)
+            for axis, p in enumerate(self.bands)
         ]
         result = []
         for (low, high), count in zip(bounds, counts, strict=True):
@@ -172,11 +146,11 @@ class Passing:
 
     def _steepest_across(self, axis: int, nyquist: float) -> float:
         """Largest frequency along the other axis that arrives."""
-        if len(self.passages) == 1:
+        if len(self.bands) == 1:
             return 0.0
-        return max(abs(f) for f in self._bounds(self.passages[1 - axis], nyquist, 0.0))
+        return max(abs(f) for f in self._bounds(self.bands[1 - axis], nyquist, 0.0))
 
-    def _bounds(self, let: Passage, nyquist: float, across: float) -> tuple[float, float]:
+    def _bounds(self, let: PassBand, nyquist: float, across: float) -> tuple[float, float]:
         """Lowest and highest frequency along one axis that passes, given the highest along the other."""
         if self.distance_mm == 0.0:
             return -nyquist, nyquist
@@ -190,7 +164,35 @@ class Passing:
         low, high = min(ends), max(ends)
         return max(low, -nyquist), min(high, nyquist)
 
-    def factor(self, xp: Any) -> Any:
-        dimensions = len(self.frequencies)
-        cycles = [along(f.points(xp), axis, dimensions, xp) for axis, f in enumerate(self.frequencies)]
-        return transfer(cycles, self.wavelength_um, self.index, self.distance_mm, self.passages, xp)
+    @property
+    def widest(self) -> int:
+        """Samples of the largest transform."""
+        return max(length * others for _, length, _, others in self._sums())
+
+    @property
+    def seconds(self) -> float:
+        """What one use takes on this machine."""
+        total = 4.0 * exponential_seconds(self.samples)
+        for given, length, taken, others in self._sums():
+            total += 2.0 * fft_seconds(length * others, self.source.is_line) + fft_seconds(length, True)
+            total += (given + length + 2.0 * taken) * others * pass_seconds(1 << 16) / (1 << 16)
+            total += exponential_seconds(given + length + taken)
+        return total
+
+    @property
+    def peak_bytes(self) -> int:
+        """Most memory of one use, its result not counted."""
+        sums = [
+            (2 * given + 2 * length + taken) * others + (3 * length) // 2 + given + taken
+            for given, length, taken, others in self._sums()
+        ]
+        return max(16 * (self.samples + max(sums)), FACTOR_BYTES * self.samples)
+
+    def _sums(self) -> Iterator[tuple[int, int, int, int]]:
+        """Of each chirp-z transform: samples given, of the convolution, taken, and along the other axis."""
+        shape = list(self.source.shape)
+        for wanted in ([f.count for f in self.frequencies], self.target.shape):
+            for axis, taken in enumerate(wanted):
+                given = shape[axis]
+                yield given, fast_count(given + taken - 1), taken, math.prod(shape) // given
+                shape[axis] = taken

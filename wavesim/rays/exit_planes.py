@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
-from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.fields.passage import Passage
 from wavesim.rays.maps import refuse_fold, sample_points
 from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
@@ -34,12 +34,12 @@ class ExitPlane:
     ----------
     grid : Grid
         Samples of the plane; the exit grid itself where `beyond` is None.
-    beyond : GridTransfer or None
+    beyond : Passage or None
         Free space from there to the exit grid.
     """
 
     grid: Grid
-    beyond: GridTransfer | None
+    beyond: Passage | None
 
 
 def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
@@ -60,7 +60,7 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
         return ExitPlane(target, None)
     grid = _covering_grid(scene, plane_z_mm, [bundle for _, bundle in bundles])
     index = float(scene.system.index[0, -1])
-    return ExitPlane(grid, GridTransfer(grid, target, scene.wavelength_um, index))
+    return ExitPlane(grid, Passage(grid, target, scene.wavelength_um, index))
 
 
 def _chosen_z_mm(scene: Scene) -> float:

@@ -14,7 +14,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_way import PlaneWay
+from wavesim.fields.plane_waves import PlaneWay
 from wavesim.reconstruction.recording_kernel import (
     add_columns,
     carried_columns,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, full_weight_sigma, weights_of
 from wavesim.fields.field import Field
-from wavesim.fields.plane_way import PlaneWay
+from wavesim.fields.plane_waves import PlaneWay
 from wavesim.reconstruction.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_kernel import change_pixels, change_samples, weighted_products
 from wavesim.runtime.scratch import Scratch

@@ -18,7 +18,8 @@ from scipy.optimize import minimize_scalar
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.fields.free_space import propagate, transfer_function
+from wavesim.fields.free_space import SameSamples
+from wavesim.fields.passage import propagate
 
 Array = NDArray[np.float64]
 
@@ -158,13 +159,13 @@ def _carrier(field: Field) -> Callable[[float], NDArray[np.complexfloating]]:
     """The field at any distance; its spectrum is formed once."""
     shape, grid = field.grid.shape, field.grid
     padded = tuple(scipy.fft.next_fast_len(PADDING * n) for n in shape)
+    wide = replace(grid, shape=padded)
     spectrum = scipy.fft.fftn(field.values, padded, workers=-1)
 
     def carried(distance_mm: float) -> NDArray[np.complexfloating]:
-        way = transfer_function(padded, grid.pitch_mm, field.wavelength_um, field.index, distance_mm)
-        values = scipy.fft.ifftn(
-            spectrum * np.asarray(way).astype(spectrum.dtype), workers=-1, overwrite_x=True
-        )
+        there = wide.at(grid.z_mm + distance_mm)
+        way = SameSamples(wide, there, field.wavelength_um, field.index, padded, band_limit=True)
+        values = scipy.fft.ifftn(spectrum * way.factor(spectrum.dtype), workers=-1, overwrite_x=True)
         return np.asarray(values[: shape[0], : shape[1]])
 
     return carried

@@ -23,7 +23,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import transfer
+from wavesim.fields.plane_waves import PlaneWay
 from wavesim.reconstruction import retrieval_kernel
 from wavesim.reconstruction.retrieval_state import Array, ComplexArray
 
@@ -44,22 +44,6 @@ EVEN = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Carrier:
-    """Factor of each plane wave from the plane sought to another one.
-
-    Attributes
-    ----------
-    quarter : ndarray
-        For frequencies that are not negative; others have the same.
-    fold : tuple of ndarray of int
-        For each sample of the spectrum along y and x, in FFT order, where in the quarter its factor is.
-    """
-
-    quarter: ComplexArray
-    fold: tuple[NDArray[np.int64], NDArray[np.int64]]
-
-
-@dataclass(frozen=True, eq=False)
 class Plane:
     """Amplitudes on a plane, and work space; all arrays of shape (rows, columns).
 
@@ -69,7 +53,7 @@ class Plane:
         Recorded.
     known : ndarray of bool or None
         Pixels that tell something; None where all do.
-    carrier : Carrier or None
+    carrier : PlaneWay or None
         None where the plane is the one sought.
     there : ndarray
         A field or its spectrum on the way; of no rows where there is no carrier.
@@ -77,7 +61,7 @@ class Plane:
 
     amplitude: Array
     known: NDArray[np.bool_] | None
-    carrier: Carrier | None
+    carrier: PlaneWay | None
     there: ComplexArray
 
 
@@ -110,21 +94,6 @@ def rows_of(values: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 
-def carrier_for(grid: Grid, wavelength_um: float, distance_mm: float, dtype: Any) -> Carrier | None:
-    """Carrier over a distance; None where it would be 1 for all waves of the grid."""
-    shape = (1, *grid.shape)[-2:]
-    cycles = [np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in grid.shape]
-    if distance_mm == 0.0 and math.hypot(*(c[-1] for c in cycles)) < 1e3 / wavelength_um:
-        return None
-    along_y, along_x = cycles if len(cycles) == 2 else (np.zeros(1), *cycles)
-    quarter = np.empty((len(along_y), len(along_x)), dtype)
-    for first in range(0, len(along_y), LEAST_BLOCK):
-        rows = slice(first, first + LEAST_BLOCK)
-        quarter[rows] = transfer([along_y[rows, None], along_x], wavelength_um, 1.0, distance_mm, None)
-    fold_y, fold_x = (np.minimum(np.arange(n), n - np.arange(n)) for n in shape)
-    return Carrier(quarter, (fold_y, fold_x))
-
-
 def plane_for(
     grid: Grid,
     wavelength_um: float,
@@ -134,7 +103,8 @@ def plane_for(
     dtype: Any,
 ) -> Plane:
     """A plane with its work space, for fields of a complex type; distance from the plane sought."""
-    carrier = carrier_for(grid, wavelength_um, distance_mm, dtype)
+    way = PlaneWay(grid, wavelength_um, distance_mm, dtype)
+    carrier = None if way.is_none else way
     recorded = rows_of(amplitude).astype(np.zeros(0, dtype).real.dtype, copy=False)
     there = np.empty((0, 0) if carrier is None else recorded.shape, dtype)
     return Plane(recorded, None if known is None else rows_of(known), carrier, there)
@@ -339,9 +309,8 @@ def _known(plane: Plane, rows: slice) -> NDArray[np.bool_] | None:
 def _carry(spectrum: ComplexArray, plane: Plane, block: Block, back: bool, result: ComplexArray) -> float:
     """Carry columns of a spectrum to a plane or back; the sum of |values|^2 of the result."""
     assert plane.carrier is not None
-    fold_y, fold_x = plane.carrier.fold
-    quarter = plane.carrier.quarter
-    return float(retrieval_kernel.carry(spectrum, quarter, fold_y, fold_x[block.own], back, result))
+    way, columns = plane.carrier, plane.carrier.columns[block.own]
+    return float(retrieval_kernel.carry(spectrum, way.factor, way.rows, columns, back, result))
 
 
 def _compared(field: ComplexArray, plane: Plane, block: Block) -> Sums:

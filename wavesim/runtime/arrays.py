@@ -10,6 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any, Literal
 
+import numpy as np
 import scipy.fft
 
 Norm = Literal["ortho"] | None
@@ -20,6 +21,11 @@ def array_module(values: Any) -> Any:
     if hasattr(values, "__array_namespace__"):
         return values.__array_namespace__()
     return import_module(type(values).__module__.partition(".")[0])
+
+
+def in_double(values: Any) -> Any:
+    """NumPy's arrays in double precision; those of other libraries as they are."""
+    return np.asarray(values, complex) if isinstance(values, np.ndarray) else values
 
 
 def fft(values: Any, count: int | None = None, axis: int = -1, *, overwrite: bool = False) -> Any:

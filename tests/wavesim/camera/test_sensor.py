@@ -26,7 +26,7 @@ from wavesim.camera.frames import Frame, FrameSettings
 from wavesim.camera.pixel_light import pixel_means
 from wavesim.camera.sensor import FootprintWarning, light_on_pixels, pixel_mtf, record, sensor_grid
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.free_space import propagate
+from wavesim.fields.passage import propagate
 
 PITCH_UM = 3.2
 SENSOR = Sensor(pixel_pitch_um=PITCH_UM, pixels=(48, 40), plane_distances_mm=(3.0,))

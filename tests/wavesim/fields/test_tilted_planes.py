@@ -8,12 +8,7 @@ import pytest
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.tilted_planes import (
-    from_tilted_plane,
-    from_tilted_plane_adjoint,
-    to_tilted_plane,
-    to_tilted_plane_adjoint,
-)
+from wavesim.fields.passage import Passage, propagate
 
 WAVELENGTH_UM = 0.5
 WAVES_PER_MM = 1e3 / WAVELENGTH_UM
@@ -49,11 +44,11 @@ def test_beam_on_a_tilted_line_and_back(tilt_deg: float) -> None:
     tilt = np.deg2rad(tilt_deg)
     grid, tilted = Grid((600,), 0.2e-3, 3.0, (0.0, 0.4)), Grid((901,), 0.15e-3, 0.0, (0.0, 0.004))
     field = _waist_field(grid)
-    result = to_tilted_plane(field, tilt, 0.0, tilted)
+    result = propagate(field, tilted, target_tilt_rad=(tilt, 0.0))
     y = tilted.y_mm
     exact = _beam(0.0 * y, y * np.cos(tilt), y * np.sin(tilt), line=True)
     assert relative_error(result.values, exact) < 1e-8
-    assert relative_error(from_tilted_plane(result, tilt, 0.0, grid).values, field.values) < 1e-8
+    assert relative_error(propagate(result, grid, source_tilt_rad=(tilt, 0.0)).values, field.values) < 1e-8
 
 
 def test_beam_on_a_tilted_plane_and_back() -> None:
@@ -61,13 +56,13 @@ def test_beam_on_a_tilted_plane_and_back() -> None:
     grid = Grid((200, 180), 0.25e-3, 1.0, (0.5, 0.3))
     tilted = Grid((190, 200), 0.24e-3, 0.0, (0.001, -0.002))
     field = _waist_field(grid)
-    result = to_tilted_plane(field, *tilts, tilted)
+    result = propagate(field, tilted, target_tilt_rad=tilts)
     part = (slice(None, None, 10), slice(None, None, 10))
     y, x = np.meshgrid(tilted.y_mm, tilted.x_mm, indexing="ij")
     points = np.stack([x, y, 0.0 * x], -1)[part] @ rotation_matrix(*map(np.asarray, tilts)).T
     exact = _beam(points[..., 0], points[..., 1], points[..., 2], line=False)
     assert relative_error(result.values[part], exact) < 1e-8
-    assert relative_error(from_tilted_plane(result, *tilts, grid).values, field.values) < 1e-8
+    assert relative_error(propagate(result, grid, source_tilt_rad=tilts).values, field.values) < 1e-8
 
 
 def test_plane_wave_is_one_on_the_tilted_plane() -> None:
@@ -76,7 +71,7 @@ def test_plane_wave_is_one_on_the_tilted_plane() -> None:
     window = np.exp(-((grid.y_mm / 0.1) ** 8))
     field = Field(grid, window * np.exp(2j * np.pi * WAVES_PER_MM * sine * grid.y_mm), WAVELENGTH_UM)
     tilted = Grid((200,), 0.2e-3, 0.0)
-    result = to_tilted_plane(field, tilt, 0.0, tilted)
+    result = propagate(field, tilted, target_tilt_rad=(tilt, 0.0))
     along = np.sin(np.arcsin(sine) + tilt)
     exact = np.exp(2j * np.pi * WAVES_PER_MM * along * tilted.y_mm)
     assert relative_error(result.values, exact) < 1e-4
@@ -84,7 +79,8 @@ def test_plane_wave_is_one_on_the_tilted_plane() -> None:
 
 def test_no_tilt_changes_nothing() -> None:
     field = _waist_field(Grid((128, 120), 0.25e-3, 2.0))
-    assert relative_error(to_tilted_plane(field, 0.0, 0.0).values, field.values) < 1e-10
+    same = propagate(field, field.grid.at(0.0), target_tilt_rad=(0.0, 0.0))
+    assert relative_error(same.values, field.values) < 1e-10
 
 
 @pytest.mark.parametrize(
@@ -92,16 +88,13 @@ def test_no_tilt_changes_nothing() -> None:
 )
 def test_adjoints(shape: tuple, to: tuple, tilts: tuple) -> None:
     straight, tilted = Grid(shape, 0.3e-3, 1.0, (0.0, 2.0)), Grid(to, 0.25e-3, 0.0, (0.0, 0.003))
-    f = Field(straight, _random(shape, 1), WAVELENGTH_UM)
-    g = Field(tilted, _random(to, 2), WAVELENGTH_UM)
-    for forward, adjoint, here, there in (
-        (to_tilted_plane, to_tilted_plane_adjoint, f, g),
-        (from_tilted_plane, from_tilted_plane_adjoint, g, f),
+    for passage in (
+        Passage(straight, tilted, WAVELENGTH_UM, target_tilt_rad=tilts),
+        Passage(tilted, straight, WAVELENGTH_UM, source_tilt_rad=tilts),
     ):
-        gone = forward(here, *tilts, there.grid, check=False)
-        back = adjoint(there, *tilts, here.grid)
-        left = np.vdot(there.values, gone.values) * there.grid.cell
-        right = np.vdot(back.values, here.values) * here.grid.cell
+        f, g = _random(passage.source.shape, 1), _random(passage.target.shape, 2)
+        left = np.vdot(g, passage.forward(f)) * passage.target.cell
+        right = np.vdot(passage.adjoint(g), f) * passage.source.cell
         assert abs(left - right) <= 1e-10 * abs(left)
 
 
@@ -109,8 +102,8 @@ def test_output_too_coarse_for_the_carrier_is_refused_unless_asked_for() -> None
     field = _waist_field(Grid((300,), 0.4e-3, 0.0))
     tilt = np.deg2rad(50.0)
     with pytest.raises(SamplingError, match=r"0\.4 um shows.*give a pitch of"):
-        to_tilted_plane(field, tilt, 0.0)
-    coarse = to_tilted_plane(field, tilt, 0.0, coarse_output=True)
+        propagate(field, field.grid, target_tilt_rad=(tilt, 0.0))
+    coarse = propagate(field, field.grid, target_tilt_rad=(tilt, 0.0), coarse_output=True)
     y = coarse.grid.y_mm
     exact = _beam(0.0 * y, y * np.cos(tilt), y * np.sin(tilt), line=True)
     assert relative_error(coarse.values, exact) < 1e-6
@@ -119,16 +112,18 @@ def test_output_too_coarse_for_the_carrier_is_refused_unless_asked_for() -> None
 def test_field_too_fine_for_its_grid_is_refused() -> None:
     grid = Grid((64,), 2e-3, 0.0)
     with pytest.raises(SamplingError, match="sample the field more finely"):
-        to_tilted_plane(Field(grid, _random((64,), 3), WAVELENGTH_UM), 0.1, 0.0)
+        propagate(Field(grid, _random((64,), 3), WAVELENGTH_UM), grid, target_tilt_rad=(0.1, 0.0))
 
 
 def test_unusable_tilts_and_planes_are_refused() -> None:
     line = _waist_field(Grid((64,), 0.4e-3, 0.0))
     with pytest.raises(InputError, match="only a tilt about x"):
-        to_tilted_plane(line, 0.1, 0.1)
+        propagate(line, line.grid, target_tilt_rad=(0.1, 0.1))
     with pytest.raises(InputError, match="between -pi/2 and pi/2"):
-        to_tilted_plane(line, 2.0, 0.0)
+        propagate(line, line.grid, target_tilt_rad=(2.0, 0.0))
     with pytest.raises(InputError, match="z = 0 of its own frame"):
-        to_tilted_plane(line, 0.1, 0.0, Grid((64,), 0.4e-3, 1.0))
+        propagate(line, Grid((64,), 0.4e-3, 1.0), target_tilt_rad=(0.1, 0.0))
+    with pytest.raises(InputError, match="other must be straight"):
+        propagate(line, line.grid, source_tilt_rad=(0.1, 0.0), target_tilt_rad=(0.1, 0.0))
     with pytest.raises(InputError, match="not finite"):
-        to_tilted_plane(line.with_values(line.values * np.nan), 0.1, 0.0)
+        propagate(line.with_values(line.values * np.nan), line.grid, target_tilt_rad=(0.1, 0.0))

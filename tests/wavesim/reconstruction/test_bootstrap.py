@@ -12,7 +12,7 @@ from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.free_space import transfer_function
+from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction.bootstrap import uncertainty
 from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
@@ -42,7 +42,7 @@ def record(lit: tuple[Engine, Field], seed: int, electrons: float = 1e5) -> list
     random = np.random.default_rng(seed)
     planes = []
     for distance in (0.0, 0.6):
-        way = transfer_function(at_exit.grid.shape, 3.2e-3, 0.532, 1.0, distance, band_limit=False)
+        way = transfer(fft_frequencies(at_exit.grid.shape, 3.2e-3), 0.532, 1.0, distance)
         intensity = np.abs(np.fft.ifft2(np.fft.fft2(at_exit.values) * way)) ** 2
         gain = electrons / intensity.max()
         counts = random.poisson(gain * intensity)

@@ -9,7 +9,8 @@ import pytest
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.free_space import propagate, transfer_function
+from wavesim.fields.passage import propagate
+from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction import retrieval_steps
 from wavesim.reconstruction.from_field import (
     FEEDBACK,
@@ -213,9 +214,8 @@ def plainly(
         mean = np.zeros_like(now)
         for plane in planes:
             known = np.ones(grid.shape, bool) if plane.known is None else plane.known
-            way = transfer_function(
-                grid.shape, grid.pitch_mm, WAVELENGTH, 1.0, plane.distance_mm, band_limit=False
-            )
+            cycles = fft_frequencies(grid.shape, grid.pitch_mm)
+            way = transfer(cycles, WAVELENGTH, 1.0, plane.distance_mm)
             there = np.fft.ifftn(np.fft.fftn(now) * way)
             seen, wanted = np.abs(there)[known], plane.amplitude[known]
             if plane is planes[0]:

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
-from wavesim.fields.free_space import transfer_function
+from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction.from_object import LEAST_TV, Kind, Progressed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch
@@ -51,7 +51,7 @@ def case() -> Case:
     at_exit = engine.forward(lit.with_values((transmission * stop).astype(np.complex64))).values
     planes = []
     for distance in (0.0, 0.6):
-        way = transfer_function(exit_grid.shape, 3.2e-3, 0.532, 1.0, distance, band_limit=False)
+        way = transfer(fft_frequencies(exit_grid.shape, 3.2e-3), 0.532, 1.0, distance)
         planes.append(Recorded(distance, np.abs(np.fft.ifft2(np.fft.fft2(at_exit) * way)).astype(np.float32)))
     return Case(engine, lit, transmission, planes)
 

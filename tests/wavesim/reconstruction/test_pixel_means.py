@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from lensdesign.lens.lens import Sensor
 from wavesim.camera.sensor import light_on_pixels
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.free_space import transfer_function
-from wavesim.fields.plane_way import PlaneWay
+from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
 from wavesim.reconstruction.pixel_means import PixelMeans
 
 PITCH = 3.2e-3
@@ -83,9 +82,7 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
     grid = Grid(shape, PITCH, 1.0)
     pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, distance_mm, np.complex128)
     spectrum, _ = speckle(shape, 2)
-    fine = pixels.densely(
-        spectrum * transfer_function(shape, PITCH, 0.532, 1.0, distance_mm, band_limit=False)
-    )
+    fine = pixels.densely(spectrum * transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm))
     found = pixels.intensity(pixels.carried(spectrum, way))
     np.testing.assert_allclose(found, pixels.means(np.abs(fine) ** 2), atol=1e-14 * np.ptp(np.abs(fine) ** 2))
 
@@ -99,7 +96,7 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
     total = np.ones(shape, dtype)
     there = spectrum.astype(dtype)
     pixels.add_back(pixels.carried(there, way), change.astype(total.real.dtype), way, total)
-    factor = transfer_function(shape, PITCH, 0.532, 1.0, 0.4, band_limit=False)
+    factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, 0.4)
     fine = pixels.densely(spectrum * factor) * spread(pixels, change)
     expected = 1.0 + coarsely(fine, shape) * factor.conj()
     np.testing.assert_allclose(total, expected, atol=20.0 * np.finfo(dtype).eps * np.abs(expected).max())

@@ -49,8 +49,9 @@ from wavesim.engines.slices.planes import (
 from wavesim.engines.slices.steps import Through
 from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
 from wavesim.engines.surfaces.samples import other_transmission
-from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.passage import Passage
+from wavesim.runtime.arrays import in_double
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
@@ -155,10 +156,10 @@ class AnnularSlices(Engine):
         rays = self._fan if self.spacing != "equal" else ()
         return cutting_planes(self.scene, rays, heights_mm, self.slices, self.spacing, self._oblique)
 
-    def _transfers(self, start_mm: float, end_mm: float) -> tuple[GridTransfer, GridTransfer]:
+    def _transfers(self, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
         scene, grid, media = self.scene, self.working.grid, self.working.media
-        into = GridTransfer(scene.object_grid, grid.at(start_mm), scene.wavelength_um, media[0].index)
-        out = GridTransfer(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, media[-1].index)
+        into = Passage(scene.object_grid, grid.at(start_mm), scene.wavelength_um, media[0].index)
+        out = Passage(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, media[-1].index)
         return into, out
 
     @cached_property
@@ -189,12 +190,12 @@ class AnnularSlices(Engine):
     def _forward(self, values: Any) -> Any:
         inner = self._prepared
         into, out = self._transfers(inner.start_mm, inner.end_mm)
-        return out.forward(inner.forward(into.forward(values)))
+        return out.forward(inner.forward(into.forward(in_double(values))))
 
     def _adjoint(self, values: Any) -> Any:
         inner = self._prepared
         into, out = self._transfers(inner.start_mm, inner.end_mm)
-        return into.adjoint(inner.adjoint(out.adjoint(values)))
+        return into.adjoint(inner.adjoint(out.adjoint(in_double(values))))
 
     @cached_property
     def _nominal_planes(self) -> list[Array]:

@@ -17,7 +17,7 @@ import numpy as np
 from wavesim.engines.slices.planes import SlicedSurface
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.engines.surfaces.waves import Medium
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, wave_factor
 from wavesim.runtime.arrays import array_module, fftn, ifftn
 
 STEP_GRAIN_MM = 1e-12
@@ -144,12 +144,9 @@ def _factor(medium: Medium, like: Any, distance_mm: float) -> Any:
     xp = array_module(like)
     result = xp.empty(like.shape, dtype=like.dtype)
     for rows, kz in _blocks(medium, xp):
-        phase = xp.maximum(kz, medium.smallest_kz_per_mm) * distance_mm
-        phase = xp.remainder(phase, 2.0 * math.pi).astype(result.real.dtype)
         inside = kz > medium.smallest_kz_per_mm
-        band = result[rows]
-        band.real = xp.cos(phase) * inside
-        band.imag = xp.sin(phase) * inside
+        result[rows] = wave_factor(kz * distance_mm, like.dtype, xp)
+        result[rows] *= inside
     return result
 
 

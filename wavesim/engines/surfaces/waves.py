@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from wavesim.engines.surfaces.samples import SurfaceSamples
 from wavesim.fields.field import Grid
-from wavesim.fields.free_space import axial_wavenumber_per_mm
+from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, wave_factor
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -67,9 +67,8 @@ class Medium:
     @cached_property
     def kz(self) -> Array:
         """Axial wave numbers in FFT order; those outside the band stand at its edge."""
-        kz, _ = axial_wavenumber_per_mm(
-            self.grid.shape, self.grid.pitch_mm, self.wavelength_um, self.index, np
-        )
+        cycles = fft_frequencies(self.grid.shape, self.grid.pitch_mm)
+        kz, _ = axial_wavenumbers(cycles, self.wavelength_um, self.index)
         return np.asarray(np.maximum(kz, self.smallest_kz_per_mm))
 
     @cached_property
@@ -85,12 +84,9 @@ class Medium:
 
     def over(self, distance_mm: float) -> ComplexArray:
         """Factor of each plane wave over a distance."""
-        phase = self.kz * distance_mm
-        factor = np.empty(phase.shape, complex)
-        np.cos(phase, out=factor.real)
-        np.sin(phase, out=factor.imag)
+        factor = wave_factor(self.kz * distance_mm)
         factor[~self.inside] = 0.0
-        return factor
+        return np.asarray(factor)
 
 
 def interpolation_error(phase_across: float) -> float:

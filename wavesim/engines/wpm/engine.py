@@ -40,8 +40,9 @@ from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission,
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
 from wavesim.engines.wpm.cost import passage_cost, setup_cost
 from wavesim.engines.wpm.staircase import Staircase
-from wavesim.fields.grid_transfer import GridTransfer
 from wavesim.fields.guards import SamplingWarning
+from wavesim.fields.passage import Passage
+from wavesim.runtime.arrays import in_double
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
 
@@ -170,7 +171,7 @@ class WavePropagation(Engine):
         return tuple(sorted(found, key=lambda n: -n.relative_error))
 
     @cached_property
-    def _prepared(self) -> tuple[GridTransfer, Substep | Staircase, GridTransfer]:
+    def _prepared(self) -> tuple[Passage, Substep | Staircase, Passage]:
         working = self.working
         self._check_step()
         refuse_if_huge(self.name, working.grid.size, self.cost(), self._force)
@@ -185,14 +186,14 @@ class WavePropagation(Engine):
 
     def _forward(self, values: Any) -> Any:
         into, inner, out_of = self._prepared
-        start = into.forward(values)
+        start = into.forward(in_double(values))
         end = inner.forward(start)
         self._refuse_growth(start, end)
         return out_of.forward(end)
 
     def _adjoint(self, values: Any) -> Any:
         into, inner, out_of = self._prepared
-        end = out_of.adjoint(values)
+        end = out_of.adjoint(in_double(values))
         start = inner.adjoint(end)
         self._refuse_growth(end, start)
         return into.adjoint(start)
@@ -208,13 +209,13 @@ class WavePropagation(Engine):
                 "too much of this light; take interface = substep"
             )
 
-    def _transfers(self, start_mm: float, end_mm: float) -> tuple[GridTransfer, GridTransfer]:
+    def _transfers(self, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
         """From the object to the first plane, and from the last plane to the exit."""
         scene, grid = self.scene, self.working.grid
         first, last = self.working.media[0], self.working.media[-1]
         return (
-            GridTransfer(scene.object_grid, grid.at(start_mm), scene.wavelength_um, first.index),
-            GridTransfer(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, last.index),
+            Passage(scene.object_grid, grid.at(start_mm), scene.wavelength_um, first.index),
+            Passage(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, last.index),
         )
 
     @cached_property

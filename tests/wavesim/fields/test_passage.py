@@ -9,20 +9,21 @@ import numpy as np
 import pytest
 
 from wavesim.fields.field import Grid, relative_error
-from wavesim.fields.grid_transfer import GridTransfer
+from wavesim.fields.passage import Passage
 from wavesim.oracles.beam import Beam
 
 PAIRS = {
     "line": (Grid((4000,), 3e-4, -0.3, (0.0, 0.02)), Grid((7000,), 5e-4, 0.1)),
     "plane": (Grid((120, 130), 4e-4, -0.3, (0.01, 0.02)), Grid((160, 100), 6e-4, 0.1)),
     "back": (Grid((400,), 3e-4, 0.1), Grid((500,), 3e-4, -0.1)),
+    "same samples": (Grid((300, 310), 4e-4, -0.3, (0.01, 0.02)), Grid((300, 310), 4e-4, 0.1)),
     "same plane": (Grid((400,), 3e-4, 0.1), Grid((300,), 2e-4, 0.1)),
 }
 
 
 @pytest.fixture(params=PAIRS)
-def transfer(request: pytest.FixtureRequest) -> GridTransfer:
-    return GridTransfer(*PAIRS[request.param], 0.532, 1.3)
+def passage(request: pytest.FixtureRequest) -> Passage:
+    return Passage(*PAIRS[request.param], 0.532, 1.3)
 
 
 def noise(grid: Grid, seed: int) -> np.ndarray:
@@ -30,32 +31,32 @@ def noise(grid: Grid, seed: int) -> np.ndarray:
     return np.asarray(rng.normal(size=grid.shape) + 1j * rng.normal(size=grid.shape))
 
 
-def test_adjoint_is_exact(transfer: GridTransfer) -> None:
-    u, v = noise(transfer.source, 1), noise(transfer.target, 2)
-    there = transfer.target.cell * np.vdot(v, transfer.forward(u))
-    back = transfer.source.cell * np.vdot(transfer.adjoint(v), u)
+def test_adjoint_is_exact(passage: Passage) -> None:
+    u, v = noise(passage.source, 1), noise(passage.target, 2)
+    there = passage.target.cell * np.vdot(v, passage.forward(u))
+    back = passage.source.cell * np.vdot(passage.adjoint(v), u)
     assert abs(there - back) < 1e-11 * abs(there)
 
 
 def test_beam() -> None:
     beam = Beam(0.532, 0.05, -0.1)
     source, target = Grid((1200,), 1e-4, -0.1), Grid((600,), 3e-4, 0.4, (0.0, 0.02))
-    found = GridTransfer(source, target, 0.532, 1.0).forward(beam.field(source.y_mm, source.z_mm))
+    found = Passage(source, target, 0.532, 1.0).forward(beam.field(source.y_mm, source.z_mm))
     assert relative_error(found, beam.field(target.y_mm, target.z_mm)) < 1e-6
 
 
-@pytest.mark.parametrize("kind", ["line", "plane"])
+@pytest.mark.parametrize("kind", ["line", "plane", "same samples"])
 def test_predicts_its_memory_and_time(kind: str) -> None:
-    transfer = GridTransfer(*PAIRS[kind], 0.532, 1.3)
-    values = noise(transfer.source, 3)
-    transfer.forward(values)
+    passage = Passage(*PAIRS[kind], 0.532, 1.3)
+    values = noise(passage.source, 3)
+    passage.forward(values)
     tracemalloc.start()
     try:
-        transfer.forward(values)
+        passage.forward(values)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert transfer.peak_bytes == pytest.approx(peak, rel=0.3)
-    seconds = min(timeit.repeat(lambda: transfer.forward(values), number=1, repeat=20))
+    assert passage.peak_bytes == pytest.approx(peak, rel=0.3)
+    seconds = min(timeit.repeat(lambda: passage.forward(values), number=1, repeat=20))
     # Within a factor 3 on an idle machine; tests share theirs.
-    assert seconds / 10.0 < transfer.seconds < 10.0 * seconds
+    assert seconds / 10.0 < passage.seconds < 10.0 * seconds

@@ -1,4 +1,4 @@
-"""The way from the exit grid to a plane."""
+"""Factors of plane waves."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from wavesim.fields.field import Grid
-from wavesim.fields.free_space import transfer_function
-from wavesim.fields.plane_way import PlaneWay
+from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
 
 
 @pytest.mark.parametrize("shape", [(6, 5), (1, 8), (7,), (8,)])
@@ -19,7 +18,7 @@ def test_a_quarter_of_the_factor_is_the_whole(
     """Also where the grid holds waves that decay."""
     random = np.random.default_rng(3)
     spectrum = random.random(shape) + 1j * random.random(shape)
-    factor = transfer_function(shape, pitch_mm, 0.532, 1.0, distance_mm, band_limit=False)
+    factor = transfer(fft_frequencies(shape, pitch_mm), 0.532, 1.0, distance_mm)
     way = PlaneWay(Grid(shape, pitch_mm, 1.0), 0.532, distance_mm, np.complex128)
     np.testing.assert_allclose(spectrum * way, spectrum * factor, atol=1e-12)
     np.testing.assert_allclose(way.times(spectrum.copy(), back=True), spectrum * factor.conj(), atol=1e-12)
