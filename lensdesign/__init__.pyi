@@ -16,9 +16,10 @@ from .files.zemax import read_zmx, write_zmx
 from .lens.edges import Edge, Flange
 from .lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
 from .lens.figure_source import FigureSource
-from .lens.lens import Lens, ObjectSpace, Sensor, Surface
+from .lens.lens import Lens, ObjectSpace, Sensor
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
+from .lens.surface import Surface
 from .pictures.glb import write_scene
 from .pictures.page import write_view
 from .tracing.rays import RayTrace, trace

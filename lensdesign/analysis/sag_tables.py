@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.figures import surface_figure
-from lensdesign.lens import shapes
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
 def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
     """Sag, slope, and mean square over all directions of what is not rotationally symmetric, in mm^2."""
     # Rounding must not carry the rim of a whole hemisphere beyond its edge.
-    within = np.minimum(r, (1.0 - 1e-15) * shapes.edge_radius_mm(surface.curvature, surface.conic))
+    within = np.minimum(r, (1.0 - 1e-15) * surface.shape.edge_radius_mm)
     sag, slope = surface.sag_mm(within), surface.slope(within)
     figure = surface_figure(surface)
     if figure is None:

@@ -318,8 +318,7 @@ def _one_system(
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     if system.trials is not None:
         raise InputError("poses and perturbations must be single values here, not arrays of trials")
-    symmetric = not (np.any(system.tilted) or np.any(system.vertex[..., :2]) or any(system.figures))
-    return system, symmetric
+    return system, system.rotational
 
 
 def _trace(

@@ -23,7 +23,6 @@ from lensdesign.files.draft import (
     Row,
     Supplement,
     shown,
-    without_zeros,
 )
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
@@ -121,7 +120,7 @@ def folded(rows: Sequence[Row]) -> list[Row]:
     result, medium = [rows[0]], rows[0].material
     for row in rows[1:-1]:
         before = result[-1]
-        plane = row.radius_mm is None and not row.asphere and row.axes is None and not row.stop
+        plane = row.radius_mm is None and not any(row.shape.values()) and row.axes is None and not row.stop
         in_air = row.material is None and medium is None
         idle = (
             row.semi_diameter_mm is None
@@ -238,7 +237,7 @@ def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
         {
             "radius_mm": row.radius_mm,
             "conic": row.conic,
-            "asphere": list(without_zeros(row.asphere)),
+            **row.shape,
             "thickness_mm": None if row is inner[-1] else row.thickness_mm,
             "material": row.material,
             "semi_diameter_mm": row.semi_diameter_mm,

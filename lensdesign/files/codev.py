@@ -20,7 +20,6 @@ from typing import Any
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.assembly import assemble
 from lensdesign.files.codev_commands import (
-    LETTERS,
     PRIVATE,
     FileReader,
     FileSurface,
@@ -43,12 +42,12 @@ from lensdesign.files.draft import (
     read_note,
     same_name,
     shown,
-    without_zeros,
     writable,
 )
 from lensdesign.lens.glass import get_material, refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS, without_zeros
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "CDGM", "HIKARI", "SUMITA", "CORNING")
 """Glass catalogues that CODE V has, too."""
@@ -133,7 +132,7 @@ def _rows(reader: FileReader, surface: FileSurface, material: Any, dummy: bool) 
         surface.where,
         surface.radius_mm,
         surface.conic,
-        without_zeros([surface.terms.get(letter, 0.0) for letter in LETTERS]),
+        {"asphere": without_zeros([surface.terms.get(letter, 0.0) for letter in CODEV_LETTERS])},
         surface.thickness_mm,
         material,
         surface.semi_diameter_mm,
@@ -218,13 +217,13 @@ def write_seq(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
     Raises
     ------
     InputError
-        If the format cannot hold the lens (a measured figure, more than nine asphere terms), or the file
+        If the format cannot hold the lens (a measured figure, a shape that it does not have), or the file
         cannot be written; whatever stood there stays.
     MaterialError
         If a glass is unknown, or not known at one of the wavelengths.
     """
     target = Path(path)
-    writable(lens, pose, len(LETTERS), "a .seq file")
+    writable(lens, pose, lambda shape: shape.codev(), "a .seq file")
     half = 0.5 * lens.object.field_diameter_mm
     lines = [
         "RDM;LEN",
@@ -285,10 +284,10 @@ def _surface_lines(lens: Lens, pose: Pose) -> list[str]:
         if surface.material is not None:
             glass = " " + (_catalog_glass(surface.material, lens) or f"'{PRIVATE}{i}'")
         lines.append(f"S {surface.radius_mm or 0.0!r} {thickness!r}{glass}")
-        terms = without_zeros(surface.asphere)
+        kind, terms = surface.shape.codev()
         lines += ["  STO"] if surface.stop else []
-        lines += ["  ASP" if terms else "  CON", f"  K {surface.conic!r}"] if terms or surface.conic else []
-        lines += [f"  {letter} {a!r}" for letter, a in zip(LETTERS, terms, strict=False)]
+        lines += [f"  {kind}", f"  K {surface.conic!r}"] if terms or surface.conic else []
+        lines += [f"  {letter} {a!r}" for letter, a in terms.items()]
         lines += [f"  CIR {surface.semi_diameter_mm!r}"] if surface.semi_diameter_mm is not None else []
     back = [f"S 0.0 {to_sensor!r}{glass}", *back] if back else []
     return [*front, *lines, *back, "SI 0.0 0.0"]

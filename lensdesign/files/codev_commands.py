@@ -10,9 +10,7 @@ from decimal import Decimal
 
 from lensdesign.errors import InputError
 from lensdesign.files.draft import MOST_SURFACES, Draft, number, shown
-
-LETTERS = "ABCDEFGHJ"
-"""Asphere coefficients of r^4, r^6, ... r^20."""
+from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS
 
 PRIVATE = "TRANSFERLENS_"
 """Start of the names of private glasses in files that the toolkit writes."""
@@ -253,7 +251,7 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, str, list[str], str], 
     "CIR": _aperture,
     "CUF": _fresnel,
     "STO": _stop,
-    **dict.fromkeys(LETTERS, _term),
+    **dict.fromkeys(CODEV_LETTERS, _term),
     **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), _move),
     **dict.fromkeys(("DAR", "REV", "BEN", "RET", "GLB"), _move_kind),
 }

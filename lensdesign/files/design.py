@@ -10,7 +10,8 @@ import tomli_w
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.figures import check_figures
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface import Surface
 
 
 def load_design(path: str | os.PathLike[str]) -> Lens:

@@ -12,7 +12,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from itertools import zip_longest
 from pathlib import Path
@@ -25,6 +25,7 @@ from lensdesign.errors import InputError, MaterialError
 from lensdesign.lens.glass import get_material, list_glasses
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from lensdesign.lens.shapes.base import Shape
 
 MOST_SURFACES = 1000
 
@@ -118,13 +119,16 @@ class Break:
 
 @dataclass(frozen=True)
 class Row:
-    """One surface of a file, the object first and the image last; `axes` makes it a coordinate break."""
+    """One surface of a file, the object first and the image last; `axes` makes it a coordinate break.
+
+    `shape` holds what a design file says of its shape beside radius and conic constant.
+    """
 
     name: str
     where: str
     radius_mm: float | None = None
     conic: float = 0.0
-    asphere: tuple[float, ...] = ()
+    shape: dict[str, Any] = field(default_factory=dict)
     thickness_mm: float = 0.0
     material: str | float | None = None
     semi_diameter_mm: float | None = None
@@ -246,32 +250,25 @@ def read_note(text: str, draft: Draft, where: str) -> None:
         )
 
 
-def writable(lens: Lens, pose: Pose, most_terms: int, kind: str) -> None:
+def writable(lens: Lens, pose: Pose, held: Callable[[Shape], object], kind: str) -> None:
     """Refuse what a sequential file cannot hold.
 
     Raises
     ------
     InputError
-        For a measured figure, an asphere of too many terms, or a pose of several trials.
+        For a measured figure, a shape that `held` refuses, or a pose of several trials.
     """
     for i, surface in enumerate(lens.surfaces, start=1):
         if surface.figure is not None:
             raise InputError(
                 f"surface {i}: {kind} cannot hold a measured figure; leave it out of the design first"
             )
-        if len(without_zeros(surface.asphere)) > most_terms:
-            raise InputError(
-                f"surface {i}: {len(surface.asphere)} asphere terms; {kind} holds {most_terms}, "
-                f"up to r^{2 * most_terms + 2}"
-            )
+        try:
+            held(surface.shape)
+        except InputError as error:
+            raise InputError(f"surface {i}: {error}") from error
     if any(np.ndim(getattr(pose, f.name)) for f in fields(pose)):
         raise InputError(f"{kind} holds one pose, not one for each trial")
-
-
-def without_zeros(asphere: Sequence[float]) -> tuple[float, ...]:
-    """Asphere coefficients without the zeros at their end."""
-    count = max((i for i, a in enumerate(asphere, start=1) if a), default=0)
-    return tuple(asphere[:count])
 
 
 def pose_distances(lens: Lens, pose: Pose) -> tuple[float, float, float, float]:

@@ -19,7 +19,8 @@ from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface import Surface
 
 Array = NDArray[np.float64]
 

@@ -1,11 +1,12 @@
 """Zemax OpticStudio's sequential lens files (.zmx), read and written.
 
-Read are surfaces of type STANDARD and EVENASPH with their curvature, conic, thickness, glass, semi-diameter,
-circular aperture and stop; the apertures ENPD, FNUM, OBNA and FLOA; object heights; wavelengths, the primary
-one first; and a pair of coordinate breaks as the pose of the whole lens. Weights, the merit function and what
-only governs analyses or drawings says nothing of the lens and is passed over; so are fields at which there is
-nothing but the axis. The format has no public specification: what the records mean is taken from the
-OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
+Read are surfaces of the types that the shapes of :mod:`lensdesign.lens.shapes` name, with their curvature,
+conic, parameters, thickness, glass, semi-diameter, circular aperture and stop; the apertures ENPD, FNUM, OBNA
+and FLOA; object heights; wavelengths, the primary one first; and a pair of coordinate breaks as the pose of
+the whole lens. Weights, the merit function and what only governs analyses or drawings says nothing of the
+lens and is passed over; so are fields at which there is nothing but the axis. The format has no public
+specification: what the records mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files
+that lens makers publish.
 """
 
 from __future__ import annotations
@@ -30,16 +31,21 @@ from lensdesign.files.draft import (
     pose_distances,
     read_lines,
     read_note,
-    without_zeros,
     writable,
 )
-from lensdesign.files.zemax_records import EXACT, FileReader, FileSurface, integer_at, take_record, value_at
+from lensdesign.files.zemax_records import (
+    EXACT,
+    FileReader,
+    FileSurface,
+    integer_at,
+    shape_of_type,
+    take_record,
+    value_at,
+)
 from lensdesign.lens.glass import get_material, glass_summary
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-
-MOST_TERMS = 7
-"""Asphere coefficients of an EVENASPH surface from r^4 on."""
+from lensdesign.lens.shapes.conic import Conic
 
 
 def read_zmx(
@@ -105,18 +111,17 @@ def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Suppl
         x, y, a, b, c, order = (surface.terms.get(i, 0.0) for i in range(1, 7))
         axes = Break((x, y), (a, b, c), order != 0.0)
         return Row(surface.name, surface.where, thickness_mm=surface.thickness_mm, axes=axes)
-    terms = surface.terms if surface.kind == "EVENASPH" else {}
-    if terms.get(1):
-        reader.draft.lose(f"{surface.name}: asphere term in r^2 of {terms[1]:g}")
-    for i in sorted(surface.terms):
-        if surface.terms[i] and (surface.kind != "EVENASPH" or not 1 <= i <= MOST_TERMS + 1):
-            reader.draft.lose(f"{surface.name}: PARM {i} of {surface.terms[i]:g}")
+    shape, keys = shape_of_type(surface.kind, surface.terms) or (Conic, {})
+    held = shape.of_keys({"radius_mm": surface.radius_mm, "conic": surface.conic} | keys).zemax()[1]
+    for i, value in sorted(surface.terms.items()):
+        if value != held.get(i, 0.0):
+            reader.draft.lose(f"{surface.name}: {shape.ZEMAX_LOST.get(i, f'PARM {i}')} of {value:g}")
     return Row(
         surface.name,
         surface.where,
         surface.radius_mm,
         surface.conic,
-        without_zeros([terms.get(i, 0.0) for i in range(2, MOST_TERMS + 2)]),
+        keys,
         surface.thickness_mm,
         _material(reader, surface, noted, supplement),
         surface.aperture_mm or surface.semi_diameter_mm,
@@ -160,13 +165,13 @@ def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> 
     Raises
     ------
     InputError
-        If the format cannot hold the lens (a measured figure, more than `MOST_TERMS` asphere terms), or the
+        If the format cannot hold the lens (a measured figure, a shape that it does not have), or the
         file cannot be written; whatever stood there stays.
     MaterialError
         If a glass is unknown.
     """
     target = Path(path)
-    writable(lens, pose, MOST_TERMS, "a .zmx file")
+    writable(lens, pose, lambda shape: shape.zemax(), "a .zmx file")
     lines = _header(lens) + [f"NOTE 0 {line}" for line in note_lines(lens, pose, target.parent)]
     blocks = _blocks(lens, pose)
     for i, block in enumerate(blocks):
@@ -210,16 +215,12 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
     """Records of every surface from the object to the image."""
     inner = [
         [
-            "TYPE EVENASPH" if any(s.asphere) else "TYPE STANDARD",
+            f"TYPE {kind}",
             f"CURV {EXACT.divide(Decimal(1), Decimal(s.radius_mm))}"
             if s.radius_mm is not None
             else "CURV 0.0",
             *(["STOP"] if i == lens.stop_index and s.stop else []),
-            *(
-                f"PARM {n} {a!r}"
-                for n, a in enumerate((0.0, *without_zeros(s.asphere)), start=1)
-                if any(s.asphere)
-            ),
+            *(f"PARM {n} {value!r}" for n, value in parameters.items()),
             *([f"CONI {s.conic!r}"] if s.conic else []),
             *([f"GLAS {_glass_values(s.material, lens)}"] if s.material is not None else []),
             *(
@@ -229,6 +230,7 @@ def _blocks(lens: Lens, pose: Pose) -> list[list[str]]:
             ),
         ]
         for i, s in enumerate(lens.surfaces)
+        for kind, parameters in [s.shape.zemax()]
     ]
     distances = [s.thickness_mm for s in lens.surfaces[:-1]]
     front, back = ["TYPE STANDARD", "CURV 0.0"], ["TYPE STANDARD", "CURV 0.0", "DISZ 0.0"]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
+from typing import Any
 
 from lensdesign.errors import InputError
 from lensdesign.files.draft import MOST_SURFACES, Draft, number, shown
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.registry import shape_classes
 
 EXACT = Context(prec=25)
 """Arithmetic of digits enough to have a radius back from its curvature without loss."""
@@ -118,8 +121,17 @@ def integer_at(values: Sequence[str], index: int, where: str) -> int:
 
 def _type(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
     surface.kind = values[0] if values else ""
-    if surface.kind not in ("STANDARD", "EVENASPH", "COORDBRK"):
+    if surface.kind != "COORDBRK" and shape_of_type(surface.kind, {}) is None:
         reader.draft.lose(f"{surface.name}: surface type {shown(surface.kind)}, read as STANDARD")
+
+
+def shape_of_type(kind: str, parameters: Mapping[int, float]) -> tuple[type[Shape], dict[str, Any]] | None:
+    """The shape that a surface type stands for, and its keys beside radius and conic; None for any other."""
+    for shape in shape_classes():
+        keys = shape.keys_of_zemax(kind, parameters)
+        if keys is not None:
+            return shape, keys
+    return None
 
 
 def _curvature(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:

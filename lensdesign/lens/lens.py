@@ -10,10 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, as_path, tuples
-from lensdesign.lens import shapes
+from lensdesign.common.section import Positive, Section, as_path, tuples
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.figure_source import FigureSource
+from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.shapes.base import directions
+from lensdesign.lens.solid import (
+    glass_element,
+    glass_fronts,
+    mechanical_semi_diameter_mm,
+    refuse_impossible_edge,
+)
+from lensdesign.lens.surface import Surface, vertex_z_mm
 
 
 class ObjectSpace(Section):
@@ -64,90 +71,6 @@ class Sensor(Section):
     def size_mm(self) -> tuple[float, float]:
         """Width (x) and height (y) of the photosensitive area."""
         return self.pixels[0] * self.pixel_pitch_um * 1e-3, self.pixels[1] * self.pixel_pitch_um * 1e-3
-
-
-class Surface(Section):
-    """One refracting surface and the medium behind it.
-
-    Attributes
-    ----------
-    radius_mm
-        Radius of curvature, positive with its centre at larger z; None is a plane.
-    conic
-        Conic constant.
-    asphere
-        Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
-    thickness_mm
-        To the next surface's vertex; the last surface has none.
-    material
-        Glass name or constant index of the medium behind; None is air.
-    semi_diameter_mm
-        Clear semi-diameter; rays beyond it are clipped. None clips nothing.
-    stop
-        Whether this surface is the aperture stop.
-    figure
-        Where the made surface was measured to depart from this shape; None is no departure.
-    """
-
-    radius_mm: Finite | None = None
-    conic: Finite = 0.0
-    asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
-    thickness_mm: Positive | None = None
-    material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
-    semi_diameter_mm: Positive | None = None
-    stop: bool = False
-    figure: FigureSource | None = None
-
-    _lists = field_validator("asphere", mode="before")(tuples)
-
-    @field_validator("radius_mm")
-    @classmethod
-    def _radius(cls, value: float | None) -> float | None:
-        if value == 0.0:
-            raise ValueError("a radius of 0 is no surface; leave radius_mm out for a plane")
-        return value
-
-    @model_validator(mode="after")
-    def _within_edge(self) -> Surface:
-        edge = shapes.edge_radius_mm(self.curvature, self.conic)
-        if self.semi_diameter_mm is not None and self.semi_diameter_mm > edge:
-            raise ValueError(
-                f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the conic, "
-                f"which ends at a radial height of {edge:.6g} mm"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _within_figure(self) -> Surface:
-        if self.figure is None:
-            return self
-        if self.semi_diameter_mm is None:
-            raise ValueError("a surface with a figure needs a semi_diameter_mm")
-        known = self.figure.semi_diameter_mm
-        if known is not None and known < self.semi_diameter_mm:
-            raise ValueError(
-                f"the figure's semi_diameter_mm of {known:g} is less than the surface's of "
-                f"{self.semi_diameter_mm:g}; the figure must be known over the whole clear aperture"
-            )
-        return self
-
-    @property
-    def curvature(self) -> float:
-        """1/radius in 1/mm; 0 for a plane."""
-        return 0.0 if self.radius_mm is None else 1.0 / self.radius_mm
-
-    @property
-    def kind(self) -> str:
-        """Plane, sphere, conic or even asphere."""
-        return shapes.surface_kind(self.curvature, self.conic, self.asphere)
-
-    def sag_mm(self, r_mm: Any) -> NDArray[np.float64]:
-        """Sag at radial heights without the figure, NaN beyond the conic's edge."""
-        return shapes.sag(np.square(r_mm), self.curvature, self.conic, self.asphere)
-
-    def slope(self, r_mm: Any) -> NDArray[np.float64]:
-        """Slope dz/dr at radial heights without the figure."""
-        return shapes.sag_slope(r_mm, self.curvature, self.conic, self.asphere)
 
 
 class Lens(Section):
@@ -203,7 +126,8 @@ class Lens(Section):
             if not heights:
                 continue
             r = np.linspace(0.0, min(heights), 257)
-            gap = (front.thickness_mm or 0.0) + back.sag_mm(r) - front.sag_mm(r)
+            x, y = (r[:, None] * part for part in directions(front.shape, back.shape))
+            gap = (front.thickness_mm or 0.0) + np.min(back.shape.sag(x, y) - front.shape.sag(x, y), axis=1)
             if np.any(gap <= 0.0):
                 where = r[np.argmax(gap <= 0.0)]
                 raise ValueError(
@@ -216,7 +140,9 @@ class Lens(Section):
         front = self.surfaces[0]
         if front.semi_diameter_mm is None:
             return
-        sag = front.sag_mm(np.linspace(0.0, front.semi_diameter_mm, 257))
+        x, y = directions(front.shape)
+        r = np.linspace(0.0, front.semi_diameter_mm, 257)[:, None]
+        sag = front.shape.sag(r * x, r * y)
         reach = -float(np.nanmin(sag))
         if reach >= self.object.working_distance_mm:
             raise ValueError(
@@ -226,8 +152,6 @@ class Lens(Section):
             )
 
     def _refuse_impossible_edges(self) -> None:
-        from lensdesign.lens.solid import glass_element, refuse_impossible_edge
-
         fronts = self.glass_fronts
         if self.edges and len(self.edges) != len(fronts):
             raise ValueError(
@@ -251,9 +175,7 @@ class Lens(Section):
     @property
     def glass_fronts(self) -> tuple[int, ...]:
         """Index of the front surface of every glass element, front to back."""
-        from lensdesign.lens.glass import is_air
-
-        return tuple(i for i, s in enumerate(self.surfaces[:-1]) if not is_air(s.material))
+        return glass_fronts(self)
 
     @property
     def stop_index(self) -> int:
@@ -270,7 +192,7 @@ class Lens(Section):
     @property
     def vertex_z_mm(self) -> NDArray[np.float64]:
         """z of every vertex; the front vertex is at 0."""
-        return np.cumsum([0.0] + [s.thickness_mm or 0.0 for s in self.surfaces[:-1]])
+        return vertex_z_mm(self.surfaces)
 
     @property
     def exit_vertex_z_mm(self) -> float:
@@ -300,8 +222,6 @@ class Lens(Section):
         MaterialError
             If a glass is unknown, or the wavelength lies outside the range for which it is known.
         """
-        from lensdesign.lens.glass import refractive_index
-
         media = [s.material for s in self.surfaces]
         return np.array(
             [1.0]
@@ -322,13 +242,3 @@ class Lens(Section):
         surface = self.surfaces[index].replaced(**changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)
-
-
-def mechanical_semi_diameter_mm(lens: Lens, element: int) -> float:
-    """Radius of the edge cylinder of a glass element, counted from 0.
-
-    The design file's, or else the largest clear semi-diameter of all surfaces of the lens.
-    """
-    given = lens.edges[element].semi_diameter_mm if lens.edges else None
-    largest = max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
-    return largest if given is None else given

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.lens import shapes
-from lensdesign.lens.lens import Surface
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -30,15 +31,33 @@ class SurfaceMeridian:
         z of its vertex.
     end_mm
         Radial height at which the meridian ends.
+    azimuth_rad
+        Where it lies, from +x towards +y; one stands for all of a surface of revolution.
     """
 
     surface: Surface
     vertex_z_mm: float
     end_mm: float
+    azimuth_rad: float = 0.5 * math.pi
 
-    @property
+    @cached_property
+    def shape(self) -> Shape:
+        """The surface of revolution that has this meridian."""
+        return self.surface.shape.section(self.azimuth_rad)
+
+    @cached_property
+    def _conic(self) -> tuple[float, float]:
+        """Curvature and conic constant."""
+        return float(self.shape.terms[0]), float(self.shape.terms[1])
+
+    @cached_property
+    def _rest(self) -> Shape:
+        """What the shape has beyond its conic."""
+        return self.shape.moved("curvature", -self.shape.terms[0])
+
+    @cached_property
     def _edge_mm(self) -> float:
-        return shapes.edge_radius_mm(self.surface.curvature, self.surface.conic)
+        return self.shape.edge_radius_mm
 
     @property
     def _scale(self) -> float:
@@ -48,7 +67,7 @@ class SurfaceMeridian:
 
     def points(self, t: Any) -> Array:
         """Radial height and z in mm at parameters t, shape (..., 2)."""
-        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
+        c, conic = self._conic
         u = self._scale * np.asarray(t, float)
         edge = self._edge_mm
         r, root = (
@@ -56,19 +75,19 @@ class SurfaceMeridian:
             if math.isfinite(edge)
             else (u, np.sqrt(1.0 - (1.0 + conic) * c * c * u * u))
         )
-        z = self.vertex_z_mm + c * r * r / (1.0 + root) + shapes.sag(r * r, 0.0, 0.0, asphere)
+        z = self.vertex_z_mm + c * r * r / (1.0 + root) + self._rest.sag(0.0, r)
         return np.stack([r, z], axis=-1)
 
     def tangents(self, t: Any) -> Array:
         """Derivatives of :meth:`points` with respect to t, in mm."""
-        c, conic, asphere = self.surface.curvature, self.surface.conic, self.surface.asphere
+        c, conic = self._conic
         u = self._scale * np.asarray(t, float)
         edge = self._edge_mm
         if math.isfinite(edge):
             r, dr, dz = edge * np.sin(u), edge * np.cos(u), c * edge * edge * np.sin(u)
         else:
             r, dr, dz = u, np.ones_like(u), c * u / np.sqrt(1.0 - (1.0 + conic) * c * c * u * u)
-        dz = dz + dr * shapes.sag_slope(r, 0.0, 0.0, asphere)
+        dz = dz + dr * self._rest.sag_and_slopes(0.0, r)[2]
         return self._scale * np.stack([dr, dz], axis=-1)
 
     def parameters(self, r_mm: Any) -> Array:

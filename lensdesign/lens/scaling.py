@@ -7,7 +7,8 @@ import math
 from lensdesign.common.section import Section
 from lensdesign.errors import DesignError
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.surface import Surface
 
 
 def scaled(lens: Lens, factor: float) -> Lens:
@@ -72,8 +73,7 @@ def _surface(surface: Surface, factor: float) -> Surface:
             zernike_waves_633nm=tuple((j, factor * a) for j, a in figure.zernike_waves_633nm),
         )
     return surface.replaced(
-        radius_mm=times(surface.radius_mm),
-        asphere=tuple(a / factor ** (2 * i + 3) for i, a in enumerate(surface.asphere)),
+        **surface.shape_class.scaled_keys(surface.shape_keys, factor),
         thickness_mm=times(surface.thickness_mm),
         semi_diameter_mm=times(surface.semi_diameter_mm),
         figure=figure,

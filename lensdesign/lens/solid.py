@@ -1,28 +1,43 @@
-"""The glass bodies of a lens as exact solids of revolution: meridian, edge, closure, volume.
+"""The glass bodies of a lens as exact solids about its axis: meridian, edge, closure, volume.
 
 An element is bounded by two optical surfaces, each prolonged with its own sag, and by its edge: a cylinder,
 with flat rings, bevels at 45 degrees and a flange where the design has them. A surface whose conic ends
-before that edge goes on as a flat ring from its clear semi-diameter.
+before that edge goes on as a flat ring from its clear semi-diameter. Of a body that is none of revolution,
+flat rings and bevels follow the rim of their surface.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens import shapes
 from lensdesign.lens.edges import Edge
-from lensdesign.lens.lens import Lens, mechanical_semi_diameter_mm
+from lensdesign.lens.glass import is_air
 from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
+from lensdesign.lens.shapes.base import azimuths_rad
+from lensdesign.lens.surface import Surface, vertex_z_mm
 
 Array = NDArray[np.float64]
 
 SHARP = Edge()
 """Neither flats, bevels nor flange."""
+
+
+class Surfaces(Protocol):
+    """A lens, as far as its glass bodies need it."""
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Front to back."""
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """One for each glass element, or none."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +51,7 @@ class Element:
     surfaces
         Indices of its front and back surface in the lens, from 0.
     front, back
-        Meridians of the two surfaces; z from the front vertex of the lens.
+        Meridians of the two surfaces, at one azimuth; z from the front vertex of the lens.
     edge_mm
         Radius of the edge cylinder.
     edge
@@ -54,6 +69,23 @@ class Element:
     def name(self) -> str:
         """`element 1 (surfaces 1 and 2)`: people count from one."""
         return f"element {self.number + 1} (surfaces {self.surfaces[0] + 1} and {self.surfaces[1] + 1})"
+
+    @property
+    def rotational(self) -> bool:
+        """Whether the body is one of revolution."""
+        return all(m.surface.shape.ROTATIONAL for m in (self.front, self.back))
+
+    @property
+    def sections(self) -> tuple[Element, ...]:
+        """The body's half sections by azimuth; one stands for all of a body of revolution."""
+        return tuple(
+            replace(
+                self,
+                front=replace(self.front, azimuth_rad=float(azimuth)),
+                back=replace(self.back, azimuth_rad=float(azimuth)),
+            )
+            for azimuth in azimuths_rad(self.front.surface.shape, self.back.surface.shape)
+        )
 
     @property
     def ends(self) -> tuple[Array, Array]:
@@ -74,7 +106,12 @@ class Element:
 
     @property
     def cylinder_z_mm(self) -> tuple[float, float]:
-        """z at which the edge cylinder begins and ends."""
+        """z at which the edge cylinder begins and ends; of a body not of revolution, at its narrowest."""
+        fronts, backs = zip(*(section._cylinder_z_mm for section in self.sections), strict=True)
+        return max(fronts), min(backs)
+
+    @property
+    def _cylinder_z_mm(self) -> tuple[float, float]:
         front, back = (
             float(m.points(1.0)[1] + (end[-1, 1] if len(end) else 0.0))
             for m, end in zip((self.front, self.back), self.ends, strict=True)
@@ -119,7 +156,10 @@ class Element:
     @property
     def volume_mm3(self) -> float:
         """Volume by Gauss-Legendre quadrature over the two meridians, and exactly round the edge."""
-        return self.back.integral_mm3() - self.front.integral_mm3() + ring_volume_mm3(self.rim)
+        # About the axis, a body's volume is the mean of those that its half sections would turn out.
+        parts = (s.back.integral_mm3() - s.front.integral_mm3() for s in self.sections)
+        rims = (ring_volume_mm3(s.rim) for s in self.sections)
+        return float(np.mean([part + rim for part, rim in zip(parts, rims, strict=True)]))
 
     def profiles(self, front_t: Array, back_t: Array) -> tuple[Array, Array]:
         """Both sides from the axis to the edge cylinder, flat ring and bevel included.
@@ -164,7 +204,22 @@ def _profile(meridian: SurfaceMeridian, t: Array, end: Array) -> Array:
     return np.concatenate([points, points[-1] * [0.0, 1.0] + end])
 
 
-def glass_elements(lens: Lens) -> list[Element]:
+def glass_fronts(lens: Surfaces) -> tuple[int, ...]:
+    """Index of the front surface of every glass element, front to back."""
+    return tuple(i for i, s in enumerate(lens.surfaces[:-1]) if not is_air(s.material))
+
+
+def mechanical_semi_diameter_mm(lens: Surfaces, number: int) -> float:
+    """Radius of the edge cylinder of a glass element, counted from 0.
+
+    The design file's, or else the largest clear semi-diameter of all surfaces of the lens.
+    """
+    given = lens.edges[number].semi_diameter_mm if lens.edges else None
+    largest = max(s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None)
+    return largest if given is None else given
+
+
+def glass_elements(lens: Surfaces) -> list[Element]:
     """The bodies of glass in a lens, front to back.
 
     Parameters
@@ -182,35 +237,36 @@ def glass_elements(lens: Lens) -> list[Element]:
         If the lens holds no glass, or an element has no size (neither of its surfaces has a
         semi_diameter_mm).
     """
-    if not lens.glass_fronts:
+    fronts = glass_fronts(lens)
+    if not fronts:
         raise InputError("the lens holds no glass: no surface but the last is followed by a material")
-    elements = [glass_element(lens, number) for number in range(len(lens.glass_fronts))]
+    elements = [glass_element(lens, number) for number in range(len(fronts))]
     for element in elements:
         _refuse_endless(element)
     return elements
 
 
-def glass_element(lens: Lens, number: int) -> Element:
+def glass_element(lens: Surfaces, number: int) -> Element:
     """One body of glass, counted from 0, whether or not its size is well defined.
 
     A surface whose conic ends before the edge goes on as a flat ring from its clear semi-diameter, or from
     where it ends if it has none.
     """
-    i = lens.glass_fronts[number]
+    i = glass_fronts(lens)[number]
     radius = mechanical_semi_diameter_mm(lens, number)
     edge = lens.edges[number] if lens.edges else SHARP
+    z = vertex_z_mm(lens.surfaces)
     front, back = (
-        _meridian(lens, j, radius - bevel if flat is None else flat)
+        _meridian(lens.surfaces[j], float(z[j]), radius - bevel if flat is None else flat)
         for j, (flat, bevel) in zip((i, i + 1), edge.sides(), strict=True)
     )
     return Element(number, (i, i + 1), front, back, radius, edge)
 
 
-def _meridian(lens: Lens, i: int, asked_mm: float) -> SurfaceMeridian:
-    surface = lens.surfaces[i]
-    ends = shapes.edge_radius_mm(surface.curvature, surface.conic)
+def _meridian(surface: Surface, z_mm: float, asked_mm: float) -> SurfaceMeridian:
+    ends = surface.shape.edge_radius_mm
     end = asked_mm if ends >= asked_mm else surface.semi_diameter_mm or ends
-    return SurfaceMeridian(surface, float(lens.vertex_z_mm[i]), end)
+    return SurfaceMeridian(surface, z_mm, end)
 
 
 def _refuse_endless(element: Element) -> None:
@@ -222,7 +278,7 @@ def _refuse_endless(element: Element) -> None:
             "semi_diameter_mm"
         )
     for i, meridian in zip(element.surfaces, pair, strict=True):
-        ends = shapes.edge_radius_mm(meridian.surface.curvature, meridian.surface.conic)
+        ends = meridian.surface.shape.edge_radius_mm
         if meridian.surface.semi_diameter_mm is None and meridian.end_mm == ends < element.edge_mm:
             raise InputError(
                 f"surface {i + 1} ends at a radial height of {ends:.6g} mm, inside the edge at "
@@ -230,7 +286,7 @@ def _refuse_endless(element: Element) -> None:
             )
 
 
-def closed_elements(lens: Lens) -> list[Element]:
+def closed_elements(lens: Surfaces) -> list[Element]:
     """As :func:`glass_elements`, for those who need solids.
 
     Raises
@@ -272,7 +328,8 @@ def refuse_open(element: Element) -> None:
         Saying where.
     """
     t = np.linspace(0.0, 1.0, 1025)
-    r, gap = smallest_gap(*element.profiles(t, t))
+    gaps = (smallest_gap(*section.profiles(t, t)) for section in element.sections)
+    r, gap = min(gaps, key=lambda found: found[1])
     thickness = element.edge_thickness_mm
     if not (thickness > 0.0 and gap > 0.0):
         where = (
@@ -294,7 +351,8 @@ def refuse_impossible_edge(element: Element) -> None:
     InputError
         Saying what is allowed.
     """
-    _refuse_bevels(element)
+    for section in element.sections:
+        _refuse_bevels(section)
     front, back = element.cylinder_z_mm
     corners = element.flange_corners[:, 1]
     if len(corners) and not (front <= corners[0] and corners[-1] <= back):
@@ -311,7 +369,7 @@ def _refuse_bevels(element: Element) -> None:
     sides = zip((element.front, element.back), element.edge.sides(), (1.0, -1.0), strict=True)
     for i, (meridian, (_, bevel_mm), inward) in zip(element.surfaces, sides, strict=True):
         end = meridian.end_mm
-        slope = inward * float(meridian.surface.slope(end))
+        slope = inward * float(meridian.shape.sag_and_slopes(0.0, end)[2])
         if bevel_mm and end >= element.edge_mm - bevel_mm and not slope < 1.0:
             raise InputError(
                 f"{element.name}: a bevel at 45 degrees cuts nothing off surface {i + 1}, which "

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
+from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.requirements import Row, State, constraint_rows, goal_rows
 from lensdesign.optimization.specification import Specification, VariableRange
@@ -107,19 +108,16 @@ class DesignProblem:
         changes: dict[int, dict[str, object]] = {}
         scene = self.base.object
         for variable, value in zip(self.variables, self.lower + self.width * point, strict=True):
-            surface = self.base.surfaces[variable.surface]
             mine = changes.setdefault(variable.surface, {})
             if variable.kind == "working_distance":
                 scene = ObjectSpace(**(scene.model_dump() | {"working_distance_mm": float(value)}))
-            elif variable.kind == "curvature":
-                mine["radius_mm"] = None if value == 0.0 else float(1.0 / value)
-            elif variable.kind == "asphere":
-                terms = list(mine.get("asphere", surface.asphere))  # type: ignore[call-overload]
-                terms += [0.0] * (variable.term + 1 - len(terms))
-                terms[variable.term] = float(value)
-                mine["asphere"] = tuple(terms)
+            elif variable.kind == "thickness":
+                mine["thickness_mm"] = float(value)
             else:
-                mine["conic" if variable.kind == "conic" else "thickness_mm"] = float(value)
+                shape = class_with(variable.kind)
+                surface = self.base.surfaces[variable.surface]
+                values = {key: getattr(surface, key) for key in shape.KEYS} | mine
+                mine |= shape.changed_keys(values, variable.kind, value)
         surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
         return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
 
@@ -197,23 +195,13 @@ def _value(lens: Lens, variable: Variable) -> float:
     surface = lens.surfaces[variable.surface]
     if variable.kind == "working_distance":
         return lens.object.working_distance_mm
-    if variable.kind == "asphere":
-        return surface.asphere[variable.term] if variable.term < len(surface.asphere) else 0.0
     if variable.kind == "thickness":
         return surface.thickness_mm or 0.0
-    return surface.curvature if variable.kind == "curvature" else surface.conic
+    return surface.shape.term(variable.kind)
 
 
 def _shaped(base: CompiledSystem, lens: Lens) -> CompiledSystem:
     """The base system with the shape of a lens; indices and apertures stay."""
-    terms = max(len(s.asphere) for s in lens.surfaces)
-    asphere = np.array([[*s.asphere, *[0.0] * (terms - len(s.asphere))] for s in lens.surfaces])
     vertex = np.zeros_like(base.vertex)
-    vertex[0, :, 2] = np.cumsum([0.0] + [s.thickness_mm or 0.0 for s in lens.surfaces[:-1]])
-    return replace(
-        base,
-        vertex=vertex,
-        curvature=np.array([[s.curvature for s in lens.surfaces]]),
-        conic=np.array([[s.conic for s in lens.surfaces]]),
-        asphere=asphere.reshape(len(lens.surfaces), terms),
-    )
+    vertex[0, :, 2] = lens.vertex_z_mm
+    return replace(base, vertex=vertex, shapes=tuple(s.shape for s in lens.surfaces))

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.lens import shapes
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.specification import Specification
 from lensdesign.tracing.gradients import GradientTrace, Variable
@@ -179,21 +179,22 @@ def _glass_rows(specification: Specification, state: State) -> list[Row]:
     edge = max(heights, key=lambda h: h[0])
     rows = []
     for i, surface in enumerate(lens.surfaces):
-        shape = (1.0 + surface.conic) * surface.curvature**2
-        by = _by(state, i, lambda c, k, a: (1.0 + k) * c**2) * edge[0] ** 2 + 2.0 * shape * edge[0] * edge[1]
-        value = shape * edge[0] ** 2 - CONIC_EDGE_SHARE**2
-        rows.append(_single(f"edge of the conic of surface {i + 1}", value, by))
-        rows.append(_slope_row(state, i, heights[i], limits.max_edge_slope_deg))
+        for part, end in enumerate(surface.shape.ends()):
+            by = _by(state, i, partial(_end_by, surface.shape, part)) * edge[0] ** 2
+            value = float(end) * edge[0] ** 2 - CONIC_EDGE_SHARE**2
+            name = f"edge of the conic of surface {i + 1}"
+            rows.append(_single(name, value, by + 2.0 * float(end) * edge[0] * edge[1]))
+        rows += _slope_rows(state, i, heights[i], limits.max_edge_slope_deg)
         if i + 1 == len(lens.surfaces):
             continue
         glass = surface.material is not None
         least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
         scale = specification.surfaces[i].thickness_mm or 1.0
         at = _ground_height(lens, i, edge)
-        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
+        rows += _gap_rows(f"edge thickness behind surface {i + 1}", state, i, at, least, scale)
         least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
         axis = (0.0, np.zeros(len(state.variables)))
-        rows.append(_gap_row(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale))
+        rows += _gap_rows(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale)[:1]
     return rows
 
 
@@ -205,26 +206,57 @@ def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[floa
     return clear if given is None else (given, np.zeros_like(clear[1]))
 
 
-def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
-    surface = state.lens.surfaces[i]
-    limit = math.tan(math.radians(limit_deg))
-    slope = float(surface.slope(height[0]))
-    bend = float(surface.slope(height[0] + 1e-20j).imag / 1e-20)
-    by = _by(state, i, lambda c, k, a: shapes.sag_slope(height[0], c, k, a)) + bend * height[1]
-    return _single(
-        f"slope at the edge of surface {i + 1}", (slope / limit) ** 2 - 1.0, 2.0 * slope / limit**2 * by
-    )
+def _slope_rows(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> list[Row]:
+    """Of the steepest way over the surface, in each direction."""
+    shape = state.lens.surfaces[i].shape
+    limit = math.tan(math.radians(limit_deg)) ** 2
+    rows = []
+    for x, y in _points(height[0], shape):
+        _, *slopes = shape.sag_and_slopes(x, y)
+        xx, xy, yy = shape.second_derivatives(x, y)
+        ux, uy = (x / height[0], y / height[0]) if height[0] else (0.0, 1.0)
+        outward = slopes[0] * (xx * ux + xy * uy) + slopes[1] * (xy * ux + yy * uy)
+        by = _by(state, i, partial(_slope_square_by, shape, x, y)) + 2.0 * float(outward) * height[1]
+        value = float(slopes[0] ** 2 + slopes[1] ** 2) / limit - 1.0
+        rows.append(_single(f"slope at the edge of surface {i + 1}", value, by / limit))
+    return rows
 
 
-def _gap_row(name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float) -> Row:
-    front, back = state.lens.surfaces[i : i + 2]
-    r = height[0]
-    gap = (front.thickness_mm or 0.0) + float(back.sag_mm(r)) - float(front.sag_mm(r))
-    by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
-    by += _by(state, i + 1, lambda c, k, a: shapes.sag(r * r, c, k, a))
-    by -= _by(state, i, lambda c, k, a: shapes.sag(r * r, c, k, a))
-    by += float(back.slope(r) - front.slope(r)) * height[1]
-    return _single(name, (least - gap) / scale, -by / scale)
+def _gap_rows(
+    name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float
+) -> list[Row]:
+    """Of the space behind a surface at a radial height, in each direction."""
+    front, back = (s.shape for s in state.lens.surfaces[i : i + 2])
+    thickness = state.lens.surfaces[i].thickness_mm or 0.0
+    rows = []
+    for x, y in _points(height[0], front, back):
+        before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
+        by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
+        by += _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
+        if height[0]:
+            by += float((behind - before)[1:] @ [x, y]) / height[0] * height[1]
+        gap = thickness + float(behind[0] - before[0])
+        rows.append(_single(name, (least - gap) / scale, -by / scale))
+    return rows
+
+
+def _points(r: float, *shapes: Shape) -> list[tuple[float, float]]:
+    """Points at a radial height that stand for all round the axis."""
+    return [(r * float(x), r * float(y)) for x, y in zip(*directions(*shapes), strict=True)]
+
+
+def _sag_by(shape: Shape, x: float, y: float, term: str) -> float:
+    return float(shape.derivatives_by(term, x, y)[0])
+
+
+def _slope_square_by(shape: Shape, x: float, y: float, term: str) -> float:
+    slopes, by = shape.sag_and_slopes(x, y)[1:], shape.derivatives_by(term, x, y)[1:]
+    return 2.0 * float(slopes[0] * by[0] + slopes[1] * by[1])
+
+
+def _end_by(shape: Shape, part: int, term: str) -> float:
+    """By complex step, exact to rounding."""
+    return float(shape.moved(term, 1e-30j).ends()[part].imag / 1e-30)
 
 
 def _clear_height(state: State, i: int) -> tuple[float, Array]:
@@ -246,21 +278,11 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
     return best
 
 
-def _by(state: State, i: int, function: Callable[[Any, Any, tuple[Any, ...]], Any]) -> Array:
-    """Derivatives of a function of one surface's shape, by complex step (exact to rounding)."""
-    surface = state.lens.surfaces[i]
-    result = np.zeros(len(state.variables))
-    step = 1e-30j
-    for j, variable in enumerate(state.variables):
-        shape: list[Any] = [surface.curvature, surface.conic, list(surface.asphere)]
-        if variable.surface != i or variable.kind not in ("curvature", "conic", "asphere"):
-            continue
-        if variable.kind == "asphere":
-            shape[2][variable.term] += step
-        else:
-            shape[["curvature", "conic"].index(variable.kind)] += step
-        result[j] = np.imag(function(shape[0], shape[1], tuple(shape[2]))) / abs(step)
-    return result
+def _by(state: State, i: int, derivative: Callable[[str], float]) -> Array:
+    """Derivatives by all variables of what depends on the shape of one surface alone."""
+    return np.array(
+        [derivative(v.kind) if v.of_shape and v.surface == i else 0.0 for v in state.variables], float
+    )
 
 
 def _squares(points: Array, by: Array) -> tuple[Array, Array]:

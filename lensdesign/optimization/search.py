@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import ALGORITHMS, FEASIBLE, Evaluation, Outcome, minimize
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.requirements import KEPT, Row
@@ -168,12 +169,10 @@ def _plate(problem: DesignProblem) -> Lens:
     lens = problem.base
     for variable in problem.variables:
         i = variable.surface
-        if variable.kind == "curvature":
-            lens = lens.with_surface(i, radius_mm=None)
-        elif variable.kind == "conic":
-            lens = lens.with_surface(i, conic=0.0)
-        elif variable.kind == "asphere":
-            lens = lens.with_surface(i, asphere=())
+        if variable.of_shape:
+            surface = lens.surfaces[i]
+            values = {key: getattr(surface, key) for key in class_with(variable.kind).KEYS}
+            lens = lens.with_surface(i, **class_with(variable.kind).changed_keys(values, variable.kind, 0.0))
     return lens
 
 
@@ -273,10 +272,10 @@ def _result(best: _Found, found: list[_Found], evaluations: int, seconds: float)
         surface = lens.surfaces[(v.surface or 1) - 1]
         if v.parameter == "working_distance_mm":
             values[v.name] = lens.object.working_distance_mm
-        elif v.parameter.startswith("asphere_"):
-            values[v.name] = surface.asphere[v.variable().term]
-        else:
+        elif hasattr(surface, v.parameter):
             values[v.name] = getattr(surface, v.parameter)
+        else:
+            values[v.name] = surface.shape.term(v.parameter)
     return OptimizationResult(
         lens=lens,
         variables=values,

@@ -13,9 +13,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError
-from lensdesign.lens.lens import Finite, Lens, Positive, Section, tuples
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import term_of
+from lensdesign.lens.shapes.registry import parameters
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
 from lensdesign.tracing.gradients import Variable
 
@@ -50,8 +53,9 @@ class VariableRange(Section):
     @model_validator(mode="after")
     def _complete(self) -> VariableRange:
         if self.parameter != "material":
-            self.kind_and_term()
-        needed = {"radius_mm": "smallest_radius_mm", "material": "choices"}.get(self.parameter, "bounds")
+            self.kind()
+        bent = self.parameter.startswith("radius")
+        needed = "smallest_radius_mm" if bent else "choices" if self.parameter == "material" else "bounds"
         for name in ("bounds", "smallest_radius_mm", "choices"):
             given = getattr(self, name) not in (None, ())
             if given != (name == needed):
@@ -71,20 +75,14 @@ class VariableRange(Section):
             )
         return self
 
-    def kind_and_term(self) -> tuple[str, int]:
-        """Kind and asphere term as :class:`lensdesign.tracing.gradients.Variable` names them."""
-        names = {
-            "radius_mm": "curvature",
-            "conic": "conic",
-            "thickness_mm": "thickness",
-            "working_distance_mm": "working_distance",
-        }
-        if self.parameter in names:
-            return names[self.parameter], 0
-        order = self.parameter.removeprefix("asphere_")
-        if order != self.parameter and order.isdigit() and int(order) % 2 == 0 and 4 <= int(order) <= 20:
-            return "asphere", int(order) // 2 - 2
-        allowed = ", ".join([*names, "asphere_4 to asphere_20 (even)", "material"])
+    def kind(self) -> str:
+        """Kind as :class:`lensdesign.tracing.gradients.Variable` names it."""
+        lengths = ("thickness_mm", "working_distance_mm")
+        if self.parameter in lengths:
+            return self.parameter.removesuffix("_mm")
+        if self.parameter in parameters():
+            return term_of(self.parameter)
+        allowed = ", ".join([*parameters(), *lengths, "material"])
         raise ValueError(f"parameter = {self.parameter!r}: unknown; allowed: {allowed}")
 
     @property
@@ -94,8 +92,7 @@ class VariableRange(Section):
 
     def variable(self) -> Variable:
         """As the ray derivatives call it."""
-        kind, term = self.kind_and_term()
-        return Variable(kind, (self.surface or 1) - 1, term)
+        return Variable(self.kind(), (self.surface or 1) - 1)
 
     def limits(self) -> tuple[float, float]:
         """Bounds of what is varied inside: curvature for a radius, else the value itself."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens import shapes
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
@@ -155,10 +154,7 @@ def _points(values: ArrayLike, name: str) -> Array:
 
 def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
     """Points of the stop surface in the fixed frame, shape (trials or 1, n, 3)."""
-    asphere = tuple(system.asphere[stop])
-    r2 = np.sum(xy * xy, axis=-1)
-    curvature, conic = np.broadcast_arrays(system.curvature[:, stop], system.conic[:, stop])
-    sag = shapes.sag(r2[None], curvature[:, None], conic[:, None], asphere)
+    sag = np.atleast_2d(system.shapes[stop].sag(xy[:, 0], xy[:, 1]))
     for figure in system.figures[stop]:
         sag = sag + figure.sag(xy[:, 0], xy[:, 1])
     local = np.concatenate([np.broadcast_to(xy, (*sag.shape, 2)), sag[..., None]], axis=-1)
@@ -172,9 +168,7 @@ def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, x
         system,
         rotation=np.ascontiguousarray(system.rotation[:, part]),
         vertex=np.ascontiguousarray(system.vertex[:, part]),
-        curvature=np.ascontiguousarray(system.curvature[:, part]),
-        conic=np.ascontiguousarray(system.conic[:, part]),
-        asphere=system.asphere[part],
+        shapes=system.shapes[part],
         index=np.ascontiguousarray(system.index[:, : stop + 2]),
         semi_diameter=system.semi_diameter[part],
         tilted=system.tilted[part],

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
-from lensdesign.lens import shapes
 from lensdesign.lens.figure import PackedFigures, SurfaceFigure, packed_figures
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, trial_count
-from lensdesign.lens.shapes import edge_radius_mm
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.intersection import Figure, sag_and_slopes
+from lensdesign.lens.shapes.registry import code_of
 
 Array = NDArray[np.float64]
 
@@ -34,10 +35,8 @@ class CompiledSystem:
         From each surface's own frame to the fixed one.
     vertex : ndarray, shape (trials or 1, surfaces, 3)
         Vertices in mm in the fixed frame.
-    curvature, conic : ndarray, shape (trials or 1, surfaces)
-        1/mm; conic constant.
-    asphere : ndarray, shape (surfaces, terms)
-        Coefficients of r^4, r^6, ...; `terms` may be 0.
+    shapes : tuple of Shape, one for each surface
+        Without figures; each one for all trials, or one for each.
     index : ndarray, shape (trials or 1, surfaces + 1)
         Refractive index before the first and behind each surface.
     semi_diameter : ndarray, shape (surfaces,)
@@ -51,9 +50,7 @@ class CompiledSystem:
     trials: int | None
     rotation: Array
     vertex: Array
-    curvature: Array
-    conic: Array
-    asphere: Array
+    shapes: tuple[Shape, ...]
     index: Array
     semi_diameter: Array
     tilted: NDArray[np.bool_]
@@ -65,11 +62,31 @@ class CompiledSystem:
         return len(self.semi_diameter)
 
     @cached_property
+    def packed_shapes(self) -> tuple[NDArray[np.int8], Array, Array]:
+        """Number, starting conic and terms of each shape, for the kernels.
+
+        Of shapes (surfaces,), (trials or 1, surfaces, 2) and (trials or 1, surfaces, n).
+        """
+        trials = max((len(s.terms) for s in self.shapes if s.terms.ndim > 1), default=1)
+        terms = np.zeros((trials, self.surfaces, max(s.terms.shape[-1] for s in self.shapes)))
+        starts = np.zeros((trials, self.surfaces, 2))
+        for i, shape in enumerate(self.shapes):
+            terms[:, i, : shape.terms.shape[-1]] = shape.terms
+            starts[:, i] = np.stack(shape.start(np.moveaxis(shape.terms, -1, 0)), axis=-1)
+        return np.array([code_of(shape) for shape in self.shapes], np.int8), starts, terms
+
+    @cached_property
     def packed_figures(self) -> PackedFigures:
         """All figures as flat arrays, for the kernel."""
         return packed_figures(self.figures)
 
-    def figure(self, surface: int) -> shapes.Figure | None:
+    @property
+    def rotational(self) -> bool:
+        """Whether all is one of revolution about the axis of the lens as it was designed."""
+        moved = np.any(self.tilted) or np.any(self.vertex[..., :2])
+        return not (moved or any(self.figures)) and all(shape.ROTATIONAL for shape in self.shapes)
+
+    def figure(self, surface: int) -> Figure | None:
         """Sag error and slopes of a surface over (x, y) in its own frame, first trial; None without any."""
         parts = [figure.trial(0) for figure in self.figures[surface]]
         if not parts:
@@ -83,19 +100,12 @@ class CompiledSystem:
 
     def sag(self, surface: int, x: Array, y: Array) -> Array:
         """Height of a surface in mm over (x, y) in its own frame, figure included, first trial."""
-        nominal = shapes.sag(x * x + y * y, *self._shape(surface))
+        nominal = self.shapes[surface].trial(0).sag(x, y)
         return sum((figure.trial(0).sag(x, y) for figure in self.figures[surface]), nominal)
 
     def sag_and_slopes(self, surface: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """As :meth:`sag`, with the slopes along x and y."""
-        return shapes.sag_and_slopes(x, y, *self._shape(surface), self.figure(surface))
-
-    def _shape(self, surface: int) -> tuple[float, float, tuple[float, ...]]:
-        return (
-            float(self.curvature[0, surface]),
-            float(self.conic[0, surface]),
-            tuple(self.asphere[surface]),
-        )
+        return sag_and_slopes(self.shapes[surface].trial(0), x, y, self.figure(surface))
 
 
 def compile_system(
@@ -131,19 +141,14 @@ def compile_system(
         if not 0 <= i < count:
             raise InputError(f"surface_perturbations: there is no surface {i}; allowed: 0 to {count - 1}")
     trials = trial_count(pose, *changes.values())
-    shape = _perturbed_shapes(lens, changes)
     rotation, vertex = _frames(lens, pose, changes)
-    coefficients = max(len(s.asphere) for s in lens.surfaces)
-    asphere = np.array([[*s.asphere, *[0.0] * (coefficients - len(s.asphere))] for s in lens.surfaces])
     semi = np.array([np.inf if s.semi_diameter_mm is None else s.semi_diameter_mm for s in lens.surfaces])
     index = lens.indices(wavelength_um)[None] + _deltas(changes, "index", count, offset=1)
     return CompiledSystem(
         trials=trials,
         rotation=rotation,
         vertex=vertex,
-        curvature=shape[0],
-        conic=shape[1],
-        asphere=asphere.reshape(count, coefficients),
+        shapes=tuple(_shape(lens, i, changes.get(i)) for i in range(count)),
         index=index,
         semi_diameter=semi,
         tilted=np.any(rotation != np.eye(3), axis=(0, 2, 3)),
@@ -172,34 +177,31 @@ def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, o
     return result
 
 
-def _perturbed_shapes(lens: Lens, changes: Mapping[int, SurfacePerturbation]) -> tuple[Array, Array]:
-    count = len(lens.surfaces)
-    radius_delta = _deltas(changes, "radius_mm", count)
-    conic = np.array([s.conic for s in lens.surfaces])[None] + _deltas(changes, "conic", count)
-    curvature = np.tile(np.array([s.curvature for s in lens.surfaces]), (len(radius_delta), 1))
-    for i, surface in enumerate(lens.surfaces):
-        delta = radius_delta[:, i]
-        if not np.any(delta):
-            continue
+def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
+    """The shape of a surface; radius and conic constant of its meridian y-z as perturbed."""
+    surface, nominal = lens.surfaces[i], lens.surfaces[i].shape
+    if change is None or not (np.any(change.radius_mm) or np.any(change.conic)):
+        return nominal
+    radius_delta, conic_delta = np.broadcast_arrays(change.radius_mm, change.conic)
+    terms = np.tile(nominal.terms, (*radius_delta.shape, 1))
+    terms[..., 1] += conic_delta
+    if np.any(radius_delta):
         if surface.radius_mm is None:
             raise InputError(f"surface {i + 1} is a plane: a change of its radius_mm has no meaning")
-        radius = surface.radius_mm + delta
+        radius = surface.radius_mm + radius_delta
         if np.any(radius * surface.radius_mm <= 0.0):
             raise InputError(
                 f"surface {i + 1}: a radius_mm delta of {-surface.radius_mm:g} or past it turns it over"
             )
-        curvature[:, i] = 1.0 / radius
-    edge = np.broadcast_arrays(curvature, conic)
-    for i, surface in enumerate(lens.surfaces):
-        if surface.semi_diameter_mm is None or i not in changes:
-            continue
-        smallest = min(edge_radius_mm(c, k) for c, k in zip(edge[0][:, i], edge[1][:, i], strict=True))
-        if smallest < surface.semi_diameter_mm:
-            raise InputError(
-                f"surface {i + 1}: the perturbed conic ends at a radial height of {smallest:.6g} mm, "
-                f"inside its semi_diameter_mm of {surface.semi_diameter_mm:g}"
-            )
-    return curvature, conic
+        terms[..., 0] = 1.0 / radius
+    shape = type(nominal)(terms)
+    smallest = shape.edge_radius_mm
+    if surface.semi_diameter_mm is not None and smallest < surface.semi_diameter_mm:
+        raise InputError(
+            f"surface {i + 1}: the perturbed conic ends at a radial height of {smallest:.6g} mm, "
+            f"inside its semi_diameter_mm of {surface.semi_diameter_mm:g}"
+        )
+    return shape
 
 
 def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) -> tuple[Array, Array]:

@@ -7,9 +7,18 @@ import math
 import numpy as np
 from numba import njit
 
-from lensdesign.tracing.kernel import MISSED, NOT_CONVERGED, OK, TOTAL_REFLECTION, _newton
+from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.tracing.kernel import (
+    CONIC,
+    MISSED,
+    NOT_CONVERGED,
+    OK,
+    TOTAL_REFLECTION,
+    conic_distance,
+    newton,
+)
 
-CURVATURE, CONIC, ASPHERE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(7)
+SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(5)
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -19,9 +28,9 @@ def gradient_kernel(
     origins,
     directions,
     vertex,
-    curvature,
-    conic,
-    asphere,
+    codes,
+    starts,
+    terms,
     index,
     planes,
     kind,
@@ -37,7 +46,7 @@ def gradient_kernel(
     For n rays, s surfaces, p planes and v variables: `values` (n, s + 1 + p, 2) is filled with x and y
     on every surface, then the direction cosines behind the lens, then x and y on every plane;
     `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
-    Variable j is described by kind[j], where[j] (a surface) and term[j] (an asphere coefficient).
+    Variable j is described by kind[j], where[j] (a surface) and term[j] (a term of its shape).
     """
     rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
     dp = np.empty((3, variables))
@@ -49,7 +58,7 @@ def gradient_kernel(
         status[i] = OK
         failed[i] = -1
         for s in range(surfaces):
-            why = _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where, term, s)
+            why = _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s)
             if why != OK:
                 status[i] = why
                 failed[i] = s
@@ -90,69 +99,29 @@ def _vertex_motion(kind, where, s):
 
 
 @_jit
-def _hit(p, d, c, k, terms):
+def _hit(p, d, code, start, terms):
     """Distance to the surface from p (in the surface's frame) and what became of the ray."""
-    q = 1.0 + k
-    qa = c * (1.0 + k * d[2] * d[2])
-    qb = d[2] - c * (p[0] * d[0] + p[1] * d[1] + q * p[2] * d[2])
-    qc = c * (p[0] * p[0] + p[1] * p[1] + q * p[2] * p[2]) - 2.0 * p[2]
-    square = qb * qb - qa * qc
-    if square < 0.0:
+    t, near = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
+    if not near:
         return 0.0, MISSED
-    root = math.sqrt(square)
-    stable = qb >= 0.0
-    denominator = qb + root if stable else qa
-    if denominator == 0.0:
-        return 0.0, MISSED
-    t = (qc if stable else qb - root) / denominator
-    if 1.0 - q * c * (p[2] + t * d[2]) <= 0.0:
-        return 0.0, MISSED
-    for j in range(terms.shape[0]):
-        if terms[j] != 0.0:
-            return _newton(p[0], p[1], p[2], d[0], d[1], d[2], t, c, k, terms)
-    return t, OK
+    if code == CONIC:
+        return t, OK
+    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, code, terms)
 
 
 @_jit
-def _shape(r2, c, k, terms):
-    """Half the slope factor g = dz/d(r^2), and its derivative by r^2."""
-    e = math.sqrt(1.0 - (1.0 + k) * c * c * r2)
-    g = 0.5 * c / e
-    g_r2 = 0.25 * (1.0 + k) * c**3 / e**3
-    power = 1.0
-    for j in range(terms.shape[0]):
-        m = j + 2
-        g_r2 += m * (m - 1) * terms[j] * power
-        power *= r2
-        g += m * terms[j] * power
-    return g, g_r2, e
-
-
-@_jit
-def _shape_by_variable(kind, term, r2, c, k, e):
-    """Derivatives of the sag and of g by a shape variable at fixed r^2."""
-    if kind == CURVATURE:
-        return r2 / (e * (1.0 + e)), 0.5 / e**3
-    if kind == CONIC:
-        return 0.5 * c**3 * r2 * r2 / (e * (1.0 + e) ** 2), 0.25 * c**3 * r2 / e**3
-    if kind == ASPHERE:
-        return r2 ** (term + 2), (term + 2) * r2 ** (term + 1)
-    return 0.0, 0.0
-
-
-@_jit
-def _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where, term, s):
+def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s):
     """Move a ray and its derivatives to surface s and refract them."""
-    c, k, terms = curvature[s], conic[s], asphere[s]
+    code, own = codes[s], terms[s]
     p[2] -= vertex[s]
-    t, why = _hit(p, d, c, k, terms)
+    t, why = _hit(p, d, code, starts[s], own)
     if why != OK:
         return why
     for a in range(3):
         p[a] += t * d[a]
-    r2 = p[0] * p[0] + p[1] * p[1]
-    g, g_r2, e = _shape(r2, c, k, terms)
-    nx, ny = -2.0 * g * p[0], -2.0 * g * p[1]
+    _, by_x, by_y = shapes.height(code, own, p[0], p[1])
+    bend_xx, bend_xy, bend_yy = shapes.bend(code, own, p[0], p[1])
+    nx, ny = -by_x, -by_y
     along = d[2] + nx * d[0] + ny * d[1]
     m2 = 1.0 + nx * nx + ny * ny
     m = math.sqrt(m2)
@@ -166,9 +135,9 @@ def _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where
     cos_out = math.sqrt(square)
     bend = (cos_out - mu * cos_in) / m
     for j in range(kind.shape[0]):
-        sag_j, g_j = 0.0, 0.0
-        if where[j] == s:
-            sag_j, g_j = _shape_by_variable(kind[j], term[j], r2, c, k, e)
+        sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
+        if where[j] == s and kind[j] == SHAPE:
+            sag_j, by_x_j, by_y_j = shapes.by_term(code, own, term[j], p[0], p[1])
         px = dp[0, j] + t * dd[0, j]
         py = dp[1, j] + t * dd[1, j]
         pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], where[j], s)
@@ -176,9 +145,8 @@ def _surface(p, d, dp, dd, vertex, curvature, conic, asphere, index, kind, where
         px += dt * d[0]
         py += dt * d[1]
         pz += dt * d[2]
-        dg = g_r2 * 2.0 * (p[0] * px + p[1] * py) + g_j
-        dnx = -2.0 * (dg * p[0] + g * px)
-        dny = -2.0 * (dg * p[1] + g * py)
+        dnx = -(bend_xx * px + bend_xy * py + by_x_j)
+        dny = -(bend_xy * px + bend_yy * py + by_y_j)
         dm2 = 2.0 * (nx * dnx + ny * dny)
         dalong = dd[2, j] + dnx * d[0] + nx * dd[0, j] + dny * d[1] + ny * dd[1, j]
         dcos_in = dalong / m - 0.5 * cos_in * dm2 / m2

@@ -14,7 +14,8 @@ from lensdesign.tracing.status import Status
 
 Array = NDArray[np.float64]
 
-KINDS = ("curvature", "conic", "asphere", "thickness", "working_distance", "launch_x", "launch_y")
+KINDS = ("thickness", "working_distance", "launch_x", "launch_y")
+"""Variables that are no terms of a surface's shape."""
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,19 @@ class Variable:
     Attributes
     ----------
     kind
-        ``curvature`` (1/mm), ``conic``, ``asphere``, ``thickness`` (mm) or ``working_distance`` (mm).
+        ``thickness`` (mm), ``working_distance`` (mm), or a term of the surface's shape: ``curvature`` (1/mm),
+        ``conic``, ``asphere_4``, ...
     surface
         Index of the surface, from 0; unused for the working distance.
-    term
-        For an asphere: 0 is the coefficient of r^4, 1 that of r^6, ...
     """
 
     kind: str
     surface: int = 0
-    term: int = 0
+
+    @property
+    def of_shape(self) -> bool:
+        """Whether it is a term of the surface's shape."""
+        return self.kind not in KINDS
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,7 @@ def gradient_trace(
     Raises
     ------
     InputError
-        If a surface has a measured figure, of which no derivatives are known here.
+        If a surface has a measured figure, of which no derivatives are known here, or no such term.
     """
     if any(system.figures):
         raise InputError("derivatives of rays are those of nominal surfaces: leave the measured figures out")
@@ -180,18 +184,19 @@ def _differentiate(
     n, s, p, v = len(origins), system.surfaces, len(planes_mm), len(every)
     values, derivatives = np.zeros((n, s + 1 + p, 2)), np.zeros((n, s + 1 + p, 2, v))
     status, failed = np.empty(n, np.int8), np.empty(n, np.int16)
+    codes, starts, terms = system.packed_shapes
     gradient_kernel(
         np.ascontiguousarray(origins),
         np.ascontiguousarray(directions),
         np.ascontiguousarray(system.vertex[0, :, 2]),
-        system.curvature[0],
-        system.conic[0],
-        system.asphere,
+        codes,
+        starts[0],
+        terms[0],
         system.index[0],
         np.ascontiguousarray(planes_mm, dtype=float),
-        np.array([KINDS.index(x.kind) for x in every]),
+        np.array([0 if x.of_shape else 1 + KINDS.index(x.kind) for x in every]),
         np.array([x.surface for x in every]),
-        np.array([x.term for x in every]),
+        np.array([system.shapes[x.surface].place(x.kind) if x.of_shape else 0 for x in every]),
         values,
         derivatives,
         status,

@@ -2,7 +2,7 @@
 
 Each block of rays lives in small local arrays, and each step is one loop without branches: a ray that
 has failed is carried along and left unchanged. No fast-math, so NaN and statuses decide as written.
-Results equal those of :mod:`lensdesign.tracing.reference` to rounding.
+Conics are met in closed form, all other shapes by Newton's method from a conic near them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,14 @@ import math
 import numpy as np
 from numba import njit
 
-from lensdesign.lens.shapes import NEWTON_STEPS, RIM_TOLERANCE
+from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
 
 BLOCK = 128
 X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
+CONIC = 0
+"""The registry's first shape."""
+
 OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
@@ -28,9 +32,9 @@ def trace_kernel(
     directions,
     rotation,
     vertex,
-    curvature,
-    conic,
-    asphere,
+    codes,
+    starts,
+    terms,
     figures,
     first_trial,
     index,
@@ -48,6 +52,7 @@ def trace_kernel(
 ):
     """Trace all rays of all trials; origins and directions have shape (trials or 1, rays, 3).
 
+    `codes`, `starts` and `terms` are what :class:`lensdesign.tracing.compiled.CompiledSystem` packs;
     `figures` are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
     `first_trial`.
     The last six arrays are filled; `hits` may have no rays, and is then left alone. Returns the number
@@ -61,8 +66,7 @@ def trace_kernel(
         to = t if origins.shape[0] > 1 else 0
         td = t if directions.shape[0] > 1 else 0
         tv = t if vertex.shape[0] > 1 else 0
-        tc = t if curvature.shape[0] > 1 else 0
-        tk = t if conic.shape[0] > 1 else 0
+        ts = t if terms.shape[0] > 1 else 0
         ti = t if index.shape[0] > 1 else 0
         for start in range(0, rays, BLOCK):
             count = min(BLOCK, rays - start)
@@ -74,14 +78,15 @@ def trace_kernel(
                     _shift(ray, vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2], count)
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
-                c, k = curvature[tc, s], conic[tk, s]
+                code, own = codes[s], terms[ts, s]
+                c, k = starts[ts, s, 0], starts[ts, s, 1]
                 if figures[0][s + 1] > figures[0][s]:
                     trial = first_trial + t
-                    _intersect_general(ray, state, s, c, k, asphere[s], n1, limit, count, figures, trial)
-                    _refract_general(ray, state, s, c, k, asphere[s], n1 / n2, count, figures, trial)
-                elif _is_asphere(asphere[s]):
-                    _intersect_general(ray, state, s, c, k, asphere[s], n1, limit, count, None, 0)
-                    _refract_general(ray, state, s, c, k, asphere[s], n1 / n2, count, None, 0)
+                    _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
+                    _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
+                elif code != CONIC:
+                    _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, None, 0)
+                    _refract_general(ray, state, s, code, own, n1 / n2, count, None, 0)
                 else:
                     _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
                 if tilted[s]:
@@ -210,28 +215,6 @@ def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
         state[BLOCK + i] = surface if alive & (why != OK) else state[BLOCK + i]
 
 
-@_jit
-def _is_asphere(terms):
-    for j in range(terms.shape[0]):
-        if terms[j] != 0.0:
-            return True
-    return False
-
-
-@_inline
-def _sag_and_gradient(r2, c, k, terms):
-    """Sag, and its derivative by r^2; NaN beyond the conic's edge."""
-    root = math.sqrt(1.0 - (1.0 + k) * c * c * r2)
-    sag = c * r2 / (1.0 + root)
-    gradient = 0.5 * c / root
-    power = r2
-    for j in range(terms.shape[0]):
-        gradient += (j + 2) * terms[j] * power
-        power *= r2
-        sag += terms[j] * power
-    return sag, gradient
-
-
 @_inline
 def _basis(at, nodes, per_mm):
     """Cell of a coordinate, the four B-splines there, and their slopes; the edge goes on outside."""
@@ -281,10 +264,9 @@ def _sag_error(x, y, surface, figures, trial):
 
 
 @_inline
-def _sag_and_slopes(x, y, c, k, terms, surface, figures, trial):
-    """Sag of an even asphere, and its slopes along x and y; with its figure unless `figures` is None."""
-    sag, gradient = _sag_and_gradient(x * x + y * y, c, k, terms)
-    by_x, by_y = 2.0 * gradient * x, 2.0 * gradient * y
+def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
+    """Sag of a surface, and its slopes along x and y; with its figure unless `figures` is None."""
+    sag, by_x, by_y = shapes.height(code, terms, x, y)
     if figures is not None:
         error, error_x, error_y = _sag_error(x, y, surface, figures, trial)
         sag, by_x, by_y = sag + error, by_x + error_x, by_y + error_y
@@ -292,26 +274,34 @@ def _sag_and_slopes(x, y, c, k, terms, surface, figures, trial):
 
 
 @_jit
-def _intersect_general(ray, state, surface, c, k, terms, n1, limit, count, figures, trial):
-    """Move rays to an even asphere, or a surface with a figure, by Newton's method from its conic."""
+def conic_distance(x, y, z, dx, dy, dz, c, k):
+    """Distance of a ray to a conic, and whether it meets it."""
     q = 1.0 + k
+    qa = c * (1.0 + k * dz * dz)
+    qb = dz - c * (x * dx + y * dy + q * z * dz)
+    qc = c * (x * x + y * y + q * z * z) - 2.0 * z
+    square = qb * qb - qa * qc
+    if square < 0.0:
+        return 0.0, False
+    root = math.sqrt(square)
+    stable = qb >= 0.0
+    denominator = qb + root if stable else qa
+    t = (qc if stable else qb - root) / denominator
+    return t, denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0
+
+
+@_jit
+def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count, figures, trial):
+    """Move rays to a surface that is no conic, or has a figure, by Newton's method."""
     for i in range(count):
         if state[i] != OK:
             continue
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        qa = c * (1.0 + k * dz * dz)
-        qb = dz - c * (x * dx + y * dy + q * z * dz)
-        qc = c * (x * x + y * y + q * z * z) - 2.0 * z
-        square = qb * qb - qa * qc
         why = MISSED
-        if square >= 0.0:
-            root = math.sqrt(square)
-            stable = qb >= 0.0
-            denominator = qb + root if stable else qa
-            t = (qc if stable else qb - root) / denominator
-            if denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0:
-                t, why = _newton(x, y, z, dx, dy, dz, t, c, k, terms, surface, figures, trial)
+        t, near = conic_distance(x, y, z, dx, dy, dz, c, k)
+        if near:
+            t, why = newton(x, y, z, dx, dy, dz, t, code, terms, surface, figures, trial)
         if why == OK:
             x, y = x + t * dx, y + t * dy
             ray[X + i], ray[Y + i], ray[Z + i] = x, y, z + t * dz
@@ -324,11 +314,12 @@ def _intersect_general(ray, state, surface, c, k, terms, n1, limit, count, figur
 
 
 @_jit
-def _newton(x, y, z, dx, dy, dz, t, c, k, terms, surface=-1, figures=None, trial=0):
+def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=0):
+    """Distance of a ray to a surface from a first guess, and what became of it."""
     settled_before = False
     for _ in range(NEWTON_STEPS):
         px, py = x + t * dx, y + t * dy
-        sag, by_x, by_y = _sag_and_slopes(px, py, c, k, terms, surface, figures, trial)
+        sag, by_x, by_y = _sag_and_slopes(px, py, code, terms, surface, figures, trial)
         slope = dz - (by_x * dx + by_y * dy)
         step = (z + t * dz - sag) / slope
         if not (abs(step) < np.inf) or abs(slope) <= 1e-12:
@@ -344,11 +335,11 @@ def _newton(x, y, z, dx, dy, dz, t, c, k, terms, surface=-1, figures=None, trial
 
 
 @_jit
-def _refract_general(ray, state, surface, c, k, terms, ratio, count, figures, trial):
+def _refract_general(ray, state, surface, code, terms, ratio, count, figures, trial):
     for i in range(count):
         x, y = ray[X + i], ray[Y + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        _, by_x, by_y = _sag_and_slopes(x, y, c, k, terms, surface, figures, trial)
+        _, by_x, by_y = _sag_and_slopes(x, y, code, terms, surface, figures, trial)
         nx, ny = -by_x, -by_y
         norm = 1.0 / math.sqrt(1.0 + nx * nx + ny * ny)
         cos_in = (dz + nx * dx + ny * dy) * norm

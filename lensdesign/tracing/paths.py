@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens import shapes
-from lensdesign.lens.lens import Lens, mechanical_semi_diameter_mm
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.tracing.bundles import launch, pupil_rings
 from lensdesign.tracing.rays import trace
 from lensdesign.tracing.status import Status
@@ -102,6 +102,6 @@ def sized_lens(lens: Lens) -> Lens:
         if reached[i] == 0.0:
             raise InputError(f"surface {i + 1} has no semi_diameter_mm and no ray reaches it; give it one")
         surface = lens.surfaces[i]
-        edge = shapes.edge_radius_mm(surface.curvature, surface.conic)
-        lens = lens.with_surface(i, semi_diameter_mm=min(float(reached[i]), edge))
+        semi = min(float(reached[i]), surface.shape.edge_radius_mm)
+        lens = lens.with_surface(i, semi_diameter_mm=semi)
     return lens

@@ -196,6 +196,7 @@ def _run(
         for a in (result.position, result.direction, result.opl, result.status, result.failed_surface, hits)
     ]
 
+    codes, starts, terms = system.packed_shapes
     figures = system.packed_figures
     packed = (figures.first, figures.layout, figures.per_mm, figures.coefficients)
 
@@ -210,9 +211,9 @@ def _run(
             own(directions)[:, r],
             own(system.rotation),
             own(system.vertex),
-            own(system.curvature),
-            own(system.conic),
-            system.asphere,
+            codes,
+            own(starts),
+            own(terms),
             packed,
             t.start or 0,
             own(system.index),

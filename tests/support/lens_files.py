@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lensdesign import Lens
-from lensdesign.files.draft import without_zeros
+from lensdesign.lens.shapes.even_asphere import without_zeros
 
 
 def bare(lens: Lens) -> Lens:

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, Positive
+from lensdesign.lens.lens import Lens
 from tolerancing.merits.bars import SIDE, Chain, Ground, Method, Point
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, Positive
+from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch, Realisation
 from tolerancing.perturbations.parameters import IRREGULARITIES, PerturbedParameter
 

@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
-from lensdesign.lens.lens import Lens, Positive, Section
+from lensdesign.common.section import Positive, Section
+from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.batch import PerturbationBatch, Realisation, batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
 

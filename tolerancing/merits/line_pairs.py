@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lensdesign.lens.lens import Positive
+from lensdesign.common.section import Positive
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import Axis, Orientation, PupilMerit, worse
 from tolerancing.perturbations.batch import PerturbationBatch

@@ -201,7 +201,7 @@ def _surface(lens: Lens, number: int, grade: str) -> str:
     waves = made.grade.irregularity_pv_waves
     if surface.semi_diameter_mm is not None:
         text += _irregularity(target, waves, made.irregularity)
-    if surface.kind in ("conic", "even asphere"):
+    if surface.kind not in ("plane", "sphere"):
         text += _asphere(lens, number, made)
     if number - 1 in lens.glass_fronts:
         for axis in "xy":

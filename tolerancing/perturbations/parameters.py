@@ -9,9 +9,10 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
+from lensdesign.common.section import Section
 from lensdesign.common.toml_files import pick, unknown_key, validate
 from lensdesign.errors import DesignError
-from lensdesign.lens.lens import Lens, Section
+from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS

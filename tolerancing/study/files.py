@@ -11,10 +11,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, Self, TypeVar
 
 from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.section import Section
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError, InputError
 from lensdesign.files.design import load_design
-from lensdesign.lens.lens import Lens, Section
+from lensdesign.lens.lens import Lens
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.dependence import Correlation

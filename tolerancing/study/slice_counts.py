@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.lens.lens import Finite, Lens, Positive, Section, tuples
+from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.parameters import Name

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny, model_validator
 
-from lensdesign.lens.lens import Finite, Section
+from lensdesign.common.section import Finite, Section
 from tolerancing.merits.base import Merit
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling

@@ -9,7 +9,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.lens.lens import Finite, Lens, tuples
+from lensdesign.common.section import Finite, tuples
+from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.parameters import Name, Perturbation, PerturbedParameter

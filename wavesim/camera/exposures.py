@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
+from lensdesign.common.section import Positive, Section
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Positive, Section
 from wavesim.camera.frames import Array, Bits, Counts, Frame, NotNegative, Offset
 from wavesim.runtime.threads import row_blocks
 

@@ -19,9 +19,9 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 
 from lensdesign.common.input_files import check_input
+from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
-from lensdesign.lens.lens import Finite, Positive, Section
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.uint16]

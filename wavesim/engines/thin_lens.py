@@ -69,7 +69,9 @@ def _thin_lens(scene: Scene) -> _ThinLens:
     system = scene.system
     vertex, index = system.vertex[0], system.index[0]
     thickness = np.linalg.norm(np.diff(vertex, axis=0), axis=-1)
-    points = cardinal_points(system.curvature[0], thickness, index)
+    if not all(shape.ROTATIONAL for shape in system.shapes):
+        raise InputError("a thin lens is one of revolution: no such lens stands for surfaces that are not")
+    points = cardinal_points([shape.curvature for shape in system.shapes], thickness, index)
     if not math.isfinite(points.efl_mm):
         raise InputError("the lens is afocal: it has no principal planes, and no thin lens stands for it")
     axis = system.rotation[0, 0, :, 2]

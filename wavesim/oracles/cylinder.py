@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import hankel1, jv, yv
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase

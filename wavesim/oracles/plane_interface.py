@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import SPREAD_CUT, Beam, superpose
 from wavesim.oracles.registry import OracleCase

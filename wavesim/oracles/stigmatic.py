@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene

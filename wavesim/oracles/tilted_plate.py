@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.poses import Pose
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import Beam, superpose
 from wavesim.oracles.plane_interface import STOP_SPREADS, transmitted_te

@@ -38,9 +38,9 @@ def asphere_panel(lens: Lens, number: int, name: str, area: Area) -> list[Item]:
     items: list[Item] = [
         cell(Area(area.left, top, area.right, area.top), f"{name}: {surface.kind}; r, z in mm", 3.0)
     ]
-    items += _formula(surface.radius_mm is not None, surface.asphere, Area(*area[:3], top))
+    items += _formula(surface.radius_mm is not None, surface.shape.drawn(), Area(*area[:3], top))
     top -= 2.6 * LINE_MM
-    constants = _constants(surface.radius_mm, surface.conic, surface.asphere)
+    constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn())
     columns = 1 if len(constants) <= MOST_ROWS else 2
     size = min(fitted(text, area.width / columns - 3.0, TEXT_MM)[1] for text in constants)
     rows = -(-len(constants) // columns)

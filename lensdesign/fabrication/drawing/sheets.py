@@ -78,8 +78,8 @@ def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
     Raises
     ------
     InputError
-        If there is no glass, an element does not close or is too large for the general tolerances, or
-        tolerances are given for more elements than there are.
+        If there is no glass, ISO 10110-12 has no formula for a surface's shape, an element does not close or
+        is too large for the general tolerances, or tolerances are given for more elements than there are.
     MaterialError
         If a glass is unknown.
     """
@@ -120,7 +120,7 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
 def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -> Sheet:
     tolerances = _tolerances(element, options)
     material = material_of(lens, element, tolerances)
-    aspheric = [i for i in element.surfaces if lens.surfaces[i].kind in ("conic", "even asphere")]
+    aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
     room = upper._replace(right=upper.right - PANEL_MM * len(aspheric))
     view = section_view(element, tolerances, room)

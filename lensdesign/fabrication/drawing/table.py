@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from lensdesign.fabrication.drawing.strokes import THICK_MM, Area, Item, Text, cell, circle, frame, line
 from lensdesign.fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element
+from lensdesign.lens.surface import Surface
 
 OPEN = "–"
 """An indication that states nothing."""

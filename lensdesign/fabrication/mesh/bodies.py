@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens import shapes
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.shapes.intersection import intersect
 from lensdesign.lens.solid import Element, glass_elements, refuse_open
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 
@@ -99,12 +99,10 @@ class HeightSurface:
         rotation = self.system.rotation[0, self.index]
         start = np.stack([x, y, np.full_like(x, vertex[2])], axis=-1).reshape(-1, 3)
         direction = np.broadcast_to(rotation[2], start.shape)
-        shape = self.system.curvature[0, self.index], self.system.conic[0, self.index]
-        distance, hit, converged = shapes.intersect(
+        distance, hit, converged = intersect(
             (start - vertex) @ rotation,
             direction,
-            *shape,
-            tuple(self.system.asphere[self.index]),
+            self.system.shapes[self.index].trial(0),
             self.system.figure(self.index),
         )
         z = np.where(hit & converged, vertex[2] + distance, np.nan)
@@ -152,10 +150,10 @@ class PerturbedBodies:
 
     def symmetric(self, number: int) -> bool:
         """Whether a body is one of revolution about the axis of the lens."""
-        return all(self._symmetric(i) for i in self.elements[number].surfaces)
-
-    def _symmetric(self, i: int) -> bool:
-        return not (self._displaced(i) or self.system.figures[i])
+        element = self.elements[number]
+        return element.rotational and not any(
+            self._displaced(i) or self.system.figures[i] for i in element.surfaces
+        )
 
     def _displaced(self, i: int) -> bool:
         return bool(self.system.tilted[i] or np.any(self.system.vertex[0, i, :2]))

@@ -22,7 +22,7 @@ from lensdesign.fabrication.step.occ import (
     silent_ocp,
     write_solids,
 )
-from lensdesign.fabrication.step.solids import element_solid, rim_corners
+from lensdesign.fabrication.step.solids import EXACT, element_solid, rim_corners
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
@@ -187,7 +187,7 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
     meridians = (element.front, element.back)
     errors = [face_error_mm(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
     for index, meridian, error in zip(element.surfaces, meridians, errors, strict=True):
-        allowed = ASPHERE_FILE_ERROR_MM if meridian.surface.kind == "even asphere" else CONIC_ERROR_MM
+        allowed = CONIC_ERROR_MM if meridian.shape.kind in EXACT else ASPHERE_FILE_ERROR_MM
         if not error <= allowed:
             raise InputError(
                 f"surface {index + 1} is {error:.3g} mm off when read back; allowed: {allowed:g} mm"

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens import shapes
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
 
@@ -23,6 +22,9 @@ Array = NDArray[np.float64]
 
 ASPHERE_ERROR_MM = 1e-7
 """Largest distance of an even asphere's spline from its meridian."""
+
+EXACT = ("plane", "sphere", "conic")
+"""What a file holds without a spline."""
 
 SPLINE_DEGREE = 5
 MOST_INTERVALS = 2000
@@ -95,8 +97,8 @@ def conic_bezier(meridian: SurfaceMeridian) -> tuple[Array, Array]:
         Radial height and z in mm.
     weights : ndarray, shape (3,)
     """
-    c, conic, r = meridian.surface.curvature, meridian.surface.conic, meridian.end_mm
-    equator = shapes.edge_radius_mm(c, conic)
+    c, conic, r = *meridian.shape.terms[:2], meridian.end_mm
+    equator = meridian.shape.edge_radius_mm
     # By the angle, as the meridian has it: near the equator rounding would part the ends otherwise.
     q = (
         math.cos(math.asin(min(1.0, r / equator)))
@@ -178,12 +180,12 @@ def _optical_edge(meridian: SurfaceMeridian, index: int) -> Any:
     """Meridian of an optical surface as a TopoDS_Edge in the plane y = 0."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
 
-    surface = meridian.surface
-    if surface.kind == "plane":
+    shape = meridian.shape
+    if shape.kind == "plane":
         return _straight_edge((0.0, meridian.vertex_z_mm), meridian.points(1.0))
-    if surface.kind == "sphere" and abs(surface.curvature) >= 1.0 / LARGEST_SPHERE_MM:
+    if shape.kind == "sphere" and abs(shape.curvature) >= 1.0 / LARGEST_SPHERE_MM:
         return _arc(meridian)
-    if surface.kind != "even asphere":
+    if shape.kind in EXACT:
         return BRepBuilderAPI_MakeEdge(_bezier_curve(*conic_bezier(meridian))).Edge()
     try:
         knots, points = asphere_spline(meridian)
@@ -197,7 +199,7 @@ def _arc(meridian: SurfaceMeridian) -> Any:
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
     from OCP.gp import gp_Ax2, gp_Circ, gp_Dir
 
-    radius = 1.0 / meridian.surface.curvature
+    radius = 1.0 / meridian.shape.curvature
     side = math.copysign(1.0, radius)
     to_vertex, normal = gp_Dir(0.0, 0.0, -side), gp_Dir(0.0, -side, 0.0)
     frame = gp_Ax2(_point((0.0, meridian.vertex_z_mm + radius)), normal, to_vertex)

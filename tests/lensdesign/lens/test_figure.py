@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_lenses import lenses, poses, random_rays
+from reference_trace import trace_numpy
 from scipy.interpolate import make_interp_spline
 
 from lensdesign import (
@@ -30,7 +31,6 @@ from lensdesign.lens.zernikes import HIGHEST_INDEX, zernike
 from lensdesign.tracing.bundles import launch
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import trace_compiled
-from lensdesign.tracing.reference import trace_numpy
 
 SEEDS = st.integers(0, 2**32 - 1)
 SEMI_MM = 4.0
@@ -238,9 +238,12 @@ def one_trial(system: Any, t: int) -> Any:
     def own(array: np.ndarray) -> np.ndarray:
         return array[t : t + 1] if len(array) > 1 else array
 
-    names = ("rotation", "vertex", "curvature", "conic", "index")
+    names = ("rotation", "vertex", "index")
     figures = tuple(tuple(f.trial(t) for f in some) for some in system.figures)
-    return replace(system, trials=None, figures=figures, **{n: own(getattr(system, n)) for n in names})
+    shapes = tuple(shape.trial(t) for shape in system.shapes)
+    return replace(
+        system, trials=None, figures=figures, shapes=shapes, **{n: own(getattr(system, n)) for n in names}
+    )
 
 
 @settings(max_examples=60)

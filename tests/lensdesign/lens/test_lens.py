@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from lensdesign import Lens, ObjectSpace, Sensor, Surface
 from lensdesign.errors import DesignError, MaterialError
-from lensdesign.lens.lens import mechanical_semi_diameter_mm
+from lensdesign.lens.solid import mechanical_semi_diameter_mm
 
 
 def make(*surfaces: Surface) -> Lens:

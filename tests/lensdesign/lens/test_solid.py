@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens, Surface
+from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements, glass_elements, smallest_gap
+from lensdesign.lens.surface import Surface
 
 SECTIONS: dict[str, Any] = {
     "wavelengths_um": [0.532],

@@ -15,8 +15,10 @@ def test_the_nominal_lens(paper_lens: Lens) -> None:
     assert system.trials is None
     assert system.surfaces == 2
     assert system.vertex.tolist() == [[[0.0, 0.0, 0.0], [0.0, 0.0, 9.7]]]
-    assert system.curvature[0] == pytest.approx([1 / 42.3, -1 / 12.0])
-    assert system.conic[0].tolist() == [0.0, -0.89862]
+    codes, _, terms = system.packed_shapes
+    assert codes.tolist() == [0, 0]
+    assert terms[0, :, 0] == pytest.approx([1 / 42.3, -1 / 12.0])
+    assert terms[0, :, 1].tolist() == [0.0, -0.89862]
     assert system.semi_diameter.tolist() == [8.26, 10.0]
     assert np.array_equal(system.rotation[0], np.stack([np.eye(3)] * 2))
     assert not system.tilted.any()
@@ -28,7 +30,9 @@ def test_a_surface_without_semi_diameter_clips_nothing(paper_lens: Lens) -> None
 
 def test_asphere_terms_are_padded_to_the_longest(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(0, asphere=(1e-6, 2e-8)).with_surface(1, asphere=(3e-6,))
-    assert compile_system(lens, 0.532).asphere.tolist() == [[1e-6, 2e-8], [3e-6, 0.0]]
+    codes, _, terms = compile_system(lens, 0.532).packed_shapes
+    assert codes.tolist() == [1, 1]
+    assert terms[0, :, 2:].tolist() == [[1e-6, 2e-8], [3e-6, 0.0]]
 
 
 def test_a_thickness_moves_every_surface_behind(paper_lens: Lens) -> None:
@@ -46,8 +50,9 @@ def test_perturbed_radius_conic_and_index(paper_lens: Lens) -> None:
     )
     system = compile_system(paper_lens, 0.532, surface_perturbations={0: change})
     assert system.trials == 2
-    assert system.curvature[:, 0] == pytest.approx([1 / 42.6, 1 / 42.3])
-    assert system.conic[:, 0].tolist() == [0.0, 0.01]
+    *_, terms = system.packed_shapes
+    assert terms[:, 0, 0] == pytest.approx([1 / 42.6, 1 / 42.3])
+    assert terms[:, 0, 1].tolist() == [0.0, 0.01]
     assert np.diff(system.index[:, 1]) == pytest.approx(-0.001)
     assert system.index[:, [0, 2]].tolist() == [[1.0, 1.0], [1.0, 1.0]]
 

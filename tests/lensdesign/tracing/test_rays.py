@@ -13,13 +13,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from places import GOLDEN
 from random_lenses import lenses, numbers, poses, random_rays, surface_perturbations
+from reference_trace import trace_numpy
 
 from lensdesign import Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
 from lensdesign.errors import InputError
-from lensdesign.lens.shapes import edge_radius_mm
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.rays import RAYS_PER_THREAD, RayTrace, trace, trace_compiled
-from lensdesign.tracing.reference import trace_numpy
 from lensdesign.tracing.status import Status
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,7 +26,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def make(*surfaces: dict[str, Any]) -> Lens:
     """A lens from its surfaces; the first gets a semi-diameter if it has none."""
-    edge = edge_radius_mm(1.0 / surfaces[0].get("radius_mm", math.inf), surfaces[0].get("conic", 0.0))
+    edge = Surface(**surfaces[0] | {"semi_diameter_mm": None}).shape.edge_radius_mm
     first = {"semi_diameter_mm": min(50.0, 0.999 * edge)} | surfaces[0]
     return Lens(
         wavelengths_um=(0.532,),
@@ -96,8 +95,9 @@ def one_trial(system: CompiledSystem, trial: int) -> CompiledSystem:
     def own(array: np.ndarray) -> np.ndarray:
         return array[trial : trial + 1] if len(array) > 1 else array
 
-    names = ("rotation", "vertex", "curvature", "conic", "index")
-    return replace(system, trials=None, **{n: own(getattr(system, n)) for n in names})
+    names = ("rotation", "vertex", "index")
+    shapes = tuple(shape.trial(trial) for shape in system.shapes)
+    return replace(system, trials=None, shapes=shapes, **{n: own(getattr(system, n)) for n in names})
 
 
 @settings(max_examples=150)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface import Surface
 from wavesim.engines.thin_lens import ThinLens
 from wavesim.fields.field import Field, Grid, correlation, relative_error
 from wavesim.scene.scene import Scene

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from lensdesign import Lens
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import crossings, surface_map, transmission
 from wavesim.scene.scene import Scene

@@ -7,7 +7,8 @@ import pytest
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
+from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Grid
 from wavesim.rays.ray_bundles import open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Coating, Scene

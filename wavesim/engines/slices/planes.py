@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import SamplingError
-from lensdesign.lens import shapes
 from wavesim.engines.slices.compensation import CentreRays
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.rays.interfaces import surface_map
@@ -114,17 +113,16 @@ def _local_radius_mm(scene: Scene, surface: int, ray: CentreRays) -> Array:
     system = scene.system
     offset = np.stack([ray.x_mm, ray.y_mm, ray.z_mm], axis=-1) - system.vertex[0, surface]
     local = offset @ system.rotation[0, surface]
-    r2 = local[:, 0] ** 2 + local[:, 1] ** 2
-    r = np.sqrt(r2)
-    curvature, conic = float(system.curvature[0, surface]), float(system.conic[0, surface])
-    step = 1e-4 * max(float(np.max(r)), 1e-9)
-
-    def slope(radius: Array) -> Array:
-        gradient = shapes.sag_gradient(radius * radius, curvature, conic, tuple(system.asphere[surface]))
-        return np.asarray(2.0 * radius * gradient)
-
-    bend = np.abs(slope(r + step) - slope(r - step)) / (2.0 * step)
-    return np.asarray((1.0 + slope(r) ** 2) ** 1.5 / np.maximum(bend, 1e-9))
+    x, y = local[:, 0], local[:, 1]
+    shape = system.shapes[surface].trial(0)
+    _, by_x, by_y = shape.sag_and_slopes(x, y)
+    xx, xy, yy = shape.second_derivatives(x, y)
+    r = np.hypot(x, y)
+    ux, uy = np.where(r > 0.0, x, 0.0), np.where(r > 0.0, y, 1.0)
+    ux, uy = (part / np.where(r > 0.0, r, 1.0) for part in (ux, uy))
+    bend = np.abs(ux * (xx * ux + xy * uy) + uy * (xy * ux + yy * uy))
+    slope = by_x * ux + by_y * uy
+    return np.asarray((1.0 + slope**2) ** 1.5 / np.maximum(bend, 1e-9))
 
 
 def _binned(z_mm: Array, density: Array, span: tuple[float, float]) -> Array:

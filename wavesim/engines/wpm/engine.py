@@ -150,7 +150,7 @@ class WavePropagation(Engine):
 
     def neglected(self) -> tuple[Neglected, ...]:
         system, k = self.scene.system, self.scene.wavenumber_per_mm
-        curvature = float(np.max(np.abs(system.curvature)))
+        curvature = float(np.max(np.abs([shape.curvature for shape in system.shapes])))
         found = [
             Neglected("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
             Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),

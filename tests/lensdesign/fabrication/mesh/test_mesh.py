@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 
 from lensdesign.errors import InputError
 from lensdesign.fabrication.mesh.mesh import MESH_SUFFIXES, LensMesh, lens_mesh, write_mesh
-from lensdesign.lens.lens import Lens, mechanical_semi_diameter_mm
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import mechanical_semi_diameter_mm
 
 SECTIONS: dict[str, Any] = {
     "wavelengths_um": [0.532],

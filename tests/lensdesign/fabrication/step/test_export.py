@@ -26,9 +26,9 @@ from lensdesign.fabrication.step import export as cad
 from lensdesign.fabrication.step import solids as cad_solids
 from lensdesign.fabrication.step.export import StepReport, write_step
 from lensdesign.fabrication.step.occ import parts_of, read_solids, silent_ocp, step_text
-from lensdesign.lens.lens import Surface
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements
+from lensdesign.lens.surface import Surface
 
 Array = NDArray[np.float64]
 

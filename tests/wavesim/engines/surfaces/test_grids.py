@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface import Surface
 from wavesim.engines.surfaces.grids import refuse_if_huge, working_grid
 from wavesim.fields.field import Grid
 from wavesim.scene.engine import Cost

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.evaluation.accuracy import peak_bytes

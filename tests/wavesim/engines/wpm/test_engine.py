@@ -12,8 +12,9 @@ from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
 
 from lensdesign import Lens, Pose
 from lensdesign.errors import InputError, SamplingError
-from lensdesign.lens.lens import ObjectSpace, Sensor, Surface
+from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.surface import Surface
 from wavesim.engines.surfaces import grids as working_grid
 from wavesim.engines.surfaces.grids import TotalReflectionWarning
 from wavesim.engines.wpm.engine import WavePropagation

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.lens import shapes
+from lensdesign.lens.shapes.intersection import RIM_TOLERANCE, intersect, sag_and_slopes
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.status import Status
 
@@ -67,13 +67,11 @@ def _refract_at(
     clip: bool,
 ) -> None:
     rotation, vertex = system.rotation[0, i], system.vertex[0, i]
-    shape = (system.curvature[0, i], system.conic[0, i], tuple(system.asphere[i]))
-    if not any(shape[2]):
-        shape = (*shape[:2], ())
+    shape = system.shapes[i].trial(0)
     figure = system.figure(i)
     alive = status == Status.OK
     local, ray = (position - vertex) @ rotation, direction @ rotation
-    distance, hit, converged = shapes.intersect(local, ray, *shape, figure)
+    distance, hit, converged = intersect(local, ray, shape, figure)
     _fail(status, failed, alive & ~hit, Status.MISSED, i)
     _fail(status, failed, alive & hit & ~converged, Status.NOT_CONVERGED, i)
     reached = alive & hit & converged
@@ -81,13 +79,13 @@ def _refract_at(
     position[reached] = (point @ rotation.T + vertex)[reached]
     opl[reached] += system.index[0, i] * distance[reached]
     r2 = np.real(point[:, 0] ** 2 + point[:, 1] ** 2)
-    inside = (
-        r2 <= (system.semi_diameter[i] * (1.0 + shapes.RIM_TOLERANCE)) ** 2 if clip else np.ones_like(reached)
-    )
+    inside = r2 <= (system.semi_diameter[i] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.ones_like(reached)
     _fail(status, failed, reached & ~inside, Status.CLIPPED, i)
     reached &= inside
 
-    normal = shapes.normal(point[:, 0], point[:, 1], *shape, figure)
+    _, by_x, by_y = sag_and_slopes(shape, point[:, 0], point[:, 1], figure)
+    upward = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
+    normal = upward / np.sqrt(np.sum(upward * upward, axis=-1, keepdims=True))
     ratio = system.index[0, i] / system.index[0, i + 1]
     cos_in = np.sum(normal * ray, axis=-1)
     square = 1.0 - ratio**2 * (1.0 - cos_in**2)

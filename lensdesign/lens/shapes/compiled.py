@@ -1,0 +1,54 @@
+"""The formulas of all registered shapes, compiled: each function takes a shape's number and its terms.
+
+Numba keeps compiled kernels by the date of the module in which the kernel stands: after a change of a
+formula, or of the registry, remove the `__pycache__` of :mod:`lensdesign.tracing`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from numba import njit
+
+from lensdesign.lens.shapes.registry import shape_classes
+
+# Inlined wholly, without which a function of a few lines costs as much again for being called.
+_inline = njit(nogil=True, error_model="numpy", inline="always")
+
+
+def _at_point(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
+    """One function of shape number, terms, x and y for the shapes from a number on."""
+    own = _inline(functions[0])
+    if len(functions) == 1:
+        return _inline(lambda shape, terms, x, y: own(terms, x, y))
+    other = _at_point(functions[1:], code + 1)
+
+    @_inline
+    def chosen(shape: int, terms: Any, x: float, y: float) -> Any:
+        if shape == code:
+            return own(terms, x, y)
+        return other(shape, terms, x, y)
+
+    return chosen
+
+
+def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
+    """As :func:`_at_point`, with the number of a term behind the terms."""
+    own = _inline(functions[0])
+    if len(functions) == 1:
+        return _inline(lambda shape, terms, j, x, y: own(terms, j, x, y))
+    other = _by_term(functions[1:], code + 1)
+
+    @_inline
+    def chosen(shape: int, terms: Any, j: int, x: float, y: float) -> Any:
+        if shape == code:
+            return own(terms, j, x, y)
+        return other(shape, terms, j, x, y)
+
+    return chosen
+
+
+height = _at_point([shape.height for shape in shape_classes()])
+bend = _at_point([shape.bend for shape in shape_classes()])
+by_term = _by_term([shape.by_term for shape in shape_classes()])

@@ -1,0 +1,134 @@
+"""Even asphere (ISO 10110-12): a conic, and even powers of the radial height::
+
+    z(r) = conic + a4 r^4 + a6 r^6 + ...
+
+with coefficients in mm^-3, mm^-5, ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.shapes.base import Point, curvature_of
+from lensdesign.lens.shapes.conic import Conic
+
+ORDERS = tuple(f"asphere_{order}" for order in range(4, 44, 2))
+"""Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...; as many as a design file may hold."""
+
+CODEV_LETTERS = "ABCDEFGHJ"
+"""CODE V's names of the coefficients of r^4 to r^20."""
+
+ZEMAX_TERMS = range(2, 9)
+"""Zemax's numbers of the coefficients of r^4 to r^16; the first, of r^2, a design does not have."""
+
+
+class EvenAsphere(Conic):
+    """Surface of revolution of a conic with even powers."""
+
+    NAME = "even asphere"
+    KEYS: ClassVar[tuple[str, ...]] = ("radius_mm", "conic", "asphere")
+    TERMS: ClassVar[tuple[str, ...]] = ("curvature", "conic", *ORDERS)
+    ZEMAX_LOST: ClassVar[Mapping[int, str]] = {1: "asphere term in r^2"}
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("radius_mm", "conic", *ORDERS[:9])
+
+    @classmethod
+    def of_keys(cls, values: Mapping[str, Any]) -> Self:
+        return cls(np.array([curvature_of(values["radius_mm"]), values["conic"], *values["asphere"]]))
+
+    @staticmethod
+    def height(terms: Any, x: Any, y: Any) -> Point:
+        c, k = terms[0], terms[1]
+        r2 = x * x + y * y
+        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+        sag = c * r2 / (1.0 + root)
+        gradient = 0.5 * c / root
+        power = r2
+        for j in range(2, len(terms)):
+            gradient = gradient + j * terms[j] * power
+            power = power * r2
+            sag = sag + terms[j] * power
+        return sag, 2.0 * gradient * x, 2.0 * gradient * y
+
+    @staticmethod
+    def bend(terms: Any, x: Any, y: Any) -> Point:
+        c, k = terms[0], terms[1]
+        r2 = x * x + y * y
+        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+        slope = c / root
+        more = (1.0 + k) * slope * slope * slope
+        power = 1.0
+        for j in range(2, len(terms)):
+            more = more + 4.0 * j * (j - 1) * terms[j] * power
+            power = power * r2
+            slope = slope + 2.0 * j * terms[j] * power
+        return slope + more * x * x, more * x * y, slope + more * y * y
+
+    @staticmethod
+    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
+        c, k = terms[0], terms[1]
+        r2 = x * x + y * y
+        if j >= 2:
+            power = r2 ** (j - 1)
+            return power * r2, 2.0 * j * power * x, 2.0 * j * power * y
+        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+        slope = 1.0 / (root * root * root)
+        sag = r2 / (root * (1.0 + root))
+        if j == 1:
+            slope = 0.5 * c * c * c * r2 * slope
+            sag = 0.5 * c * c * c * r2 * sag / (1.0 + root)
+        return sag, slope * x, slope * y
+
+    @property
+    def kind(self) -> str:
+        return "even asphere" if np.any(self.terms[..., 2:]) else super().kind
+
+    def drawn(self) -> tuple[float, ...]:
+        return tuple(self.terms[2:])
+
+    def _written(self, most: int, kind: str) -> list[float]:
+        """Coefficients for a file that holds so many."""
+        values = without_zeros([float(a) for a in self.terms[2:]])
+        if len(values) > most:
+            raise InputError(
+                f"{len(self.terms) - 2} asphere terms; {kind} holds {most}, up to r^{2 * most + 2}"
+            )
+        return values
+
+    def zemax(self) -> tuple[str, dict[int, float]]:
+        values = self._written(len(ZEMAX_TERMS), "a .zmx file")
+        return ("EVENASPH", dict(enumerate((0.0, *values), start=1))) if values else ("STANDARD", {})
+
+    @classmethod
+    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+        if kind != "EVENASPH":
+            return None
+        return {"asphere": without_zeros([values.get(i, 0.0) for i in ZEMAX_TERMS])}
+
+    def codev(self) -> tuple[str, dict[str, float]]:
+        values = self._written(len(CODEV_LETTERS), "a .seq file")
+        return ("ASP" if values else "CON"), dict(zip(CODEV_LETTERS, values, strict=False))
+
+    @classmethod
+    def changed_keys(cls, values: Mapping[str, Any], term: str, value: float) -> dict[str, Any]:
+        if not term.startswith("asphere_"):
+            return super().changed_keys(values, term, value)
+        place = cls.TERMS.index(term) - 2
+        terms = list(values["asphere"])
+        terms += [0.0] * (place + 1 - len(terms))
+        terms[place] = float(value)
+        return {"asphere": tuple(terms)}
+
+    @classmethod
+    def scaled_keys(cls, values: Mapping[str, Any], factor: float) -> dict[str, Any]:
+        asphere = tuple(a / factor ** (2 * i + 3) for i, a in enumerate(values["asphere"]))
+        return super().scaled_keys(values, factor) | {"asphere": asphere}
+
+
+def without_zeros(asphere: Sequence[float]) -> list[float]:
+    """Coefficients without the zeros at their end."""
+    count = max((i for i, a in enumerate(asphere, start=1) if a), default=0)
+    return list(asphere[:count])

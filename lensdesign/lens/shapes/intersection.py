@@ -1,0 +1,98 @@
+"""Where rays meet a surface, in NumPy, real or complex: for few rays, and for what is no ray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.registry import code_of
+
+Array = NDArray[Any]
+Figure = Callable[[Array, Array], tuple[Array, Array, Array]]
+"""Sag error over (x, y) in mm, and its slopes along x and y: what adds to a shape."""
+
+RIM_TOLERANCE = 1e-9
+"""Relative; a ray launched through the very rim of its stop must not be lost to rounding."""
+
+NEWTON_STEPS = 20
+"""Most steps that a ray may take to a surface from its conic; rays that need more are reported."""
+
+
+def sag_and_slopes(shape: Shape, x: Array, y: Array, figure: Figure | None) -> tuple[Array, Array, Array]:
+    """Sag above (x, y) in mm, and its slopes along x and y, figure included."""
+    nominal = shape.sag_and_slopes(x, y)
+    if figure is None:
+        return nominal
+    z, dx, dy = (a + b for a, b in zip(nominal, figure(x, y), strict=True))
+    return z, dx, dy
+
+
+def intersect(
+    position: Array, direction: Array, shape: Shape, figure: Figure | None = None
+) -> tuple[Array, Array, Array]:
+    """Distance along each ray to the surface, in the surface's own frame (vertex at the origin).
+
+    The conic's root is C / (B + sqrt(B^2 - A C)), which stays exact as the curvature goes to zero and
+    picks the hit at which a ray crosses from the front to the back; where B is negative (a ray that
+    starts beyond the centre of curvature) the same root is had without cancellation as
+    (B - sqrt(B^2 - A C)) / A. What is no conic, or has a figure, goes on from there by Newton's
+    method. A ray that could only cross from the back to the front misses.
+
+    Parameters
+    ----------
+    position, direction
+        Shape (n, 3); directions of unit length. Real or complex (for complex-step derivatives).
+    shape
+        Of one surface.
+    figure
+        What adds to it.
+
+    Returns
+    -------
+    distance : ndarray, shape (n,)
+        In mm; meaningless where the ray misses.
+    hit : ndarray of bool, shape (n,)
+        False where the ray misses the surface.
+    converged : ndarray of bool, shape (n,)
+        False where Newton's method did not settle.
+    """
+    curvature, conic = shape.start(shape.terms)
+    x, y, z = np.moveaxis(position, -1, 0)
+    dx, dy, dz = np.moveaxis(direction, -1, 0)
+    a = curvature * (1.0 + conic * dz * dz)
+    b = dz - curvature * (x * dx + y * dy + (1.0 + conic) * z * dz)
+    c = curvature * (x * x + y * y + (1.0 + conic) * z * z) - 2.0 * z
+    discriminant = b * b - a * c
+    hit = np.real(discriminant) >= 0.0
+    root = np.sqrt(np.where(hit, discriminant, 1.0))
+    stable = np.real(b) >= 0.0
+    denominator = np.where(stable, b + root, a)
+    hit &= denominator != 0.0
+    distance = np.where(stable, c, b - root) / np.where(hit, denominator, 1.0)
+    hit &= np.real(1.0 - (1.0 + conic) * curvature * (z + distance * dz)) > 0.0
+    if code_of(shape) == 0 and figure is None:
+        return distance, hit, np.ones_like(hit)
+    return _newton(position, direction, distance, hit, shape, figure)
+
+
+def _newton(
+    position: Array, direction: Array, distance: Array, hit: Array, shape: Shape, figure: Figure | None
+) -> tuple[Array, Array, Array]:
+    converged = np.zeros_like(hit)
+    for _ in range(NEWTON_STEPS):
+        x, y, z = np.moveaxis(position + distance[..., None] * direction, -1, 0)
+        height, by_x, by_y = sag_and_slopes(shape, x, y, figure)
+        residual = z - height
+        slope = direction[..., 2] - (by_x * direction[..., 0] + by_y * direction[..., 1])
+        hit = hit & np.isfinite(np.real(residual)) & (np.abs(slope) > 1e-12)
+        step = np.where(hit, residual, 0.0) / np.where(hit, slope, 1.0)
+        distance = distance - step
+        settled = np.abs(np.real(step)) <= 1e-14 * (1.0 + np.abs(np.real(distance)))
+        if np.all(settled & converged | ~hit):
+            break
+        converged = settled
+    return distance, hit & (~converged | (np.real(slope) > 0.0)), converged

@@ -1,0 +1,120 @@
+"""One refracting surface, as the design file holds it: shape, medium behind it, aperture, measured figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.lens.figure_source import FigureSource
+from lensdesign.lens.shapes.base import Shape, curvature_of
+from lensdesign.lens.shapes.registry import shape_class
+
+
+class Surface(Section):
+    """One refracting surface and the medium behind it.
+
+    Attributes
+    ----------
+    radius_mm
+        Radius of curvature, positive with its centre at larger z; None is a plane.
+    conic
+        Conic constant.
+    asphere
+        Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
+    thickness_mm
+        To the next surface's vertex; the last surface has none.
+    material
+        Glass name or constant index of the medium behind; None is air.
+    semi_diameter_mm
+        Clear semi-diameter; rays beyond it are clipped. None clips nothing.
+    stop
+        Whether this surface is the aperture stop.
+    figure
+        Where the made surface was measured to depart from this shape; None is no departure.
+    """
+
+    radius_mm: Finite | None = None
+    conic: Finite = 0.0
+    asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
+    thickness_mm: Positive | None = None
+    material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
+    semi_diameter_mm: Positive | None = None
+    stop: bool = False
+    figure: FigureSource | None = None
+
+    _lists = field_validator("asphere", mode="before")(tuples)
+
+    @field_validator("radius_mm")
+    @classmethod
+    def _radius(cls, value: float | None) -> float | None:
+        if value == 0.0:
+            raise ValueError("a radius of 0 is no surface; leave radius_mm out for a plane")
+        return value
+
+    @model_validator(mode="after")
+    def _within_edge(self) -> Surface:
+        edge = self.shape.edge_radius_mm
+        if self.semi_diameter_mm is not None and self.semi_diameter_mm > edge:
+            raise ValueError(
+                f"semi_diameter_mm = {self.semi_diameter_mm:g} lies beyond the edge of the conic, "
+                f"which ends at a radial height of {edge:.6g} mm"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _within_figure(self) -> Surface:
+        if self.figure is None:
+            return self
+        if self.semi_diameter_mm is None:
+            raise ValueError("a surface with a figure needs a semi_diameter_mm")
+        known = self.figure.semi_diameter_mm
+        if known is not None and known < self.semi_diameter_mm:
+            raise ValueError(
+                f"the figure's semi_diameter_mm of {known:g} is less than the surface's of "
+                f"{self.semi_diameter_mm:g}; the figure must be known over the whole clear aperture"
+            )
+        return self
+
+    @property
+    def shape(self) -> Shape:
+        """Its shape, without the figure."""
+        return self.shape_class.of_keys(self.shape_keys)
+
+    @property
+    def shape_class(self) -> type[Shape]:
+        """The class of its shape."""
+        return shape_class("even asphere" if self.asphere else "conic")
+
+    @property
+    def shape_keys(self) -> dict[str, Any]:
+        """What the design file says of its shape."""
+        return {key: getattr(self, key) for key in self.shape_class.KEYS}
+
+    @property
+    def curvature(self) -> float:
+        """1/radius in 1/mm; 0 for a plane."""
+        return curvature_of(self.radius_mm)
+
+    @property
+    def kind(self) -> str:
+        """Plane, sphere, or the shape's name."""
+        return self.shape.kind
+
+    def sag_mm(self, r_mm: Any) -> NDArray[np.float64]:
+        """Sag at radial heights in the y-z plane, without the figure; NaN beyond the edge."""
+        return self.shape.sag(0.0, r_mm)
+
+    def slope(self, r_mm: Any) -> NDArray[np.float64]:
+        """Slope dz/dr at radial heights in the y-z plane, without the figure."""
+        return self.shape.sag_and_slopes(0.0, r_mm)[2]
+
+
+def vertex_z_mm(surfaces: Sequence[Surface]) -> NDArray[np.float64]:
+    """z of every vertex; the front vertex is at 0."""
+    return np.array(list(accumulate((s.thickness_mm or 0.0 for s in surfaces[:-1]), initial=0.0)))
