@@ -33,7 +33,7 @@ from tolerancing.perturbations.distributions import (
     Uniform,
 )
 from tolerancing.perturbations.grades import FRINGE_UM, ISO_10110_11
-from wavesim.camera.exposures import Electronics, expose
+from wavesim.camera.exposures import Electronics, SaturationWarning, expose
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.evaluation.similarity import psnr_db
 from wavesim.fields.field import correlation, relative_error
@@ -215,6 +215,9 @@ class TestCamera:
         assert expose(dark, 1.0, camera, None) == pytest.approx(64.0)
         assert expose(half, 1.0, camera, None) == pytest.approx(64.0 + 0.5 * (4095.0 - 64.0), abs=0.51)
         assert expose(2.0 * half, 1.0, camera, None) == pytest.approx(4095.0)
+        fine = Electronics(full_well_electrons=60_000.0, bits=12, gain_electrons_per_count=1.0)
+        with pytest.warns(SaturationWarning):
+            assert np.all(expose(half, 1.0, fine, None) == 4095)
 
     def test_shot_noise(self) -> None:
         camera = Electronics(

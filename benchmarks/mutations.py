@@ -1,0 +1,369 @@
+"""What the tests would notice: one definition changed at a time, and which test says so.
+
+    python -m benchmarks.mutations [--workers 2]
+
+Each mutation changes one line of a copy of the project, where the paper or a standard defines something, and
+runs the test files that are nearest to it until one fails. One that no test notices makes the run void (exit
+status 1).
+Ten minutes on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Queue
+from tempfile import TemporaryDirectory
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = ("lensdesign", "wavesim", "tolerancing", "tests", "designs", "pyproject.toml")
+DEFINITIONS = "tests/test_definitions.py"
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One line changed.
+
+    Attributes
+    ----------
+    what
+        In words.
+    file
+        Of the project.
+    old, new
+        Text that the file holds once, and what takes its place.
+    tests
+        Files of tests that are run, the nearest first.
+    """
+
+    what: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...] = (DEFINITIONS,)
+
+    def mutated(self, root: Path) -> str:
+        """The file's text with the change.
+
+        Raises
+        ------
+        ValueError
+            If the file does not hold the text just once.
+        """
+        text = (root / self.file).read_text(encoding="utf-8")
+        if text.count(self.old) != 1:
+            raise ValueError(f"{self.file} holds {text.count(self.old)} times what is to change: {self.old}")
+        return text.replace(self.old, self.new)
+
+
+MUTATIONS = (
+    # Eqs. 1 and 2
+    Mutation(
+        "Eq. 1: area of the field by its diameter",
+        "lensdesign/analysis/matching.py",
+        "return math.pi * (0.5 * field_diameter_mm) ** 2",
+        "return math.pi * field_diameter_mm**2",
+    ),
+    Mutation(
+        "Eq. 1: the sensor's circle by its side",
+        "lensdesign/analysis/matching.py",
+        "math.pi * (0.5 * shortest_side_mm) ** 2",
+        "math.pi * shortest_side_mm**2",
+    ),
+    Mutation(
+        "Eq. 2: pixels resolve 1 / pitch",
+        "lensdesign/analysis/matching.py",
+        "return min(1.0, wavelength_um / (2.0 * pixel_pitch_um))",
+        "return min(1.0, wavelength_um / pixel_pitch_um)",
+    ),
+    Mutation(
+        "Eq. 2: the angle to one axis only",
+        "lensdesign/analysis/spread.py",
+        "np.hypot(rays.direction[..., 0], rays.direction[..., 1])",
+        "np.abs(rays.direction[..., 1])",
+        ("tests/lensdesign/analysis/test_spread.py",),
+    ),
+    # Glass, poses, figures
+    Mutation(
+        "the d line of sodium",
+        "lensdesign/lens/glass.py",
+        "LINE_D_UM = 0.5875618",
+        "LINE_D_UM = 0.5892938",
+    ),
+    Mutation(
+        "tilt about y left-handed",
+        "lensdesign/lens/poses.py",
+        "rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]",
+        "rows = [[cy, zero, -sy], [-sx * sy, cx, -sx * cy], [cx * sy, sx, cx * cy]]",
+    ),
+    Mutation(
+        "tilts in the other order",
+        "lensdesign/lens/poses.py",
+        "rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]",
+        "rows = [[cy, sy * sx, sy * cx], [zero, cx, -sx], [-sy, cy * sx, cy * cx]]",
+    ),
+    Mutation(
+        "Zernike polynomials of norm sqrt(n + 1)",
+        "lensdesign/lens/zernikes.py",
+        "math.sqrt((n + 1) * (1 if m == 0 else 2))",
+        "math.sqrt(n + 1)",
+    ),
+    Mutation(
+        "interferometer at 633 nm",
+        "lensdesign/lens/figure_source.py",
+        "TEST_WAVELENGTH_UM = 0.6328",
+        "TEST_WAVELENGTH_UM = 0.633",
+    ),
+    Mutation(
+        "3MF in inches",
+        "lensdesign/fabrication/mesh/writing.py",
+        '\'<model unit="millimeter"',
+        '\'<model unit="inch"',
+        ("tests/lensdesign/fabrication/mesh/test_writing.py",),
+    ),
+    Mutation(
+        "fringes of ISO 10110-5 at 632.8 nm",
+        "lensdesign/fabrication/drawing/tolerances.py",
+        "MERCURY_LINE_UM = 0.54607",
+        "MERCURY_LINE_UM = 0.6328",
+        ("tests/lensdesign/fabrication/drawing/test_sheets.py",),
+    ),
+    Mutation(
+        "ISO 10110-11: thickness of parts up to 30 mm",
+        "lensdesign/fabrication/drawing/tolerances.py",
+        "30.0: _general(0.5, 0.2,",
+        "30.0: _general(0.5, 0.4,",
+    ),
+    # The object
+    Mutation(
+        "chart: bars four times as long as wide", "wavesim/objects/usaf.py", "LENGTH = 5.0", "LENGTH = 4.0"
+    ),
+    Mutation(
+        "chart: one width between sets",
+        "wavesim/objects/usaf.py",
+        "GAP = 2.0",
+        "GAP = 1.0",
+    ),
+    Mutation(
+        "chart: five elements to the octave",
+        "wavesim/objects/usaf.py",
+        "(element - 1) / 6.0",
+        "(element - 1) / 5.0",
+    ),
+    Mutation(
+        "band limit of half the aperture",
+        "wavesim/objects/targets.py",
+        "limit = 1e3 * numerical_aperture / wavelength_um",
+        "limit = 0.5e3 * numerical_aperture / wavelength_um",
+        ("tests/wavesim/objects/test_targets.py",),
+    ),
+    # Through the lens
+    Mutation(
+        "Fresnel: TE for TM",
+        "wavesim/rays/interfaces.py",
+        "tm = 2.0 * n1 * incidence / (n2 * incidence + n1 * refraction)",
+        "tm = 2.0 * n1 * incidence / (n1 * incidence + n2 * refraction)",
+    ),
+    Mutation(
+        "an ideal coating that keeps the amplitude",
+        "wavesim/rays/interfaces.py",
+        "keep = np.sqrt(n1 * incidence / (n2 * refraction))",
+        "keep = np.ones_like(incidence)",
+    ),
+    # Pupils
+    Mutation(
+        "Strehl ratio of amplitudes",
+        "wavesim/pupil/pupil.py",
+        "np.count_nonzero(pupil.valid)) ** 2)",
+        "np.count_nonzero(pupil.valid)))",
+    ),
+    Mutation(
+        "transfer of the amplitude",
+        "wavesim/pupil/pupil.py",
+        "spectrum = np.abs(np.fft.fft(field, 2 * samples, axis=1)) ** 2",
+        "spectrum = np.abs(np.fft.fft(field, 2 * samples, axis=1))",
+    ),
+    # The camera
+    Mutation(
+        "shot noise of half the electrons",
+        "wavesim/camera/exposures.py",
+        "electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)",
+        "electrons = 0.5 * random.poisson(2.0 * np.minimum(electrons, 2.0 * full + 100.0))",
+    ),
+    Mutation(
+        "top count 2^bits",
+        "wavesim/camera/exposures.py",
+        "full, top = electronics.full_well_electrons, 2**electronics.bits - 1",
+        "full, top = electronics.full_well_electrons, 2**electronics.bits",
+    ),
+    # Reconstruction
+    Mutation(
+        "A5: weights swapped",
+        "wavesim/reconstruction/from_field.py",
+        "FEEDBACK = (0.7, 0.5)",
+        "FEEDBACK = (0.5, 0.7)",
+    ),
+    Mutation(
+        "A4: twice the step",
+        "wavesim/reconstruction/from_field.py",
+        "TV_STEP = 0.05",
+        "TV_STEP = 0.1",
+    ),
+    Mutation(
+        "A5: a and b swapped",
+        "wavesim/reconstruction/retrieval_kernel.py",
+        "before[i, j] = own * mean[i, j] - a * now[i, j] - b * before[i, j]",
+        "before[i, j] = own * mean[i, j] - b * now[i, j] - a * before[i, j]",
+        ("tests/wavesim/reconstruction/test_from_field.py",),
+    ),
+    Mutation(
+        "A5: feedback one iteration early",
+        "wavesim/reconstruction/from_field.py",
+        "if k < 2 else",
+        "if k < 1 else",
+        ("tests/wavesim/reconstruction/test_from_field.py",),
+    ),
+    Mutation(
+        "A4: t in place of t / 2",
+        "wavesim/reconstruction/retrieval_steps.py",
+        "real(0.5 * tv_step)",
+        "real(tv_step)",
+        ("tests/wavesim/reconstruction/test_from_field.py",),
+    ),
+    Mutation(
+        "Eq. 5: a sum of moduli",
+        "wavesim/reconstruction/refocusing.py",
+        "modulus = np.sqrt(np.abs(down) ** 2 + np.abs(across) ** 2)",
+        "modulus = np.abs(down) + np.abs(across)",
+    ),
+    Mutation(
+        "Eq. 6: a mean over all samples",
+        "wavesim/reconstruction/refocusing.py",
+        "/ math.sqrt(values.size)",
+        "/ values.size",
+    ),
+    # Judgement
+    Mutation(
+        "resolved at half the contrast",
+        "wavesim/evaluation/metrics.py",
+        "RESOLVED_CONTRAST = 0.2",
+        "RESOLVED_CONTRAST = 0.1",
+    ),
+    Mutation(
+        "contrast over the brighter part",
+        "wavesim/objects/bar_sets.py",
+        "total = bright + dark",
+        "total = bright",
+        ("tests/wavesim/evaluation/test_metrics.py",),
+    ),
+    # Tolerances
+    Mutation(
+        "90 % confidence",
+        "tolerancing/analysis/yields.py",
+        "CONFIDENCE = 0.95",
+        "CONFIDENCE = 0.9",
+    ),
+    Mutation(
+        "fringes of a whole wave",
+        "tolerancing/perturbations/grades.py",
+        "FRINGE_UM = 0.54607 / 2.0",
+        "FRINGE_UM = 0.54607",
+    ),
+    Mutation(
+        "radius in fringes of h^2 dR / R^2",
+        "tolerancing/perturbations/batch.py",
+        "(radius / semi_diameter) ** 2 * value",
+        "0.5 * (radius / semi_diameter) ** 2 * value",
+        ("tests/tolerancing/perturbations/test_batch.py",),
+    ),
+    Mutation(
+        "root sum square of variances",
+        "tolerancing/analysis/sensitivity.py",
+        "np.sqrt(np.sum(sensitivity.standard_deviation**2, axis=0))",
+        "np.sum(sensitivity.standard_deviation, axis=0)",
+        ("tests/tolerancing/analysis/test_sensitivity.py",),
+    ),
+    Mutation(
+        "a trial at its limit fails",
+        "tolerancing/merits/base.py",
+        "return self.margin(scores) >= 0.0",
+        "return self.margin(scores) > 0.0",
+        ("tests/tolerancing/merits/test_registry.py",),
+    ),
+)
+
+
+@contextmanager
+def copies(count: int) -> Iterator[Queue[Path]]:
+    """Copies of the project to change, with its compiled kernels."""
+    with TemporaryDirectory() as folder:
+        free: Queue[Path] = Queue()
+        for number in range(count):
+            copy = Path(folder) / str(number)
+            for name in COPIED:
+                target = copy / name
+                if (ROOT / name).is_dir():
+                    shutil.copytree(ROOT / name, target)
+                else:
+                    shutil.copy2(ROOT / name, target)
+            free.put(copy)
+        yield free
+
+
+def caught_by(mutation: Mutation, root: Path) -> str | None:
+    """The first test that fails in a copy; None where all pass."""
+    path = root / mutation.file
+    kept, times = path.read_bytes(), path.stat()
+    path.write_text(mutation.mutated(root), encoding="utf-8")
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mutation.tests],
+            cwd=root,
+            env=os.environ | {"PYTHONPATH": str(root), "OPENBLAS_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+        )
+    finally:
+        path.write_bytes(kept)
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    if done.returncode and found is None:
+        raise RuntimeError(f"{mutation.what}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return found and found.group(1)
+
+
+def main() -> None:
+    """Mutate, test and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--workers", type=int, default=2)
+    workers: int = parser.parse_args().workers
+    with copies(workers) as free, ThreadPoolExecutor(workers) as pool:
+
+        def one(mutation: Mutation) -> str | None:
+            root = free.get()
+            try:
+                return caught_by(mutation, root)
+            finally:
+                free.put(root)
+
+        found = []
+        for mutation, test in zip(MUTATIONS, pool.map(one, MUTATIONS), strict=True):
+            print(f"{mutation.what:45} {mutation.file:52} {test or 'NOT CAUGHT'}", flush=True)
+            found.append(test)
+    missed = found.count(None)
+    print(f"{len(found) - missed} of {len(found)} mutations caught")
+    if missed:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
