@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,6 +53,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     InputError
         If the folder or the file cannot be written.
     """
+    import tempfile
+
     target = Path(path)
     try:
         if target.is_dir():

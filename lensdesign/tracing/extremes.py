@@ -139,14 +139,14 @@ def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
 def _project(coordinates: Array, heights_mm: Array | None, half_field_mm: float = 0.0) -> Array:
     """Put stop points back into the stop, and object points back to their heights or into the field."""
     result = coordinates.copy()
-    field = np.linalg.norm(coordinates[..., FIELD], axis=-1, keepdims=True)
+    field = np.hypot(coordinates[..., 0:1], coordinates[..., 1:2])
     if heights_mm is None:
         scale = np.minimum(1.0, half_field_mm / np.maximum(field, 1e-300))
     else:
         own = heights_mm.reshape(-1, *(1,) * (coordinates.ndim - 1))
         scale = np.where(field > 0.0, own / np.maximum(field, 1e-300), 1.0)
     result[..., FIELD] *= scale
-    result[..., PUPIL] /= np.maximum(1.0, np.linalg.norm(coordinates[..., PUPIL], axis=-1, keepdims=True))
+    result[..., PUPIL] /= np.maximum(1.0, np.hypot(coordinates[..., 2:3], coordinates[..., 3:4]))
     return result
 
 

@@ -241,6 +241,8 @@ def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, sli
         threads = min(len(os.sched_getaffinity(0)), max(1, trials * rays // RAYS_PER_THREAD))
     if threads < 1:
         raise InputError(f"threads = {threads}: must be at least 1")
+    if threads == 1:
+        return [(slice(None), slice(None))]
     length = max(trials, rays)
     cuts = np.linspace(0, length, min(threads, max(1, length)) + 1).astype(int)
     slices = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
