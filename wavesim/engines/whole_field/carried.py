@@ -77,25 +77,17 @@ class Carried:
         start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
         if start >= stop:
             return
-        part, w = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
-        along_y, along_x = w.field
-        fixed = (
-            coarse,
-            along_y.first,
-            along_y.weight,
-            along_x.first,
-            along_x.weight,
-            *self._carrier(w),
-            part,
-        )
-        expand = expander(along_y.weight.shape[1])
+        part, ways = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
+        y, x = ways.field
+        fixed = (coarse, (y.first, y.weight), (x.first, x.weight), self._carrier(ways), part)
+        expand = expander(y.weight.shape[1])
         share(lambda begin, end: expand(*fixed, begin, end), len(part), threads)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one."""
         along_y, along_x = self.ways.field
         middle = np.zeros((len(along_y.first), along_x.coarse), np.complex64)
-        across = (fine[self.window], *self._carrier(self.ways), along_x.first, along_x.weight, middle)
+        across = (fine[self.window], (along_x.first, along_x.weight), self._carrier(self.ways), middle)
         collect = collector(along_x.weight.shape[1])
         share(lambda begin, end: collect(*across, begin, end), len(middle), threads)
         coarse = np.zeros((along_y.coarse, along_x.coarse), np.complex64)

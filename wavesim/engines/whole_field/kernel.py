@@ -99,61 +99,58 @@ def _across(
 
 @_jit
 def _carrier_row(
-    phase: NDArray,
-    edge: NDArray,
-    first: int,
-    share: NDArray,
-    smooth_x: NDArray,
-    share_x: NDArray,
+    carrier: tuple[NDArray, ...],
+    row: int,
     smooth: tuple[NDArray, NDArray],
     fine: tuple[NDArray, NDArray],
     cosine: NDArray,
     sine: NDArray,
 ) -> tuple[int, int]:
     """Carrier of one row, and from where to where it has light; `smooth` and `fine` are work space."""
+    phase, edge, smooth_y, share_y, smooth_x, share_x = carrier
     turns, rim = smooth
     phases, edges = fine
-    _row(phase, edge, first, share, turns, rim)
+    _row(phase, edge, smooth_y[row], share_y[row], turns, rim)
     begin, end = _lit(rim, smooth_x)
     _across(turns, smooth_x, share_x, phases, rim, edges, begin, end)
     _waves(phases, edges, cosine, sine, begin, end)
     return begin, end
 
 
+@_jit
+def _room(carrier: tuple[NDArray, ...], count: int) -> tuple[Any, Any, NDArray, NDArray]:
+    """Work space for the carrier of a row of so many samples."""
+    smooth = carrier[0].shape[1]
+    between = empty(smooth, float64), empty(smooth, float32)
+    along = empty(count, float64), empty(count, float32)
+    return between, along, empty(count, float32), empty(count, float32)
+
+
 @cache
 def expander(taps: int) -> Callable[..., None]:
     """The loop that adds a coarse field, interpolated with so many taps and times its carrier, to a fine one.
 
-    It takes coarse field, first coarse row and its weights for each fine row, the same for columns; phase and
-    edge on their grid, first row and shares, first column and shares; the fine field; rows to do.
+    It takes the coarse field; first coarse row and its weights for each fine row, and the same for columns;
+    of the carrier phase and edge on their grid, first row and shares, first column and shares; the fine
+    field; rows to do.
     """
 
     @_jit
     def expand(
         coarse: NDArray,
-        first_y: NDArray,
-        weight_y: NDArray,
-        first_x: NDArray,
-        weight_x: NDArray,
-        phase: NDArray,
-        edge: NDArray,
-        smooth_y: NDArray,
-        share_y: NDArray,
-        smooth_x: NDArray,
-        share_x: NDArray,
+        along_y: tuple[NDArray, NDArray],
+        along_x: tuple[NDArray, NDArray],
+        carrier: tuple[NDArray, ...],
         result: NDArray,
         start: int,
         stop: int,
     ) -> None:
-        width, smooth, count = coarse.shape[1], phase.shape[1], result.shape[1]
+        (first_y, weight_y), (first_x, weight_x) = along_y, along_x
+        width = coarse.shape[1]
         real, imaginary = zeros(width, float32), zeros(width, float32)
-        between = empty(smooth, float64), empty(smooth, float32)
-        along = empty(count, float64), empty(count, float32)
-        cosine, sine = empty(count, float32), empty(count, float32)
+        between, along, cosine, sine = _room(carrier, result.shape[1])
         for i in range(start, stop):
-            begin, end = _carrier_row(
-                phase, edge, smooth_y[i], share_y[i], smooth_x, share_x, between, along, cosine, sine
-            )
+            begin, end = _carrier_row(carrier, i, between, along, cosine, sine)
             if begin == end:
                 continue
             real[:] = 0.0
@@ -178,34 +175,25 @@ def expander(taps: int) -> Callable[..., None]:
 def collector(taps: int) -> Callable[..., None]:
     """The loop that takes rows of a fine field onto coarse columns: half of the transpose of `expander`'s.
 
-    It takes the fine field, phase to share_x as there, first_x and weight_x, the result of shape (fine rows,
-    coarse columns), and rows to do.
+    It takes the fine field, `along_x` and `carrier` as there, the result of shape (fine rows, coarse
+    columns), and rows to do.
     """
 
     @_jit
     def collect(
         field: NDArray,
-        phase: NDArray,
-        edge: NDArray,
-        smooth_y: NDArray,
-        share_y: NDArray,
-        smooth_x: NDArray,
-        share_x: NDArray,
-        first_x: NDArray,
-        weight_x: NDArray,
+        along_x: tuple[NDArray, NDArray],
+        carrier: tuple[NDArray, ...],
         middle: NDArray,
         start: int,
         stop: int,
     ) -> None:
-        width, smooth, count = middle.shape[1], phase.shape[1], field.shape[1]
+        first_x, weight_x = along_x
+        width = middle.shape[1]
         real, imaginary = zeros(width, float32), zeros(width, float32)
-        between = empty(smooth, float64), empty(smooth, float32)
-        along = empty(count, float64), empty(count, float32)
-        cosine, sine = empty(count, float32), empty(count, float32)
+        between, along, cosine, sine = _room(carrier, field.shape[1])
         for i in range(start, stop):
-            begin, end = _carrier_row(
-                phase, edge, smooth_y[i], share_y[i], smooth_x, share_x, between, along, cosine, sine
-            )
+            begin, end = _carrier_row(carrier, i, between, along, cosine, sine)
             real[:] = 0.0
             imaginary[:] = 0.0
             for j in range(begin, end):
