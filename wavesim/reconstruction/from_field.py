@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,16 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.retrieval_state import Array, ComplexArray, RetrievalState, Start, begun, resumed
-from wavesim.reconstruction.retrieval_steps import BLOCK_BYTES, Match, Passes, plane_for
+from wavesim.reconstruction.retrieval_steps import (
+    BLOCK_BYTES,
+    Array,
+    ComplexArray,
+    Match,
+    Passes,
+    plane_for,
+)
+
+Start = Field | Literal["uniform", "random"]
 
 FEEDBACK = (0.7, 0.5)
 """Weights a and b of A5."""
@@ -68,6 +76,24 @@ class Retrieved:
     held_out_residual: float | None
     stagnated_at: int | None
     residual_curve: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RetrievalState:
+    """Where a retrieval stands after an iteration: all that it needs to go on.
+
+    Attributes
+    ----------
+    now, before : ndarray
+        The field sought, after this iteration and after the one before.
+    correlation, residual_curve : tuple of float
+        Of every iteration so far, as of :class:`Retrieved`.
+    """
+
+    now: ComplexArray
+    before: ComplexArray
+    correlation: tuple[float, ...]
+    residual_curve: tuple[float, ...]
 
 
 def retrieve(
@@ -125,7 +151,7 @@ def retrieve(
         total variation is too large for these amplitudes.
     """
     _refuse(grid, recorded, iterations, feedback, tv_step)
-    state = begun(grid, start, recorded[0].amplitude, seed) if resume is None else resumed(grid, resume)
+    state = _begun(grid, start, recorded[0].amplitude, seed) if resume is None else _resumed(grid, resume)
     del start, resume  # copied: who keeps no other reference to their arrays has that memory again
     with passes_for(grid, wavelength_um, recorded, state.now.dtype) as passes:
         state = iterated(passes, state, iterations, feedback, tv_step, progress, keep)
@@ -142,13 +168,37 @@ def retrieve(
     )
 
 
+def _begun(grid: Grid, start: Start, amplitude: Array, seed: int) -> RetrievalState:
+    """Before the first iteration."""
+    dtype: Any = np.complex64 if amplitude.dtype == np.float32 else np.complex128
+    if isinstance(start, Field):
+        if start.grid != grid:
+            raise InputError(f"start: its grid {start.grid} is not that of the field sought, {grid}")
+        now = np.array(start.values, dtype, order="C")
+    elif start == "uniform":
+        now = np.array(amplitude, dtype, order="C")
+    elif start == "random":
+        rng, now = np.random.default_rng(seed), np.empty(grid.shape, dtype)
+        for row, recorded in zip(np.atleast_2d(now), np.atleast_2d(amplitude), strict=True):
+            row[:] = recorded * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, len(row)))
+    else:
+        raise InputError(f"start = {start!r}: must be a field, 'uniform' or 'random'")
+    return RetrievalState(now, np.zeros_like(now), (), ())
+
+
+def _resumed(grid: Grid, state: RetrievalState) -> RetrievalState:
+    """A copy, of which the arrays may be used."""
+    if state.now.shape != grid.shape or state.before.shape != grid.shape:
+        raise InputError(f"resume: its shape {state.now.shape} is not that of the field sought, {grid.shape}")
+    now, before = (np.array(values, order="C") for values in (state.now, state.before))
+    return RetrievalState(now, before, state.correlation, state.residual_curve)
+
+
 @contextmanager
 def passes_for(
     grid: Grid, wavelength_um: float, recorded: Sequence[Recorded], dtype: Any
 ) -> Iterator[Passes]:
     """The passes of iterations over recorded planes, for fields of a complex type, with their threads."""
-    from wavesim.reconstruction.retrieval_steps import Passes
-
     planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield Passes(planes, pool)

@@ -5,6 +5,7 @@ What the next iteration needs is kept: all of it, in either way.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,9 +15,16 @@ import numpy as np
 
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import LIT, Array, Retrieved, Start, residual_and_map, retrieve
+from wavesim.reconstruction.from_field import (
+    LIT,
+    Array,
+    RetrievalState,
+    Retrieved,
+    Start,
+    residual_and_map,
+    retrieve,
+)
 from wavesim.reconstruction.from_object import Kind, Progressed, Reconstructed, reconstruct
-from wavesim.reconstruction.retrieval_state import RetrievalState
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
@@ -66,14 +74,6 @@ def reconstruct_resumably(
     InputError
         As :func:`wavesim.reconstruct`, or if an iteration cannot be kept.
     """
-    last = time.monotonic()
-
-    def keep(state: Progressed) -> None:
-        nonlocal last
-        if checkpoint is not None and time.monotonic() - last >= KEEP_SECONDS:
-            checkpoint.keep(**vars(state))
-            last = time.monotonic()
-
     # What was kept is given away in the call: no name here may hold its arrays to the end.
     return reconstruct(
         engine,
@@ -87,7 +87,7 @@ def reconstruct_resumably(
         active_width=active_width,
         progress=progress,
         resume=_progressed(checkpoint, scratch or Scratch()),
-        keep=keep,
+        keep=None if checkpoint is None else _keeper(checkpoint),
         scratch=scratch,
     )
 
@@ -156,7 +156,7 @@ def retrieve_resumably(
         iterations=iterations,
         progress=progress,
         resume=None if kept is None else _taken(kept),
-        keep=None if checkpoint is None else _keeper(checkpoint),
+        keep=None if checkpoint is None else _keeper(checkpoint, KEEP_SHARE),
     )
     values = found.field.values
     values /= factor
@@ -179,18 +179,18 @@ def _taken(kept: dict[str, Any]) -> RetrievalState:
     return RetrievalState(kept.pop("now"), kept.pop("before"), *curves)
 
 
-def _keeper(checkpoint: Checkpoint) -> Callable[[RetrievalState], None]:
-    """Keeps states, the less often the longer that takes."""
+def _keeper(checkpoint: Checkpoint, share: float = math.inf) -> Callable[[Any], None]:
+    """Keeps states, so rarely that it takes no more than a share of the time."""
     last, pause = time.monotonic(), KEEP_SECONDS
 
-    def keep(state: RetrievalState) -> None:
+    def keep(state: Progressed | RetrievalState) -> None:
         nonlocal last, pause
         began = time.monotonic()
         if began - last < pause:
             return
         checkpoint.keep(**vars(state))
         last = time.monotonic()
-        pause = max(KEEP_SECONDS, (last - began) / KEEP_SHARE)
+        pause = max(KEEP_SECONDS, (last - began) / share)
 
     return keep
 

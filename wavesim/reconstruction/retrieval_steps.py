@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay
 from wavesim.reconstruction import retrieval_kernel
-from wavesim.reconstruction.retrieval_state import Array, ComplexArray
 
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 Sums = tuple[float, ...]
 T = TypeVar("T")
 

@@ -1,9 +1,11 @@
 """The proximal map of the total variation: keeps edges and takes noise out.
 
 Source: A. Chambolle, "An algorithm for total variation minimization and applications", J. Math. Imaging Vis.
-20, 89 (2004). Compiled loops do some rows for each thread. The flow p has a part along each axis. A sweep goes
-up the rows with two lines of div p - values / weight, the line above computed before anything that it needs is
-changed: so the flow is changed in place.
+20, 89 (2004).
+
+Compiled loops do some rows for each thread. The flow p has a part along each axis. A sweep goes up the rows
+with two lines of div p - values / weight, the line above computed before anything that it needs is changed:
+so the flow is changed in place.
 """
 
 # mypy: disable-error-code="misc"

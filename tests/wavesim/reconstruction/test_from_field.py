@@ -15,6 +15,7 @@ from wavesim.reconstruction import retrieval_steps
 from wavesim.reconstruction.from_field import (
     FEEDBACK,
     WATCHED,
+    RetrievalState,
     Retrieved,
     agreement,
     amplitude_correlation,
@@ -25,7 +26,6 @@ from wavesim.reconstruction.from_field import (
     retrieve,
     stagnation,
 )
-from wavesim.reconstruction.retrieval_state import RetrievalState
 
 GRID = Grid((96, 96), 4e-3, 0.0)
 WAVELENGTH = 0.532

@@ -11,8 +11,8 @@ from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
+from wavesim.reconstruction.from_field import RetrievalState
 from wavesim.reconstruction.resumable import retrieve_resumably
-from wavesim.reconstruction.retrieval_state import RetrievalState
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.scene import Scene
 
@@ -40,7 +40,7 @@ def test_keeping_takes_no_more_than_its_share(monkeypatch: pytest.MonkeyPatch, t
 
     monkeypatch.setattr(resumable, "time", clock)
     monkeypatch.setattr(Checkpoint, "keep", slow)
-    keep = resumable._keeper(checkpoint)
+    keep = resumable._keeper(checkpoint, resumable.KEEP_SHARE)
     for _ in range(1000):
         clock.now += 1.0
         keep(state)
