@@ -31,9 +31,8 @@ def taken(paper_lens: Lens) -> tuple[Any, Field, list[Recorded]]:
     """Engine, light and one recorded plane."""
     lens = scaled(paper_lens, 1 / 32)
     grid = Grid((48, 48), 4.2e-4, lens.object_z_mm)
-    engine = engine_for(
-        "eikonal", Scene(lens, grid, Grid((90, 90), 3.2e-3, lens.exit_vertex_z_mm + 0.08), 0.532), error=0.3
-    )
+    behind = Grid((90, 90), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
+    engine = engine_for(Scene(lens, grid, behind, 0.532), "eikonal", error=0.3)
     light = Field(grid, field_stop(grid, "disc", 0.019).astype(np.complex64), 0.532)
     return engine, light, [Recorded(0.0, np.abs(engine.forward(light).values).astype(np.float32))]
 
