@@ -1,21 +1,17 @@
-"""Scores of a study's merits for any deltas: what inverse limits and budgets search with."""
+"""Scores of a study's merits for any deltas, and how these scatter: what limits and budgets search with."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
-from tolerancing.analysis.sensitivity import Sensitivity, sensitivities
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.distributions.base import Distribution
-from tolerancing.study.results import StepResults
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
-from tolerancing.study.sweep import SENSITIVITY, OneAtATime
 
 Array = NDArray[np.float64]
 Report = Callable[[int], None]
@@ -86,41 +82,3 @@ def kurtosis(distribution: Distribution) -> float:
     values = distribution.quantile((np.arange(QUANTILES) + 0.5) / QUANTILES)
     values = values - values.mean()
     return float(np.mean(values**4) / np.mean(values**2) ** 2)
-
-
-def study_sensitivities(
-    study: Study, nominal: Mapping[str, float], steps: Sequence[StepResults]
-) -> Sensitivity:
-    """Sensitivities from the steps that a store holds.
-
-    Parameters
-    ----------
-    study
-        The study.
-    nominal
-        Scores of the nominal lens, by merit.
-    steps
-        Of the store; those of other series are passed over.
-
-    Raises
-    ------
-    InputError
-        If the study leaves sensitivities out, or the run has not got to them.
-    """
-    if not study.sensitivity:
-        raise InputError("the study has sensitivity = false: there are no sensitivities")
-    own = sorted((s for s in steps if s.series == SENSITIVITY), key=lambda s: s.step)
-    wanted = len(OneAtATime(study.perturbations))
-    if len(own) < wanted:
-        raise InputError(f"the store holds {len(own)} of {wanted} steps of the sensitivities: finish its run")
-    labels = [m.label for m in study.merits]
-    scores = np.array([[step.scores.get(label, np.nan) for label in labels] for step in own])
-    scatter = scatter_of(study)
-    return sensitivities(
-        np.array([nominal.get(label, np.nan) for label in labels], float),
-        scores,
-        scatter.tolerance,
-        scatter.standard_deviation,
-        scatter.mean,
-        scatter.kurtosis,
-    )

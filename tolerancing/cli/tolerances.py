@@ -11,10 +11,9 @@ from lensdesign.common.console import print_json
 from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
-    from tolerancing.analysis.inverse import InverseLimit
-    from tolerancing.analysis.sensitivity import Sensitivity
-    from tolerancing.analysis.study_budget import StudyBudget
-    from tolerancing.merits.base import Merit
+    from tolerancing.analysis.budgets import StudyBudget
+    from tolerancing.analysis.limits import StudyLimits
+    from tolerancing.analysis.parabolas import Sensitivity
     from tolerancing.study.study import Study
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
@@ -31,19 +30,11 @@ def start(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a study with usual tolerances of a grade, to be edited."""
-    import os
+    from tolerancing.study.starting import start_study
 
-    from lensdesign.errors import atomic_path
-    from lensdesign.files.design import load_design
-    from tolerancing.perturbations.grades import starting_study
-
-    lens = load_design(design)
     if output.exists() and not force:
         raise InputError(f"{output} is there already; give another name, or --force to replace it")
-    name = Path(os.path.relpath(design.resolve(), output.resolve().parent)).as_posix()
-    text = starting_study(lens, name, grade)
-    with atomic_path(output) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    start_study(design, output, grade)
     print(f"wrote {output}: edit it, then: tolerancing run {output} --store {output.with_suffix('.db')}")
 
 
@@ -52,21 +43,22 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
 
     With the root-sum-square prediction beside the trials.
     """
-    from tolerancing.analysis.scorer import study_sensitivities
-    from tolerancing.analysis.sensitivity import compare_with_trials, root_sum_square
+    from tolerancing.analysis.sensitivities import sensitivity
     from tolerancing.store.store import open_store
 
     with open_store(store) as opened:
-        study = opened.study
-        chosen = _chosen(study, merit)
-        found = study_sensitivities(study, opened.nominal(), opened.steps())
-        compared = compare_with_trials(root_sum_square(found, study.merits), opened.trials().scores)
+        found = sensitivity(opened)
+    merits = [(k, m) for k, m in enumerate(found.study.merits) if merit in (None, m.label)]
+    if not merits:
+        allowed = ", ".join(m.label for m in found.study.merits)
+        raise InputError(f"--merit {merit!r}: there is no such merit; allowed: {allowed}")
     if as_json:
-        print_json({"store": str(store), "merits": {m.column: _as_dict(study, found, k) for k, m in chosen}})
+        rows = found.as_dict()
+        print_json({"store": str(store), "merits": {m.column: rows[m.column] for _, m in merits}})
         return
-    for k, one in chosen:
-        _print_sensitivity(study, found, k)
-        row = compared[k]
+    for k, one in merits:
+        _print_sensitivity(found.study, found.found, k)
+        row = found.compared[k]
         trials = f"trials {row.mean:.4g} ± {row.standard_deviation:.3g}"
         if row.good is not None:
             trials += f", {100.0 * row.good.share:.1f} %"
@@ -87,28 +79,16 @@ def inverse(
 ) -> None:
     """Find how far each perturbation may go by itself before a merit misses its limit."""
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.inverse import inverse_limits
-    from tolerancing.analysis.scorer import StudyScorer, scatter_of
-    from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
+    from tolerancing.analysis.limits import inverse
     from tolerancing.study.files import load_study
 
-    loaded = load_study(study)
-    own = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
-    if change is not None and merit is None and len(own.merits) > 1:
-        raise InputError("--change is in one merit's unit: name it with --merit")
-    context = context_of(loaded.lens, own)
-    nominal = nominal_scores(context, own)
-    scores = [nominal[m.label] for m in own.merits]
-    limits: dict[str, tuple[InverseLimit, ...]] = {}
     with progress_bar() as bar:
         task = bar.add_task("lenses scored", total=None)
-        scorer = StudyScorer(context, own, lambda count: bar.advance(task, count))
-        for k, one in _chosen(own, merit):
-            limits[one.label] = inverse_limits(scorer, scores, scatter_of(own).tolerance, one, k, change)
+        found = inverse(load_study(study), merit, change=change, report=lambda n: bar.advance(task, n))
     if as_json:
-        print_json({"study": str(study), "limits": {m: _limits_dict(own, v) for m, v in limits.items()}})
-        return
-    _print_limits(own, limits, change)
+        print_json({"study": str(study), "limits": found.as_dict()})
+    else:
+        _print_limits(found, change)
 
 
 def budget(
@@ -124,27 +104,19 @@ def budget(
 ) -> None:
     """Find the loosest tolerances that keep a yield, from a run's trials, and write them as a study."""
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.study_budget import budget_of_study, write_scaled_study
+    from tolerancing.analysis.budgets import budget, scaled_study
     from tolerancing.store.store import open_store
+    from tolerancing.study.files import save_study
 
     with open_store(store) as opened, progress_bar() as bar:
-        loaded, trials = opened.loaded, opened.trials()
+        study, weights = opened.study, _weights(weight or [])
         task = bar.add_task("fresh trials", total=None)
-        found = budget_of_study(
-            loaded.lens,
-            loaded.study,
-            trials.values,
-            trials.scores,
-            required,
-            _weights(weight or []),
-            fresh=verify,
-            report=lambda count: bar.advance(task, count),
-        )
-        write_scaled_study(loaded, found.budget.scales, output)
+        found = budget(opened, required, weights, fresh=verify, report=lambda n: bar.advance(task, n))
+        save_study(scaled_study(opened.loaded, found.budget.scales), output)
     if as_json:
-        print_json({"store": str(store), "study": str(output), **_budget_dict(loaded.study, found)})
+        print_json({"store": str(store), "study": str(output), **_budget_dict(study, found)})
     else:
-        _print_budget(loaded.study, found, required)
+        _print_budget(study, found, required)
         print(f"wrote {output}")
 
 
@@ -160,29 +132,6 @@ def _weights(items: list[str]) -> dict[str, float]:
             raise InputError(f"--weight {item!r}: must be COLUMN=WEIGHT with a weight above 0")
         weights[name] = value
     return weights
-
-
-def _chosen(study: Study, name: str | None) -> list[tuple[int, Merit]]:
-    labels = [m.label for m in study.merits]
-    if name is not None and name not in labels:
-        raise InputError(f"--merit {name!r}: there is no such merit; allowed: {', '.join(labels)}")
-    return [(k, m) for k, m in enumerate(study.merits) if name in (None, m.label)]
-
-
-def _as_dict(study: Study, found: Sensitivity, k: int) -> list[dict[str, Any]]:
-    return [
-        {
-            "perturbation": study.perturbations[i].column,
-            "tolerance": study.perturbations[i].distribution.largest,
-            "derivative": found.derivative[i, k],
-            "change_at_minus_tolerance": found.change[i, 0, k],
-            "change_at_plus_tolerance": found.change[i, -1, k],
-            "quadratic_coefficients": found.coefficients[i, :, k].tolist(),
-            "residual": found.residual[i, k],
-            "standard_deviation": found.standard_deviation[i, k],
-        }
-        for i in found.ranking(study.merits)[k]
-    ]
 
 
 def _print_sensitivity(study: Study, found: Sensitivity, k: int) -> None:
@@ -202,12 +151,9 @@ def _print_sensitivity(study: Study, found: Sensitivity, k: int) -> None:
     _print(table)
 
 
-def _limits_dict(study: Study, limits: tuple[InverseLimit, ...]) -> dict[str, Any]:
-    return {p.column: vars(limit) for p, limit in zip(study.perturbations, limits, strict=True)}
-
-
-def _print_limits(study: Study, limits: dict[str, tuple[InverseLimit, ...]], change: float | None) -> None:
-    for label, own in limits.items():
+def _print_limits(found: StudyLimits, change: float | None) -> None:
+    study = found.study
+    for label, own in found.limits.items():
         (merit,) = (m for m in study.merits if m.label == label)
         asked = merit.limit_text if change is None else f"worse by {change:g} {merit.unit}".strip()
         table = _table(f"{label}: how far each may go by itself ({asked})")

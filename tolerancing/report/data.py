@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import RankCorrelation, rank_correlation
-from tolerancing.analysis.scorer import study_sensitivities
-from tolerancing.analysis.sensitivity import Sensitivity
+from tolerancing.analysis.parabolas import Sensitivity
+from tolerancing.analysis.sensitivities import study_sensitivities
 from tolerancing.analysis.summary import Summary
 from tolerancing.study.results import DearResults, StepResults, TrialResults
 from tolerancing.study.study import Study

@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self, TypeVar
 from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.section import Section
 from lensdesign.common.toml_files import read_toml, validate
-from lensdesign.errors import DesignError, InputError
+from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.compensators import Compensator
@@ -101,6 +101,30 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     lens = load_design(design)
     check_against(study, lens, str(path))
     return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
+
+
+def save_study(study: Study, path: str | os.PathLike[str]) -> None:
+    """Write a study file, without comments; only what was given stands in it.
+
+    Parameters
+    ----------
+    study
+        The study. Its design and other files are named relative to the folder of `path`.
+    path
+        A TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; whatever stood there stays.
+    """
+    import tomli_w
+
+    tables = study.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
+    for table, perturbation in zip(tables["perturbation"], study.perturbations, strict=True):
+        table |= {"distribution": perturbation.distribution.kind} | table["distribution"]
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
 
 
 def _with_files(study: Study, path: Path) -> Study:

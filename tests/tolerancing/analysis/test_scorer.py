@@ -1,12 +1,11 @@
-"""Scores for any deltas, and the sensitivities that a store's steps give."""
+"""Scores for any deltas."""
 
 import numpy as np
 import pytest
 
-from lensdesign.errors import InputError
-from tolerancing.analysis.scorer import StudyScorer, scatter_of, study_sensitivities
+from tolerancing.analysis.scorer import StudyScorer, scatter_of
 from tolerancing.perturbations.distributions import Normal, Parabolic, Triangular, Uniform
-from tolerancing.study.evaluate import context_of, nominal_scores, realise, score_step, score_trials
+from tolerancing.study.evaluate import context_of, realise, score_trials
 from tolerancing.study.files import load_study
 
 
@@ -45,21 +44,3 @@ def test_kurtosis_is_the_known_one(loaded, shape, kurtosis):
     perturbations = tuple(p.model_copy(update={"distribution": shape}) for p in loaded.study.perturbations)
     study = loaded.study.model_copy(update={"perturbations": perturbations})
     assert scatter_of(study).kurtosis == pytest.approx([kurtosis, kurtosis], rel=0.01)
-
-
-def test_sensitivities_are_those_of_the_steps(loaded):
-    study, context = loaded.study, context_of(loaded.lens, loaded.study)
-    number = len(study.series) - 1
-    steps = [score_step(context, study, number, step) for step in range(8)]
-    nominal = nominal_scores(context, study)
-    found = study_sensitivities(study, nominal, steps)
-    scorer = StudyScorer(context, study)
-    (far,) = scorer(np.array([[0.04, 0.0]]))
-    assert found.change[0, -1] == pytest.approx(far - list(nominal.values()), abs=1e-14)
-    small = 1e-4
-    ends = scorer(np.array([[0.0, small], [0.0, -small]]))
-    assert found.derivative[1, 0] == pytest.approx((ends[0, 0] - ends[1, 0]) / (2.0 * small), rel=0.03)
-    with pytest.raises(InputError, match="holds 7 of 8 steps"):
-        study_sensitivities(study, nominal, steps[:-1])
-    with pytest.raises(InputError, match="sensitivity = false"):
-        study_sensitivities(study.model_copy(update={"sensitivity": False}), nominal, steps)

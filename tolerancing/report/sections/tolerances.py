@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tolerancing.analysis.sensitivity import Sensitivity, compare_with_trials, root_sum_square
+from tolerancing.analysis.parabolas import Sensitivity, compare_with_trials, root_sum_square
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
     Block,

@@ -151,7 +151,7 @@ def checked_tolerance(tolerance: ArrayLike) -> Array:
     return largest
 
 
-def sensitivities(
+def fit_sensitivity(
     nominal: ArrayLike,
     scores: ArrayLike,
     tolerance: ArrayLike,

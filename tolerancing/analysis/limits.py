@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError
+from tolerancing.analysis.parabolas import checked_tolerance
 from tolerancing.analysis.response import Scorer
-from tolerancing.analysis.sensitivity import checked_tolerance
+from tolerancing.analysis.scorer import Report, StudyScorer, scatter_of
 from tolerancing.merits.base import Merit
+from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
+from tolerancing.study.files import LoadedStudy
+from tolerancing.study.study import Study
 
 Array = NDArray[np.float64]
 
@@ -44,6 +49,72 @@ class InverseLimit:
     def tightest(self) -> float | None:
         """The smaller of both."""
         return min((side for side in (self.below, self.above) if side is not None), default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class StudyLimits:
+    """How far each perturbation of a study may go by itself.
+
+    Attributes
+    ----------
+    study
+        The study, the levels of its merits settled.
+    limits : mapping of str to tuple of InverseLimit
+        By merit; one for each perturbation.
+    """
+
+    study: Study
+    limits: Mapping[str, tuple[InverseLimit, ...]]
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """For JSON: for each merit the limits by the perturbations' columns."""
+        columns = [p.column for p in self.study.perturbations]
+        return {
+            label: {column: vars(limit) for column, limit in zip(columns, own, strict=True)}
+            for label, own in self.limits.items()
+        }
+
+
+def inverse(
+    loaded: LoadedStudy,
+    merit: str | None = None,
+    *,
+    change: float | None = None,
+    report: Report | None = None,
+) -> StudyLimits:
+    """How far each perturbation of a study may go by itself before a merit misses its limit.
+
+    Parameters
+    ----------
+    loaded
+        The study, with its lens.
+    merit
+        Name of the merit; all that score every trial where left out.
+    change
+        Amount, above 0 and in the merit's unit, by which it may become worse; left out: up to its limit.
+    report
+        Called with the number of lenses scored after each part of them.
+
+    Raises
+    ------
+    InputError
+        If there is no such merit, or as of :func:`inverse_limits`.
+    """
+    study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
+    labels = [m.label for m in study.merits]
+    if merit is not None and merit not in labels:
+        raise InputError(f"merit = {merit!r}: there is no such merit; allowed: {', '.join(labels)}")
+    if change is not None and merit is None and len(labels) > 1:
+        raise InputError(f"change = {change:g}: is in one merit's unit; name the merit: {', '.join(labels)}")
+    context = context_of(loaded.lens, study)
+    scorer, nominal = StudyScorer(context, study, report), nominal_scores(context, study)
+    scores, tolerance = [nominal[label] for label in labels], scatter_of(study).tolerance
+    limits = {
+        one.label: inverse_limits(scorer, scores, tolerance, one, k, change)
+        for k, one in enumerate(study.merits)
+        if merit in (None, one.label)
+    }
+    return StudyLimits(study, limits)
 
 
 def inverse_limits(

@@ -6,7 +6,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.budget import loosest_tolerances
+from tolerancing.analysis.tolerance_search import loosest_tolerances
 from tolerancing.analysis.yields import yield_of
 from tolerancing.merits.base import Merit
 
@@ -124,7 +124,7 @@ def test_a_yield_out_of_reach_is_told():
 
 @pytest.mark.parametrize("required", [0.5, 0.8, 0.95])
 def test_the_draws_needed_are_the_fewest_whose_interval_begins_there(required):
-    from tolerancing.analysis.budget import _needed
+    from tolerancing.analysis.tolerance_search import _needed
 
     for n in (100, 1000):
         needed = _needed(n, required, "low")

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.study_budget import budget_of_study, write_scaled_study
+from tolerancing.analysis.budgets import budget, budget_of_study, scaled_study
+from tolerancing.run.run import run_study
+from tolerancing.store.store import open_store
 from tolerancing.study.evaluate import context_of, score_trials
-from tolerancing.study.files import load_study
+from tolerancing.study.files import load_study, save_study
 
 
 @pytest.fixture
@@ -51,7 +53,7 @@ def test_unknown_weights_are_refused(loaded, trials):
 
 def test_the_study_written_has_the_scaled_widths(loaded, tmp_path):
     path = tmp_path / "scaled.toml"
-    write_scaled_study(loaded, np.array([0.5, 2.0]), path)
+    save_study(scaled_study(loaded, np.array([0.5, 2.0])), path)
     again = load_study(path)
     shapes = [p.distribution for p in again.study.perturbations]
     assert (shapes[0].sigma, shapes[1].sigma, shapes[1].limit) == (0.01, 0.02, 0.04)
@@ -70,5 +72,17 @@ def test_measured_deviations_cannot_be_scaled(write_study, ray_study, tmp_path):
     )
     loaded = load_study(write_study(text))
     with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
-        write_scaled_study(loaded, np.array([0.5, 2.0]), tmp_path / "scaled.toml")
-    assert not (tmp_path / "scaled.toml").exists()
+        scaled_study(loaded, np.array([0.5, 2.0]))
+
+
+def test_a_store_is_asked_for_its_budget(loaded, tmp_path):
+    run_study(loaded, tmp_path / "a.db", workers=1, trials=200)
+    with open_store(tmp_path / "a.db") as store:
+        found = budget(store, 0.7, {"shop_radius_mm": 2.0}, fresh=200)
+        trials = store.trials()
+        study = store.study
+    again = budget_of_study(
+        loaded.lens, study, trials.values, trials.scores, 0.7, {"shop_radius_mm": 2.0}, fresh=200
+    )
+    assert np.array_equal(found.budget.scales, again.budget.scales)
+    assert found.verified == again.verified

@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.inverse import PRECISION, inverse_limits
+from tolerancing.analysis.limits import PRECISION, inverse, inverse_limits
+from tolerancing.analysis.scorer import StudyScorer
 from tolerancing.merits.base import Merit
+from tolerancing.study.evaluate import context_of
+from tolerancing.study.files import load_study
 
 CONTRAST = Merit(kind="contrast", at_least=0.7)
 SPREAD = Merit(kind="spread_deg", at_most=5.0)
@@ -100,3 +103,25 @@ def test_a_nominal_lens_that_misses_its_limit_is_refused():
 def test_what_is_out_of_range_is_refused(more):
     with pytest.raises(InputError, match=next(iter(more))):
         inverse_limits(lambda x: x, [0.0], [1.0], SPREAD, 0, **more)
+
+
+def test_limits_of_a_study_are_where_its_merits_are(write_study, ray_study):
+    loaded = load_study(write_study(ray_study))
+    counted = []
+    found = inverse(loaded, "largest_spread_deg", report=counted.append)
+    (limits,) = found.limits.values()
+    scorer = StudyScorer(context_of(loaded.lens, loaded.study), loaded.study)
+    score = scorer(np.array([[limits[0].above, 0.0], [limits[0].above * (1.0 + 2.0 * PRECISION), 0.0]]))[:, 0]
+    assert score[0] <= 4.83 < score[1]
+    assert found.as_dict()["largest_spread_deg"]["lens_decenter_y_mm"]["above"] == limits[0].above
+    assert sum(counted) > 4
+    tighter = inverse(loaded, change=1e-3).limits["largest_spread_deg"]
+    assert tighter[0].above < limits[0].above
+
+
+def test_what_a_study_does_not_have_is_refused(write_study, full_study):
+    loaded = load_study(write_study(full_study))
+    with pytest.raises(InputError, match="merit = 'speed': there is no such merit; allowed: largest_spread"):
+        inverse(loaded, "speed")
+    with pytest.raises(InputError, match=r"change = 0\.1: is in one merit's unit; name the merit: largest_s"):
+        inverse(loaded, change=0.1)

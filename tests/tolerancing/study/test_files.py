@@ -1,9 +1,13 @@
 """Study files: what is read, and every fault with its place and what is allowed."""
 
+import shutil
+import tomllib
+
 import pytest
+from places import DESIGNS
 
 from lensdesign import DesignError
-from tolerancing.study.files import load_from_files, load_study
+from tolerancing.study.files import load_from_files, load_study, save_study
 
 
 def test_study_is_read_with_its_design(write_study, full_study):
@@ -200,3 +204,19 @@ def test_files_that_lead_out_of_the_folder_are_refused(write_study, ray_study, t
 def make(folder):
     folder.mkdir()
     return folder
+
+
+@pytest.mark.parametrize("name", ["paper_tolerances.toml", "paper_figure_7.toml"])
+def test_a_study_that_was_saved_is_the_same(name, tmp_path):
+    study = load_study(DESIGNS / name).study
+    shutil.copy(DESIGNS / study.design, tmp_path)
+    save_study(study, tmp_path / "again.toml")
+    assert load_study(tmp_path / "again.toml").study == study
+    assert tomllib.loads((tmp_path / "again.toml").read_text()) == tomllib.loads((DESIGNS / name).read_text())
+
+
+def test_a_study_changed_in_memory_is_saved(write_study, full_study):
+    path = write_study(full_study)
+    study = load_study(path).study
+    save_study(study.replaced(trials=7), path)
+    assert load_study(path).study == study.replaced(trials=7)

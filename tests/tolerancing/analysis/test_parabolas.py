@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.sensitivity import (
+from tolerancing.analysis.parabolas import (
     compare_with_trials,
+    fit_sensitivity,
     root_sum_square,
-    sensitivities,
     sensitivity_points,
 )
 from tolerancing.merits.base import Merit
@@ -25,7 +25,7 @@ AT_MOST = Merit(kind="spread", at_most=5.0)
 def measure(scorer, tolerance, deviation, **more):
     d = len(tolerance)
     scores = scorer(sensitivity_points(tolerance)).reshape(d, len(STEPS), -1)
-    return sensitivities(scorer(np.zeros((1, d)))[0], scores, tolerance, deviation, **more)
+    return fit_sensitivity(scorer(np.zeros((1, d)))[0], scores, tolerance, deviation, **more)
 
 
 def test_points_step_each_perturbation_alone():

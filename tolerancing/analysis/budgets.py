@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from tolerancing.analysis.budget import Budget, loosest_tolerances
 from tolerancing.analysis.response import Response, fit_response
-from tolerancing.analysis.scorer import StudyScorer, scatter_of
+from tolerancing.analysis.scorer import Report, StudyScorer, scatter_of
+from tolerancing.analysis.tolerance_search import Budget, loosest_tolerances
 from tolerancing.analysis.yields import Yield, yield_of
 from tolerancing.perturbations.draws import probabilities
+from tolerancing.store.store import Store
 from tolerancing.study.evaluate import context_of
-from tolerancing.study.files import LoadedStudy
+from tolerancing.study.files import LoadedStudy, study_from_tables
 from tolerancing.study.study import Study
 
 Array = NDArray[np.float64]
@@ -48,6 +48,43 @@ class StudyBudget:
     verified: Yield
 
 
+def budget(
+    store: Store,
+    required: float,
+    weights: Mapping[str, float] | None = None,
+    *,
+    fresh: int = 500,
+    report: Report | None = None,
+) -> StudyBudget:
+    """The loosest tolerances that keep a yield, from the trials of a store.
+
+    :func:`scaled_study` gives the study that has them.
+
+    Parameters
+    ----------
+    store
+        An open store.
+    required, weights, fresh, report
+        As of :func:`budget_of_study`.
+
+    Raises
+    ------
+    InputError
+        As of :func:`budget_of_study`.
+    """
+    loaded, trials = store.loaded, store.trials()
+    return budget_of_study(
+        loaded.lens,
+        loaded.study,
+        trials.values,
+        trials.scores,
+        required,
+        weights,
+        fresh=fresh,
+        report=report,
+    )
+
+
 def budget_of_study(
     lens: Lens,
     study: Study,
@@ -57,7 +94,7 @@ def budget_of_study(
     weights: Mapping[str, float] | None = None,
     *,
     fresh: int = 500,
-    report: Callable[[int], None] | None = None,
+    report: Report | None = None,
 ) -> StudyBudget:
     """The loosest tolerances of a study whose yield's interval lies above what is required.
 
@@ -113,39 +150,35 @@ def budget_of_study(
     return StudyBudget(budget, response, good)
 
 
-def write_scaled_study(loaded: LoadedStudy, scales: Array, path: Path) -> None:
-    """Write a study with each perturbation's distribution scaled; comments of the file do not last.
+def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
+    """The study of a file with each perturbation's distribution scaled, to four digits.
 
     Parameters
     ----------
     loaded
         The study.
-    scales
+    scales : ndarray, shape (perturbations,)
         Of the widths of the distributions.
-    path
-        The file; the design and other files are named as in the study, from the same folder.
 
     Raises
     ------
     InputError
-        If a distribution has no width to scale, or the file cannot be written.
+        If a distribution has no width to scale.
     """
-    import tomli_w
-
-    tables = tomllib.loads(loaded.study_text)
-    for table, perturbation, scale in zip(
-        tables["perturbation"], loaded.study.perturbations, scales, strict=True
-    ):
-        widths = perturbation.distribution.widths
-        if not widths:
+    study = study_from_tables(tomllib.loads(loaded.study_text), loaded.name)
+    perturbations = []
+    for perturbation, scale in zip(study.perturbations, scales, strict=True):
+        distribution = perturbation.distribution
+        if not distribution.widths:
             raise InputError(
                 f"{perturbation.column}: a measured distribution has no width in the study file to scale; "
                 "give it another distribution"
             )
-        scaled = perturbation.distribution.scaled(float(scale))
-        table.update({name: float(f"{getattr(scaled, name):.4g}") for name in widths})
-    with atomic_path(path) as temporary:
-        temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        scaled = distribution.scaled(float(scale))
+        widths = {name: float(f"{getattr(scaled, name):.4g}") for name in distribution.widths}
+        changed = distribution.model_copy(update=widths)
+        perturbations.append(perturbation.model_copy(update={"distribution": changed}))
+    return study.model_copy(update={"perturbations": tuple(perturbations)})
 
 
 def _deviations(study: Study, trials: range) -> Array:
