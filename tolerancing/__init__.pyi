@@ -1,22 +1,55 @@
-from .analysis.summary import summarize
+from .analysis.budgets import StudyBudget, budget, scaled_study
+from .analysis.limits import StudyLimits, inverse
+from .analysis.sensitivities import StudySensitivity, sensitivity
+from .analysis.summary import Summary, summarize
+from .analysis.trial import SingleTrial, single_trial
+from .analysis.yields import Yield
+from .merits.base import Merit
 from .perturbations.batch import PerturbationBatch, Realisation
+from .perturbations.distributions import Distribution
+from .perturbations.parameters import Perturbation
+from .report.figures.one_trial import write_trial_figure
 from .report.report import write_report
-from .run.run import run_study
+from .run.executors import RunError
+from .run.run import RunOutcome, run_study
+from .store.export import write_steps, write_trials
 from .store.store import Store, open_store
 from .study.evaluate import realise
-from .study.files import LoadedStudy, load_study
+from .study.files import LoadedStudy, load_study, save_study
+from .study.starting import start_study
 from .study.study import Study
 
 __all__ = [
+    "Distribution",
     "LoadedStudy",
+    "Merit",
+    "Perturbation",
     "PerturbationBatch",
     "Realisation",
+    "RunError",
+    "RunOutcome",
+    "SingleTrial",
     "Store",
     "Study",
+    "StudyBudget",
+    "StudyLimits",
+    "StudySensitivity",
+    "Summary",
+    "Yield",
+    "budget",
+    "inverse",
     "load_study",
     "open_store",
     "realise",
     "run_study",
+    "save_study",
+    "scaled_study",
+    "sensitivity",
+    "single_trial",
+    "start_study",
     "summarize",
     "write_report",
+    "write_steps",
+    "write_trial_figure",
+    "write_trials",
 ]

@@ -1,1 +1,5 @@
-"""What a store says: yields, sensitivities, inverse limits, budgets."""
+"""What a store says: yields, sensitivities, inverse limits, budgets, and one trial again."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.notebook import html_table
 from tolerancing.analysis.yields import CONFIDENCE, Yield, yield_of
 from tolerancing.merits.base import Merit
 from tolerancing.study.results import TrialResults
@@ -49,7 +50,7 @@ class MeritSummary:
     percentiles: dict[int, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Summary:
     """A store in a few numbers.
 
@@ -77,6 +78,23 @@ class Summary:
     merits: tuple[MeritSummary, ...]
     steps: int
     planned_steps: int
+
+    def __repr__(self) -> str:
+        return f"Summary({self._title!r}, all limits: {_yield_text(self.good)})"
+
+    def _repr_html_(self) -> str:
+        rows = [("all limits", _yield_text(self.good))]
+        for own in self.merits:
+            median = own.percentiles.get(50)
+            numbers = "" if median is None else f"; median {median:.4g}"
+            numbers += "" if own.nominal is None else f"; nominal {own.nominal:.4g}"
+            rows.append((own.merit.column, f"{own.merit.limit_text}: {_yield_text(own.good)}{numbers}"))
+        return html_table(self._title, rows, _yield_bars([self.good, *(m.good for m in self.merits)]))
+
+    @property
+    def _title(self) -> str:
+        name = self.study.title or self.study.design
+        return f"{name}: {self.trials} of {self.record.planned_trials} trials"
 
     @property
     def complete(self) -> bool:
@@ -164,6 +182,24 @@ def _merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float
         standard_deviation=float(known.std(ddof=1)) if len(known) > 1 else None,
         percentiles={p: float(v) for p, v in zip(PERCENTILES, values, strict=False)},
     )
+
+
+def _yield_text(good: Yield | None) -> str:
+    if good is None:
+        return "no trials"
+    return f"{100.0 * good.share:.1f} % good ({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %)"
+
+
+def _yield_bars(yields: Sequence[Yield | None]) -> str:
+    """A bar for each yield, from 0 to 100 %, and its interval across the end."""
+    marks = [
+        f'<rect y="{10 * k + 2}" width="{200.0 * good.share:.1f}" height="6" fill="#2a6f97"/>'
+        f'<path d="M{200.0 * good.low:.1f} {10 * k + 5}H{200.0 * good.high:.1f}" stroke="#e07a1f"/>'
+        for k, good in enumerate(yields)
+        if good is not None
+    ]
+    height = 10 * len(yields)
+    return f'<svg xmlns="http://www.w3.org/2000/svg" width="200" height="{height}">{"".join(marks)}</svg>'
 
 
 def _yield_dict(good: Yield | None) -> dict[str, Any] | None:

@@ -158,11 +158,11 @@ def export(
     steps: Annotated[bool, typer.Option("--steps", help="Sweeps, grids and the like, not trials.")] = False,
 ) -> None:
     """Write a store's trials as one table."""
-    from tolerancing.store.export import export_steps, export_store
+    from tolerancing.store.export import write_steps, write_trials
     from tolerancing.store.store import open_store
 
     with open_store(store) as opened:
-        (export_steps if steps else export_store)(opened, output)
+        (write_steps if steps else write_trials)(opened, output)
     print(f"wrote {output}")
 
 

@@ -43,7 +43,7 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
     """
     from tolerancing.report.html import html_page
     from tolerancing.report.pdf.pdf import write_pdf
-    from tolerancing.store.export import export_steps, export_store
+    from tolerancing.store.export import write_steps, write_trials
 
     folder = Path(folder)
     files = ReportFiles(
@@ -55,8 +55,8 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
     report = report_of(report_data(store))
     with ExitStack() as stack:  # all are written before the first takes its place
         temporary = {name: stack.enter_context(atomic_path(path)) for name, path in vars(files).items()}
-        export_store(store, temporary["trials_csv"])
-        export_steps(store, temporary["steps_csv"])
+        write_trials(store, temporary["trials_csv"])
+        write_steps(store, temporary["steps_csv"])
         temporary["html"].write_text(html_page(report), encoding="utf-8")
         write_pdf(report, temporary["pdf"])
     return files

@@ -189,7 +189,7 @@ def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> 
     levels = decide_levels(loaded.lens, loaded.study)
     study = loaded.study.with_levels(levels)
     nominal = nominal_scores(context_of(loaded.lens, study), study)
-    if create_store(path, loaded, nominal, planned, levels=levels, replace=fresh):
+    if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True
     return _continued(path, loaded, planned), False
 

@@ -31,8 +31,8 @@ class _Taken(Exception):
 
 
 def create_store(
-    path: Path,
     loaded: LoadedStudy,
+    path: Path,
     nominal: Mapping[str, float],
     planned_trials: int,
     *,
@@ -43,10 +43,10 @@ def create_store(
 
     Parameters
     ----------
-    path
-        Where to make it.
     loaded
         The study.
+    path
+        Where to make it.
     nominal
         Scores of the nominal lens, by merit.
     planned_trials

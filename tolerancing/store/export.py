@@ -20,7 +20,7 @@ Columns = dict[str, str]
 """Names of columns and what they hold: ``integer``, ``number``, ``flag`` or ``text``."""
 
 
-def export_store(store: Store, path: str | os.PathLike[str]) -> None:
+def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     """Write all trials, with the dear scores of those that have them.
 
     Parameters
@@ -52,7 +52,7 @@ def export_store(store: Store, path: str | os.PathLike[str]) -> None:
     _write(store, Path(path), columns, store.blocks(query))
 
 
-def export_steps(store: Store, path: str | os.PathLike[str]) -> None:
+def write_steps(store: Store, path: str | os.PathLike[str]) -> None:
     """Write all steps of sweeps, grids, slice counts and sensitivities, one row for each merit.
 
     What was varied has a column for each name; cells of other series are empty there.
@@ -60,12 +60,12 @@ def export_steps(store: Store, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     store, path
-        As of :func:`export_store`.
+        As of :func:`write_trials`.
 
     Raises
     ------
     InputError
-        As of :func:`export_store`.
+        As of :func:`write_trials`.
     """
     steps = store.steps()
     varied: Columns = {}

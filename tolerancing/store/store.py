@@ -8,6 +8,8 @@ ever added: one that is there stays as it is, whoever computes it again.
 from __future__ import annotations
 
 import json
+import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,7 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import DesignError
+from lensdesign.common.notebook import html_table
+from lensdesign.errors import DesignError, TransferLensError
 from tolerancing.store.creation import create_store
 from tolerancing.store.file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
 from tolerancing.store.schema import (
@@ -45,7 +48,7 @@ ROWS_AT_ONCE = 20_000
 """Rows that are turned into arrays, or written by an export, at a time."""
 
 
-def open_store(path: Path) -> Store:
+def open_store(path: str | os.PathLike[str]) -> Store:
     """Open a store that is there.
 
     Raises
@@ -79,6 +82,26 @@ class Store:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def __repr__(self) -> str:
+        try:
+            held, planned = self.trial_count(), self.record().planned_trials
+        except (sqlite3.Error, TransferLensError):
+            return f"Store({str(self.path)!r}, closed)"
+        return f"Store({str(self.path)!r}, {held} of {planned} trials)"
+
+    def _repr_html_(self) -> str:
+        record = self.record()
+        rows = [
+            ("study", record.name),
+            ("trials", f"{self.trial_count()} of {record.planned_trials}"),
+            ("steps of series", f"{len(self.finished_steps())}"),
+            ("begun", f"{record.created}, toolkit {record.toolkit_version}"),
+        ]
+        for merit in self.merits():
+            nominal = "none" if merit.nominal is None else f"{merit.nominal:.4g}"
+            rows.append((merit.column, f"nominal {nominal}, by {merit.engine}"))
+        return html_table(str(self.path), rows)
 
     def close(self) -> None:
         """Let go of the file."""

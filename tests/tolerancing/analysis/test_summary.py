@@ -1,5 +1,8 @@
 """Yields with their confidence intervals, statistics, rank correlations."""
 
+from dataclasses import replace
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +11,7 @@ from scipy.stats import spearmanr
 
 import tolerancing.analysis.correlation as correlation_module
 from tolerancing.analysis.correlation import rank_correlation
-from tolerancing.analysis.summary import PERCENTILES, summary_of
+from tolerancing.analysis.summary import PERCENTILES, summarize, summary_of
 from tolerancing.analysis.yields import yield_of
 from tolerancing.study.files import load_study
 from tolerancing.study.results import TrialResults
@@ -106,3 +109,17 @@ def test_constant_scores_correlate_with_nothing(write_study, ray_study):
     study = load_study(write_study(ray_study)).study
     values = np.random.default_rng(2).normal(size=(20, 2))
     assert np.all(rank_correlation(study, results_of(values, np.ones((20, 1)))).strength == 0.0)
+
+
+def test_a_summary_shows_itself(small_store):
+    summary = summarize(small_store)
+    assert repr(summary) == (
+        f"Summary('a study: 6 of 6 trials', all limits: {100.0 * summary.good.share:.1f} % good "
+        f"({100.0 * summary.good.low:.1f} to {100.0 * summary.good.high:.1f} %))"
+    )
+    page = ElementTree.fromstring(f"<div>{summary._repr_html_()}</div>")
+    assert [row.text for row in page.iter("th")] == ["all limits", "largest_spread_deg", "strehl"]
+    assert len(list(page.iter("{http://www.w3.org/2000/svg}rect"))) == 3
+    empty = replace(summary, good=None, merits=())
+    assert "no trials" in repr(empty)
+    assert "no trials" in empty._repr_html_()

@@ -307,7 +307,7 @@ def test_report_of_an_unfinished_run_says_how_far_it_is(write_study, ray_study, 
 
 
 def test_report_without_a_single_trial_is_still_a_report(write_study, full_study, tmp_path):
-    create_store(tmp_path / "store", load_study(write_study(full_study)), {"strehl": 1.0}, 40)
+    create_store(load_study(write_study(full_study)), tmp_path / "store", {"strehl": 1.0}, 40)
     with open_store(tmp_path / "store") as store:
         report = report_of(report_data(store))
         text = write_report(store, tmp_path / "out").html.read_text(encoding="utf-8")

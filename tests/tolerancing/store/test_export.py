@@ -10,7 +10,7 @@ import pytest
 
 import tolerancing.store.store as module
 from lensdesign import InputError
-from tolerancing.store.export import export_steps, export_store
+from tolerancing.store.export import write_steps, write_trials
 from tolerancing.store.store import create_store, open_store
 from tolerancing.study.files import load_study
 from tolerancing.study.results import DearResults, StepResults, TrialResults
@@ -31,7 +31,7 @@ FORMULAS = ("=1+1", "+cmd", "-2", "@sum", "\ttab", "plain = text", "")
 @pytest.fixture
 def store(write_study, full_study, tmp_path):
     path = tmp_path / "a.store"
-    create_store(path, load_study(write_study(full_study + DEAR)), {}, TRIALS)
+    create_store(load_study(write_study(full_study + DEAR)), path, {}, TRIALS)
     with open_store(path) as opened:
         opened.add(some_trials(), some_dear(), *some_steps())
         yield opened
@@ -66,8 +66,8 @@ def exactly(cell):
 
 def test_both_formats_hold_all_rows_bit_by_bit(store, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ROWS_AT_ONCE", 5)
-    export_store(store, tmp_path / "t.csv")
-    export_store(store, tmp_path / "t.parquet")
+    write_trials(store, tmp_path / "t.csv")
+    write_trials(store, tmp_path / "t.parquet")
     binary = pd.read_parquet(tmp_path / "t.parquet")
     text = pd.read_csv(
         tmp_path / "t.csv", converters={c: exactly for c in binary if binary[c].dtype == float}
@@ -91,8 +91,8 @@ def test_both_formats_hold_all_rows_bit_by_bit(store, tmp_path, monkeypatch):
 def test_a_missing_score_is_empty_or_null(store, tmp_path):
     import pyarrow.parquet as pq
 
-    export_store(store, tmp_path / "t.csv")
-    export_store(store, tmp_path / "t.parquet")
+    write_trials(store, tmp_path / "t.csv")
+    write_trials(store, tmp_path / "t.parquet")
     with (tmp_path / "t.csv").open(newline="") as file:
         first, second, *_ = csv.DictReader(file)
     assert first["strehl"] == ""
@@ -103,8 +103,8 @@ def test_a_missing_score_is_empty_or_null(store, tmp_path):
 
 
 def test_no_text_in_csv_is_a_formula(store, tmp_path):
-    export_store(store, tmp_path / "t.csv")
-    export_steps(store, tmp_path / "s.csv")
+    write_trials(store, tmp_path / "t.csv")
+    write_steps(store, tmp_path / "s.csv")
     cells = []
     for name in ("t.csv", "s.csv"):
         with (tmp_path / name).open(newline="") as file:
@@ -115,8 +115,8 @@ def test_no_text_in_csv_is_a_formula(store, tmp_path):
 
 
 def test_steps_have_a_row_for_each_merit(store, tmp_path):
-    export_steps(store, tmp_path / "s.csv")
-    export_steps(store, tmp_path / "s.parquet")
+    write_steps(store, tmp_path / "s.csv")
+    write_steps(store, tmp_path / "s.parquet")
     for table in (pd.read_csv(tmp_path / "s.csv"), pd.read_parquet(tmp_path / "s.parquet")):
         assert list(table) == [
             "series", "step", "compensation", "slices", "decenter_y_mm", "merit", "score", "message",
@@ -130,11 +130,11 @@ def test_steps_have_a_row_for_each_merit(store, tmp_path):
 
 
 def test_an_empty_store_has_columns_alone(write_study, full_study, tmp_path):
-    create_store(tmp_path / "empty", load_study(write_study(full_study)), {}, 4)
+    create_store(load_study(write_study(full_study)), tmp_path / "empty", {}, 4)
     with open_store(tmp_path / "empty") as empty:
-        export_store(empty, tmp_path / "t.csv")
-        export_store(empty, tmp_path / "t.parquet")
-        export_steps(empty, tmp_path / "s.csv")
+        write_trials(empty, tmp_path / "t.csv")
+        write_trials(empty, tmp_path / "t.parquet")
+        write_steps(empty, tmp_path / "s.csv")
     assert len(pd.read_csv(tmp_path / "t.csv")) == len(pd.read_parquet(tmp_path / "t.parquet")) == 0
     assert "strehl" in pd.read_csv(tmp_path / "t.csv")
     assert "score" in pd.read_csv(tmp_path / "s.csv")
@@ -142,20 +142,20 @@ def test_an_empty_store_has_columns_alone(write_study, full_study, tmp_path):
 
 def test_other_endings_are_refused(store, tmp_path):
     with pytest.raises(InputError, match=r"\.csv and \.parquet"):
-        export_store(store, tmp_path / "t.xlsx")
+        write_trials(store, tmp_path / "t.xlsx")
 
 
 def test_the_store_itself_is_not_overwritten(store, tmp_path):
     (tmp_path / "link.csv").symlink_to(store.path)
     with pytest.raises(InputError, match="the store itself"):
-        export_store(store, tmp_path / "link.csv")
+        write_trials(store, tmp_path / "link.csv")
     assert len(store.trials()) == TRIALS
 
 
 def test_missing_pyarrow_is_told_and_nothing_is_written(store, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(InputError, match="extra parquet"):
-        export_store(store, tmp_path / "t.parquet")
+        write_trials(store, tmp_path / "t.parquet")
     assert not list(tmp_path.glob("*.parquet"))
 
 
@@ -168,6 +168,6 @@ def test_a_file_that_was_there_stays_when_an_export_breaks_off(store, tmp_path, 
 
     monkeypatch.setattr(store, "blocks", broken)
     with pytest.raises(KeyboardInterrupt):
-        export_store(store, tmp_path / "t.csv")
+        write_trials(store, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == "mine"
     assert sorted(p.name for p in tmp_path.glob("*.csv")) == ["t.csv"]

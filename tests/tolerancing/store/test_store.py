@@ -35,7 +35,7 @@ def loaded(write_study, full_study):
 @pytest.fixture
 def path(loaded, tmp_path):
     path = tmp_path / "a.store"
-    create_store(path, loaded, {"largest_spread_deg": 4.8, "strehl": 1.0}, 40)
+    create_store(loaded, path, {"largest_spread_deg": 4.8, "strehl": 1.0}, 40)
     return path
 
 
@@ -194,7 +194,7 @@ def test_a_store_holds_its_study_and_needs_no_other_file(path, loaded, tmp_path)
 
 
 def test_levels_are_as_they_were_decided(loaded, tmp_path):
-    create_store(tmp_path / "b.store", loaded, {}, 40, levels={"fine_contrast": "pupil"})
+    create_store(loaded, tmp_path / "b.store", {}, 40, levels={"fine_contrast": "pupil"})
     with open_store(tmp_path / "b.store") as store:
         assert {m.label: m.level for m in store.study.all_merits} == {
             "largest_spread_deg": "ray", "strehl": "pupil", "fine_contrast": "pupil",
@@ -205,7 +205,7 @@ def test_no_store_appears_when_making_one_fails(loaded, tmp_path, monkeypatch):
     target = tmp_path / "new" / "b.store"
     monkeypatch.setattr(creation, "SCHEMA", creation.SCHEMA + "CREATE TABLE study (again INTEGER);")
     with pytest.raises(InputError, match="cannot write the store"):
-        create_store(target, loaded, {}, 40)
+        create_store(loaded, target, {}, 40)
     assert list(target.parent.iterdir()) == []
 
 
@@ -336,7 +336,7 @@ def test_log_that_was_left_behind_is_played_in(path):
 
 def test_a_fresh_store_takes_nothing_from_the_log_of_the_one_before(path, loaded):
     left_behind(path, 0, 500)
-    assert create_store(path, loaded, {}, 40)
+    assert create_store(loaded, path, {}, 40)
     assert not path.with_name("a.store-wal").exists()
     with open_store(path) as store:
         assert store.trial_count() == 0
@@ -351,7 +351,7 @@ def test_a_log_whose_store_is_gone_or_damaged_is_not_played_in(path, loaded, dam
         path.write_bytes(path.read_bytes()[:200] + b"\xff" * 5000)
     else:
         path.unlink()
-    assert create_store(path, loaded, {}, 40, replace=damaged)
+    assert create_store(loaded, path, {}, 40, replace=damaged)
     with open_store(path) as store:
         assert store.trial_count() == 0
         assert store._connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
@@ -363,7 +363,7 @@ def test_a_store_in_use_is_not_replaced(path, loaded, monkeypatch):
         store.start_writing()
         store.add(some_trials(0, 5))
         with pytest.raises(InputError, match="another process has it open"):
-            create_store(path, loaded, {}, 40)
+            create_store(loaded, path, {}, 40)
         store.add(some_trials(5, 5))
     with open_store(path) as store:
         assert store.trial_count() == 10
@@ -371,9 +371,9 @@ def test_a_store_in_use_is_not_replaced(path, loaded, monkeypatch):
 
 def test_of_two_that_make_a_store_the_second_finds_that_of_the_first(path, loaded, tmp_path):
     before = path.read_bytes()
-    assert not create_store(path, loaded, {}, 40, replace=False)
+    assert not create_store(loaded, path, {}, 40, replace=False)
     assert path.read_bytes() == before
-    assert create_store(tmp_path / "b.store", loaded, {}, 40, replace=False)
+    assert create_store(loaded, tmp_path / "b.store", {}, 40, replace=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.store", "b.store", "design.toml", "study.toml"]
 
 
@@ -398,3 +398,13 @@ def test_coordinates_are_json(path):
     with sqlite3.connect(path) as connection:
         (text,) = connection.execute("SELECT coordinates FROM step").fetchone()
     assert json.loads(text) == {"perturbation": "shop_radius_mm", "deviation": 0.04}
+
+
+def test_a_store_shows_itself(small_store):
+    assert repr(small_store) == f"Store({str(small_store.path)!r}, 6 of 6 trials)"
+    shown = small_store._repr_html_()
+    for text in ("study.toml", "6 of 6", "largest_spread_deg", "strehl", "nominal 1,"):
+        assert text in shown
+    other = open_store(small_store.path)
+    other.close()
+    assert repr(other) == f"Store({str(small_store.path)!r}, closed)"

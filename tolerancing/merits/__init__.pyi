@@ -1,0 +1,32 @@
+from .base import Merit
+from .chain import ReconstructedContrast
+from .compensators import Compensator
+from .context import Context, Sampling
+from .line_pairs import LinePairContrast
+from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
+from .python import PythonMerit, Trial
+from .rays import FootprintRadius, LargestSpread, RayMerit, Throughput
+from .registry import MERITS, merit_from_table
+
+__all__ = [
+    "MERITS",
+    "Compensator",
+    "Context",
+    "FootprintRadius",
+    "ImageShift",
+    "LargestSpread",
+    "LinePairContrast",
+    "Merit",
+    "ModulationTransfer",
+    "PupilMerit",
+    "PythonMerit",
+    "RayMerit",
+    "ReconstructedContrast",
+    "RmsWaves",
+    "Sampling",
+    "SmallestResolvedLine",
+    "Strehl",
+    "Throughput",
+    "Trial",
+    "merit_from_table",
+]

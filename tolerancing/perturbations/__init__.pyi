@@ -1,0 +1,24 @@
+from .batch import PerturbationBatch, Realisation, batch_of
+from .dependence import Correlation, Dependence
+from .distributions import DISTRIBUTIONS, Distribution
+from .draws import DRAWS, probabilities
+from .grades import GRADES, starting_study
+from .parameters import PARAMETERS, Perturbation, PerturbedParameter, perturbation_from_table
+
+__all__ = [
+    "DISTRIBUTIONS",
+    "DRAWS",
+    "GRADES",
+    "PARAMETERS",
+    "Correlation",
+    "Dependence",
+    "Distribution",
+    "Perturbation",
+    "PerturbationBatch",
+    "PerturbedParameter",
+    "Realisation",
+    "batch_of",
+    "perturbation_from_table",
+    "probabilities",
+    "starting_study",
+]

@@ -1,0 +1,37 @@
+from .evaluate import context_of, decide_levels, nominal_scores, realise, score_dear, score_step, score_trials
+from .files import LoadedStudy, load_from_files, load_study, save_study
+from .results import DearResults, Picture, StepResults, TrialResults
+from .scoring import score_batch
+from .series import Series
+from .slice_counts import SliceCounts
+from .starting import start_study
+from .study import Fidelity, Study
+from .sweep import STEPS, OneAtATime, ParameterGrid, Sweep
+
+__all__ = [
+    "STEPS",
+    "DearResults",
+    "Fidelity",
+    "LoadedStudy",
+    "OneAtATime",
+    "ParameterGrid",
+    "Picture",
+    "Series",
+    "SliceCounts",
+    "StepResults",
+    "Study",
+    "Sweep",
+    "TrialResults",
+    "context_of",
+    "decide_levels",
+    "load_from_files",
+    "load_study",
+    "nominal_scores",
+    "realise",
+    "save_study",
+    "score_batch",
+    "score_dear",
+    "score_step",
+    "score_trials",
+    "start_study",
+]
