@@ -1,1 +1,5 @@
 """What rays say of a lens: matching (Eq. 1), spread (Eq. 2), arrival, first order, form errors, the check."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Lenses found from a specification, by nlopt."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

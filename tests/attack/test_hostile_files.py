@@ -18,13 +18,14 @@ import pytest
 import tomli_w
 from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 
-from lensdesign import InputError, Lens, Surface, load_design, read_figure_grid
+from lensdesign import InputError, Lens, Surface, load_design
 from lensdesign.cli.commands import main
 from lensdesign.common.input_files import CATALOG_BYTES, LENS_FILE_BYTES, MESH_BYTES, TABLE_BYTES, TOML_BYTES
 from lensdesign.common.text import safe_cell, visible
 from lensdesign.errors import atomic_path
 from lensdesign.fabrication.drawing.sheets import lens_drawing, write_drawing
 from lensdesign.fabrication.mesh.reading import read_mesh
+from lensdesign.files import read_figure_grid
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lensdesign import Lens, ObjectSpace, Pose, Sensor, SurfacePerturbation, figure_from_zernike, load_design
+from lensdesign import Lens, ObjectSpace, Pose, Sensor, SurfacePerturbation, load_design
 from lensdesign.errors import InputError
+from lensdesign.lens import figure_from_zernike
 from lensdesign.tracing.bundles import launch
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import trace

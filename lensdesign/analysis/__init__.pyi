@@ -1,0 +1,25 @@
+from .check import check_design
+from .form_error import form_errors, pv_rms_waves
+from .matching import match, spread_limit_sine
+from .paraxial import cardinal_points, first_order
+from .report import CheckReport
+from .sag_tables import SagTable, sag_table, write_sag_table
+from .spread import footprint, largest_spread, observation_distance_mm, rms_spot_diameter
+
+__all__ = [
+    "CheckReport",
+    "SagTable",
+    "cardinal_points",
+    "check_design",
+    "first_order",
+    "footprint",
+    "form_errors",
+    "largest_spread",
+    "match",
+    "observation_distance_mm",
+    "pv_rms_waves",
+    "rms_spot_diameter",
+    "sag_table",
+    "spread_limit_sine",
+    "write_sag_table",
+]

@@ -1,0 +1,22 @@
+from .drawing.sheets import DrawingOptions, lens_drawing, write_drawing
+from .drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from .mesh.mesh import lens_mesh, write_mesh
+from .mesh.reading import TriangleMesh, read_mesh
+from .mesh.verification import MeshReport, verify_mesh
+from .step.export import StepReport, write_step
+
+__all__ = [
+    "DrawingOptions",
+    "DrawingTolerances",
+    "MeshReport",
+    "StepReport",
+    "SurfaceTolerances",
+    "TriangleMesh",
+    "lens_drawing",
+    "lens_mesh",
+    "read_mesh",
+    "verify_mesh",
+    "write_drawing",
+    "write_mesh",
+    "write_step",
+]
