@@ -2,10 +2,7 @@ from .calibration.estimation import (
     Calibrated,
     calibrate,
 )
-from .calibration.mounting import (
-    Mounting,
-    read_mounting,
-)
+from .calibration.from_frames import calibrate_frames
 from .camera.exposures import (
     Electronics,
     SaturationWarning,
@@ -18,8 +15,13 @@ from .camera.frame_sets import (
     recorded_planes,
 )
 from .camera.frames import Frame, FrameSettings, read_frame, write_frame
+from .camera.imaging import Imaged, image
+from .camera.mounting import (
+    Mounting,
+    read_mounting,
+)
 from .camera.recorded import Recorded, recorded_intensity
-from .camera.recording import Imaged, Recording, image_patch
+from .camera.recording import Recording, image_patch
 from .camera.sensor import (
     FootprintWarning,
     record,
@@ -105,7 +107,9 @@ from .pupil.pupil import (
 from .pupil.ray_aiming import RayAimError
 from .rays.ray_bundles import FoldError
 from .reconstruction.bootstrap import uncertainty
+from .reconstruction.found import FoundObject
 from .reconstruction.from_field import Retrieved, agreement, retrieval_bytes, retrieve
+from .reconstruction.from_frames import reconstruct_frames
 from .reconstruction.from_object import Reconstructed, prox_tv, reconstruct
 from .reconstruction.memory import reconstruction_bytes
 from .reconstruction.refocusing import Refocusing, refocus_field, svfg
@@ -127,6 +131,7 @@ __all__ = [
     "Field",
     "FoldError",
     "FootprintWarning",
+    "FoundObject",
     "Frame",
     "FrameSettings",
     "Grid",
@@ -169,6 +174,7 @@ __all__ = [
     "bar_contrast",
     "bars_field",
     "calibrate",
+    "calibrate_frames",
     "chain_contrast",
     "check_propagation",
     "choose",
@@ -183,6 +189,7 @@ __all__ = [
     "field_stop",
     "frame_layer",
     "gaussian_beam",
+    "image",
     "image_patch",
     "line_pair_contrast",
     "line_pair_displacement_um",
@@ -211,6 +218,7 @@ __all__ = [
     "read_frames",
     "read_mounting",
     "reconstruct",
+    "reconstruct_frames",
     "reconstruction_bytes",
     "record",
     "record_exposures",

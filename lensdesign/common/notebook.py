@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.text import visible
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MOST_PIXELS = 200
+"""Of a picture's longer side."""
 
 
 def html_table(title: str, rows: Sequence[tuple[str, str]], picture: str = "") -> str:
@@ -27,3 +34,25 @@ def html_table(title: str, rows: Sequence[tuple[str, str]], picture: str = "") -
         for name, value in rows
     )
     return f"<table>{heading}{''.join(lines)}</table>{picture}"
+
+
+def html_picture(values: NDArray[Any]) -> str:
+    """A small grey picture of moduli as an HTML image, for :func:`html_table`.
+
+    Parameters
+    ----------
+    values : ndarray, shape (ny, nx)
+        From 0, black, to the largest modulus, white; the first row is shown at the bottom.
+    """
+    import base64
+    import io
+
+    import numpy as np
+    from PIL import Image
+
+    every = -(-max(values.shape) // MOST_PIXELS)
+    shown = np.abs(values[::every, ::every])[::-1]
+    grey = np.clip(255.0 * shown / max(float(shown.max()), 1e-300), 0.0, 255.0).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(grey).save(file, "png")
+    return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from lensdesign.errors import DesignError
+from lensdesign.errors import DesignError, InputError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False)]
@@ -31,9 +31,16 @@ class Section(BaseModel):
         try:
             return type(self)(**(values | changes))
         except ValidationError as error:
-            faults = [": ".join([*map(str, fault["loc"]), fault["msg"]]) for fault in error.errors()]
-            text = "; ".join(faults).replace("Value error, ", "").replace("Input should", "must")
-            raise DesignError(text) from None
+            text = "; ".join(_told(fault) for fault in error.errors())
+            raise DesignError(text.replace("Value error, ", "").replace("Input should", "must")) from None
+
+
+def _told(fault: Any) -> str:
+    """What is wrong, and where, unless it says so itself."""
+    refused = fault.get("ctx", {}).get("error")
+    if isinstance(refused, InputError):
+        return str(refused)
+    return ": ".join([*map(str, fault["loc"]), fault["msg"]])
 
 
 def tuples(value: Any) -> Any:

@@ -36,8 +36,8 @@ from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store
 from tolerancing.study.files import load_study
-from wavesim.calibration.mounting import read_mounting
 from wavesim.camera.frames import read_frame
+from wavesim.camera.mounting import read_mounting
 from wavesim.cli.commands import main as wavesim_main
 from wavesim.objects.targets import read_grey
 

@@ -15,8 +15,8 @@ from wavesim.camera.recording import Recording, image_patch
 from wavesim.camera.windows import exit_scene, sensor_window
 from wavesim.cli.commands import main
 from wavesim.engines.choosing import engine_for
+from wavesim.fields.files import write_field
 from wavesim.objects.patch import make_illumination, make_target, object_patch
-from wavesim.pictures.field_files import write_field
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
@@ -41,16 +41,16 @@ def write_frames(folder: Path, pose: Pose = Pose()) -> None:
     light = make_illumination(patch)
     sensor = sensor_window(lens, patch, PLANES_MM, PIXELS)
     scene = exit_scene(lens, patch, sensor, PLANES_MM[0], pose, oversampling=2)
-    made = image_patch(
+    frames, _ = image_patch(
         engine_for(scene, "eikonal", error=0.3),
         light.with_values(light.values * target.transmission.values),
         sensor,
         [sensor, sensor],
         Recording(PLANES_MM, Electronics(full_well_electrons=1e6, read_noise_electrons=1.0, bits=16), 1),
     )
-    for number, frame in enumerate(made.frames, start=1):
+    for number, frame in enumerate(frames, start=1):
         write_frame(frame, folder / f"frame_{number}.tif")
-    write_field(folder / "object.npz", target.transmission)
+    write_field(target.transmission, folder / "object.npz")
 
 
 def frames_and_design(folder: Path) -> tuple[object, ...]:

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.mounting import DECENTERS, TILTS, Mounting, refuse_parameters
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum, interpolated_minimum
+from wavesim.camera.mounting import DECENTERS, TILTS, Mounting, refuse_parameters
 from wavesim.camera.recorded import Recorded, weights_of
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
@@ -80,6 +80,8 @@ class Calibrated:
         Parameters that ended at the border of what was searched.
     stopped_because : str
         What ended the fine search.
+    misfit_of_noise : float or None
+        What the stated noise alone would leave (:func:`noise_misfit`).
     """
 
     mounting: Mounting
@@ -89,6 +91,7 @@ class Calibrated:
     trail: tuple[tuple[Mounting, float], ...]
     at_reach: tuple[str, ...]
     stopped_because: str
+    misfit_of_noise: float | None
 
 
 def eikonal_tiles(scene: Scene) -> Engine:
@@ -125,7 +128,7 @@ def calibrate(
     recorded
         One plane or more, at nominal distances from the exit grid.
     parameters
-        What is unknown, by the names of :func:`wavesim.calibration.mounting.parameter_names`.
+        What is unknown, by the names of :func:`wavesim.camera.mounting.parameter_names`.
     known
         Transmission of the object where it is known; left out, it is sought together with the mounting.
     kind, tv_weight, scale, active_width
@@ -175,6 +178,7 @@ def calibrate(
         trail=tuple(fine.tried),
         at_reach=at_reach,
         stopped_because=found.stopped_because,
+        misfit_of_noise=noise_misfit(recorded),
     )
 
 

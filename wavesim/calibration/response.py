@@ -11,7 +11,8 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wavesim.calibration.mounting import WORKING_DISTANCE, Mounting, gradient, motion, plane_of
+from wavesim.calibration.motion import gradient, motion
+from wavesim.camera.mounting import WORKING_DISTANCE, Mounting, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.reconstruction.recording_model import RecordingModel

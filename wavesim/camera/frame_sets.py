@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ from wavesim.camera.exposures import (
 from wavesim.camera.frames import Frame, read_frame
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.runtime.threads import row_blocks
+from wavesim.scene.settings import FrameSetSettings, SettingError
 
 SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02
 """Share of a plane's pixels that may be clipped in all of its frames: from the first on it is told, beyond
@@ -65,31 +66,37 @@ class PlaneFrames:
     saturated_share: float
 
 
-def read_frames(paths: Sequence[Path], given: Sequence[Mapping[str, Any]]) -> tuple[Frame, ...]:
+def read_frames(
+    paths: Sequence[Path], settings: FrameSetSettings | None = None, **changes: Any
+) -> tuple[Frame, ...]:
     """Frames in the order of their planes, those of one plane by exposure, checked to belong together.
 
     Parameters
     ----------
     paths
         TIFF files.
-    given
-        For each, the settings that stand in for what it does not say.
+    settings
+        What stands in for what they do not say.
+    **changes
+        Settings by name, in place of those of `settings`.
 
     Raises
     ------
     InputError
         If a file cannot be read or is named twice, two frames differ in size, pitch or wavelength, those of
-        one plane show different pictures, a frame is empty, or a plane is saturated in all of its frames.
+        one plane show different pictures, a frame is empty, or a plane is saturated in all of its frames; or
+        if there are not as many distances or exposures as frames.
 
     Warns
     -----
     SaturationWarning
         If a few pixels are clipped in all frames of a plane.
     """
+    given = _given(len(paths), (settings or FrameSetSettings()).replaced(**changes))
     for number, path in enumerate(paths):
         if path in paths[:number]:
             raise InputError(f"{path}: is named twice: a frame counts once")
-    frames = [read_frame(path, **settings) for path, settings in zip(paths, given, strict=True)]
+    frames = [read_frame(path, **own) for path, own in zip(paths, given, strict=True)]
     _refuse_unlike(paths, frames)
     order = sorted(
         zip(paths, frames, strict=True),
@@ -101,6 +108,19 @@ def read_frames(paths: Sequence[Path], given: Sequence[Mapping[str, Any]]) -> tu
             _refuse_other_picture(shorter, longer)
         _check_saturation(plane)
     return tuple(frame for _, frame in order)
+
+
+def _given(count: int, settings: FrameSetSettings) -> list[dict[str, Any]]:
+    """For each frame, the settings that stand in for what it does not say."""
+    told = settings.model_dump(exclude_none=True)
+    for name in ("plane_distance_mm", "exposure"):
+        if name in told and len(told[name]) != count:
+            said = ",".join(f"{number:g}" for number in told[name])
+            raise SettingError(f"{{{name}}} = {said!r}: must be {count} numbers, one of each frame")
+    return [
+        {name: value[frame] if isinstance(value, tuple) else value for name, value in told.items()}
+        for frame in range(count)
+    ]
 
 
 def _refuse_unlike(paths: Sequence[Path], frames: Sequence[Frame]) -> None:

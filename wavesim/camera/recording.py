@@ -47,25 +47,6 @@ Progress = Callable[[str, int, int], None]
 """Told what is done, how many parts of it are, and of how many."""
 
 
-@dataclass(frozen=True, eq=False)
-class Imaged:
-    """Frames, and how they came about.
-
-    Attributes
-    ----------
-    engine : Engine
-        That carried the light to the first plane.
-    frames : tuple of Frame
-        As recorded: plane by plane, and of each plane its exposures.
-    share_beyond_pixels : float
-        Share of the light's energy on the first plane at frequencies beyond those that pixels resolve.
-    """
-
-    engine: Engine
-    frames: tuple[Frame, ...]
-    share_beyond_pixels: float
-
-
 @dataclass(frozen=True)
 class Recording:
     """How the sensor records.
@@ -116,7 +97,7 @@ def image_patch(
     *,
     folder: Path | None = None,
     scratch: Scratch | None = None,
-) -> Imaged:
+) -> tuple[tuple[Frame, ...], float]:
     """Carry light from behind the object to the sensor, and record it on every plane.
 
     Parameters
@@ -140,6 +121,13 @@ def image_patch(
         a run which was cut off goes on; left out, they stay in memory.
     scratch
         Where large arrays lie.
+
+    Returns
+    -------
+    frames : tuple of Frame
+        As recorded: plane by plane, and of each plane its exposures.
+    share_beyond_pixels : float
+        Share of the light's energy on the first plane at frequencies beyond those that pixels resolve.
 
     Raises
     ------
@@ -185,7 +173,7 @@ def image_patch(
             recording.exposures,
             recording.brightest_share,
         )
-    return Imaged(engine, tuple(frames), share)
+    return tuple(frames), share
 
 
 def drop_parts(folder: Path) -> None:

@@ -15,22 +15,16 @@ from lensdesign.files.design import load_design
 from lensdesign.lens.poses import Pose
 from wavesim.cli.calibrate import calibrate
 from wavesim.cli.compare import compare
-from wavesim.cli.engine_options import numbers
 from wavesim.cli.image import image
+from wavesim.cli.options import numbers, with_settings
 from wavesim.cli.oracle import oracle
 from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import choose, resolve
 from wavesim.cli.view import view
 
 app = make_app("Waves through spatial information transfer lenses.")
-app.command()(oracle)
-app.command()(resolve)
-app.command()(choose)
-app.command()(compare)
-app.command()(image)
-app.command()(reconstruct)
-app.command()(calibrate)
-app.command()(view)
+for command in (oracle, resolve, choose, compare, image, reconstruct, calibrate, view):
+    app.command()(with_settings(command))
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 

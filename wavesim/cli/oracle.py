@@ -7,36 +7,20 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from wavesim.cli.engine_options import (
-    Compensation,
-    Interface,
-    PitchUm,
-    Slices,
-    Spacing,
-    StepUm,
-    TileWidthMm,
-    engine_settings,
-    print_warnings,
-    settings_text,
-)
+from wavesim.cli.options import AsJson, print_warnings, settings_text
+from wavesim.scene.settings import SingleEngineDetails
 
 
 def oracle(
     engine: Annotated[str, typer.Option(help="eikonal, slices, wpm, thin-lens or no-lens.")],
+    details: SingleEngineDetails,
     oracle: Annotated[
         str, typer.Option(help="cylinder, sphere, stigmatic, plate, tilted-plate, plane or beam.")
     ] = "cylinder",
     radius_mm: Annotated[float | None, typer.Option(help="Of cylinder or sphere.")] = None,
     semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens.")] = None,
     incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,
-    slices: Slices = None,
-    compensation: Compensation = None,
-    spacing: Spacing = None,
-    tile_width_mm: TileWidthMm = None,
-    interface: Interface = None,
-    step_um: StepUm = None,
-    pitch_um: PitchUm = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Hold an engine against an exact solution.
 
@@ -51,15 +35,7 @@ def oracle(
         oracle,
         radius_mm,
         {name: value for name, value in of_oracle.items() if value is not None},
-        **engine_settings(
-            slices=slices,
-            compensation=compensation,
-            spacing=spacing,
-            tile_width_mm=tile_width_mm,
-            interface=interface,
-            step_um=step_um,
-            pitch_um=pitch_um,
-        ),
+        **details.details(),
     )
     print_warnings(result.warnings)
     if as_json:

@@ -2,171 +2,92 @@
 
 from __future__ import annotations
 
-import sys
+import csv
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from lensdesign.lens.poses import Pose
-from wavesim.cli.engine_options import (
-    Compensation,
-    Interface,
-    PitchUm,
-    Slices,
-    StepUm,
-    TileWidthMm,
-    numbers,
-    print_warnings,
-)
-from wavesim.cli.imaging_options import (
-    KINDS,
-    ActiveWidth,
-    AsJson,
-    Bits,
-    ChartAtMm,
-    Cluster,
-    DecenterXMm,
-    DecenterYMm,
-    DesignOption,
-    DespaceMm,
-    Device,
-    EngineName,
-    Error,
-    Exposure,
-    FieldStopMm,
-    Frames,
-    GainElectronsPerCount,
-    Illumination,
-    LightPitchUm,
-    LightTiltDeg,
-    MemoryGb,
-    ObjectPitchUm,
-    OffsetCounts,
-    Options,
-    Output,
-    PatchMm,
-    PivotZMm,
-    PixelPitchUm,
-    PlaneDistanceMm,
-    ReadNoiseElectrons,
-    TiltXDeg,
-    TiltYDeg,
-    WaistMm,
-    WavelengthUm,
-    chart_points,
-    engine_summary,
-    pose_of,
-    refuse_other,
-    versions,
-)
+from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
+from wavesim.cli.runs import engine_summary, memory_teller, progress, versions
+from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
 
-METHODS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
-"""Ways of reconstruction, and their starts; the first is the one that is taken."""
-
-ITERATIONS = {"paper": 500, "object": 30}
-PAPER_REFOCUS_MM = "-0.01,0.01"
+if TYPE_CHECKING:
+    from wavesim.reconstruction.found import FoundObject
+    from wavesim.runtime.memory import Memory
 
 
 def reconstruct(
     frames: Frames,
     design: DesignOption,
     output: Output,
-    method: Annotated[str, typer.Option(help="paper (Appendix A) or object.")] = "object",
-    kind: Annotated[str, typer.Option(help="object: complex or amplitude.")] = "complex",
-    iterations: Annotated[int | None, typer.Option(help="Left out: object 30, paper 500.")] = None,
-    tv_weight: Annotated[str, typer.Option(help="object: total variation, or auto: by the noise.")] = "auto",
-    start: Annotated[
-        str | None, typer.Option(help="paper: model, uniform, random; object: even, amplitude.")
-    ] = None,
-    scale: Annotated[
-        float | None, typer.Option(help="object: recorded amplitude of 1; left out: fitted.")
-    ] = None,
-    patch_mm: PatchMm = None,
-    field_stop_mm: FieldStopMm = None,
-    object_pitch_um: ObjectPitchUm = None,
-    illumination: Illumination = "plane",
-    light_tilt_deg: LightTiltDeg = "0,0",
-    waist_mm: WaistMm = None,
-    light_pitch_um: LightPitchUm = None,
-    engine: EngineName = "auto",
-    error: Error = None,
-    memory_gb: MemoryGb = None,
-    cluster: Cluster = None,
-    device: Device = None,
-    tile_width_mm: TileWidthMm = None,
-    slices: Slices = None,
-    compensation: Compensation = None,
-    interface: Interface = None,
-    step_um: StepUm = None,
-    pitch_um: PitchUm = None,
-    decenter_x_mm: DecenterXMm = 0.0,
-    decenter_y_mm: DecenterYMm = 0.0,
-    despace_mm: DespaceMm = 0.0,
-    tilt_x_deg: TiltXDeg = 0.0,
-    tilt_y_deg: TiltYDeg = 0.0,
-    pivot_z_mm: PivotZMm = 0.0,
-    active_width: ActiveWidth = 1.0,
+    settings: ReconstructionSettings,
+    of_frames: FrameSetSettings,
     calibration: Annotated[
         Path | None, typer.Option(help="Of `wavesim calibrate`: the lens as mounted.")
     ] = None,
-    refocus_mm: Annotated[str | None, typer.Option(help="low,high: where to look for the focus.")] = None,
     truth: Annotated[
         Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
     ] = None,
-    usaf: Annotated[str | None, typer.Option(help="The object is a USAF chart: bright or dark.")] = None,
-    chart_at_mm: ChartAtMm = None,
-    region_mm: Annotated[
-        str | None,
-        typer.Option(help="x,y,width,height: the part of the object that is judged and written."),
-    ] = None,
-    plane_distance_mm: PlaneDistanceMm = None,
-    pixel_pitch_um: PixelPitchUm = None,
-    wavelength_um: WavelengthUm = None,
-    exposure: Exposure = None,
-    bits: Bits = None,
-    offset_counts: OffsetCounts = None,
-    gain_electrons_per_count: GainElectronsPerCount = None,
-    read_noise_electrons: ReadNoiseElectrons = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
 
     An interrupted run goes on with the same command from the last iterations that it kept.
     """
-    from wavesim.cli.reconstruct_results import summary_of, write_results
-    from wavesim.cli.reconstruct_run import case_of, run
-    from wavesim.pictures.field_files import refuse_no_folder
+    from wavesim.camera.frame_sets import read_frames
+    from wavesim.camera.mounting import read_mounting
+    from wavesim.pictures.result_files import refuse_no_folder
+    from wavesim.reconstruction.frames_case import CHECKPOINT
+    from wavesim.reconstruction.from_frames import reconstruct_frames
 
-    options = Options(**locals())
-    _refuse(options)
     refuse_no_folder(output)
+    tell_memory = memory_teller(output)
+
+    def before(memory: Memory) -> None:
+        print_warnings(_messages(caught))
+        if not as_json:
+            tell_memory(memory)
+
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        case = case_of(load_design(design), options)
-        print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
-        if not as_json:
-            print(case.memory.line(output), file=sys.stderr)
-        outcome = run(case, options)
-        summary = summary_of(case, outcome, options) | {
-            "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
-            "engine": engine_summary(case.engine),
-            "memory": case.memory.as_dict(),
-            "versions": versions(),
-        }
-    summary["files"] = [str(output / name) for name in write_results(case, outcome, summary, output)]
-    case.checkpoint.drop()
+        lens = load_design(design)
+        mounting = None if calibration is None else read_mounting(calibration)
+        with progress() as tell:
+            found = reconstruct_frames(
+                lens,
+                # Given away: nothing here may hold them to the end.
+                read_frames(frames, of_frames),
+                settings,
+                truth=truth,
+                calibration=mounting,
+                folder=output,
+                progress=tell,
+                before=before,
+            )
+        summary = {"design": lens.title or design.stem} | found.figures()
+    summary |= {
+        "warnings": _messages(caught),
+        "engine": engine_summary(found.engine),
+        "memory": found.memory.as_dict(),
+        "versions": versions(),
+    }
+    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
+    (output / CHECKPOINT).unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
         _print(summary, output)
+
+
+def _messages(caught: list[warnings.WarningMessage]) -> list[str]:
+    return list(dict.fromkeys(str(warning.message) for warning in caught))
 
 
 @contextmanager
@@ -180,37 +101,49 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
             folder.rmdir()
 
 
-def _refuse(options: Any) -> None:
-    """Refuse what can be told before any file is read, and fill in what depends on the method."""
-    refuse_other("--method", options.method, tuple(METHODS))
-    refuse_other("--kind", options.kind, KINDS)
-    starts = METHODS[options.method]
-    options.start = options.start or starts[0]
-    if options.start not in starts:
-        raise InputError(f"--start = {options.start!r}: allowed for {options.method}: {', '.join(starts)}")
-    if options.usaf not in (None, "bright", "dark"):
-        raise InputError(f"--usaf = {options.usaf!r}: allowed: bright, dark")
-    options.chart_at_mm = chart_points(options)
-    if options.chart_at_mm and options.usaf is None:
-        raise InputError("--chart-at-mm: means nothing without --usaf")
-    if options.region_mm is not None:
-        options.region_mm = numbers(options.region_mm, "--region-mm", 4)
-    if options.tv_weight != "auto":
-        options.tv_weight = numbers(options.tv_weight, "--tv-weight", 1)[0]
-    if options.calibration is not None and pose_of(options) != Pose():
-        raise InputError("--calibration says how the lens is mounted: give no decenter, tilt or despace")
-    if options.iterations is None:
-        options.iterations = ITERATIONS[options.method]
-    if options.iterations < 1:
-        raise InputError(f"--iterations = {options.iterations}: must be at least 1")
-    if options.method == "paper" and len(options.frames) < 2:
-        from wavesim.cli.reconstruct_run import ONE_PLANE
+def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[str]:
+    """Write all files together, and return their names."""
+    import numpy as np
 
-        raise InputError(ONE_PLANE)
-    if options.refocus_mm is None and options.method == "paper":
-        options.refocus_mm = PAPER_REFOCUS_MM
-    if options.refocus_mm is not None:
-        options.refocus_mm = tuple(numbers(options.refocus_mm, "--refocus-mm", 2))
+    from wavesim.fields.files import write_field
+    from wavesim.pictures.frames import curves_figure, object_figure, residual_figure, save
+    from wavesim.pictures.pyramid import write_pyramid
+    from wavesim.pictures.result_files import new_results, write_json
+
+    transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
+    x_mm, y_mm = transmission.grid.centre_mm
+    distances = [plane.distance_mm for plane in found.planes]
+    amplitudes = [plane.amplitude for plane in found.recorded]
+    what = "CC (A6)" if summary["method"] == "paper" else "misfit"
+    how = f"method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
+    title = f"{summary['design']}\n{how}"
+    steps = range(1, len(found.curve) + 1)
+    curves: dict[str, Any] = {what: (steps, found.curve, "iteration")}
+    with new_results(output) as folder:
+        for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+            pitch_um = 1e3 * transmission.grid.pitch_mm
+            write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
+        write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
+        save(object_figure(transmission, found.inside, title), folder / "reconstruction.png")
+        save(residual_figure(found.residual_maps, amplitudes, distances, pixel_um), folder / "residuals.png")
+        _write_csv(zip(steps, found.curve, strict=True), ("iteration", what), folder / "convergence.csv")
+        if what == "CC (A6)":
+            curves = {"1 - CC (A6)": (steps, np.maximum(1.0 - np.asarray(found.curve), 1e-9), "iteration")}
+        if found.focus is not None:
+            curve = (1e3 * found.focus.distances_mm, found.focus.svfg)
+            curves["SVFG"] = (*curve, "distance (um)")
+            _write_csv(zip(*curve, strict=True), ("distance_um", "svfg"), folder / "svfg.csv")
+        save(curves_figure(curves, title), folder / "curves.png")
+        names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
+        write_json(summary | {"files": names}, folder / "reconstruction.json")
+    return names
+
+
+def _write_csv(rows: Iterable[Sequence[float]], header: Sequence[str], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([getattr(value, "item", lambda v=value: v)() for value in row] for row in rows)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

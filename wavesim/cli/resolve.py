@@ -11,22 +11,9 @@ import typer
 from lensdesign.common.console import print_json, progress_bar
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.design import load_design
-from wavesim.cli.engine_options import (
-    Compensation,
-    Interface,
-    PitchUm,
-    Slices,
-    Spacing,
-    StepUm,
-    TileWidthMm,
-    engine_settings,
-    numbers,
-    print_warnings,
-    settings_text,
-)
+from wavesim.cli.options import AsJson, Design, numbers, print_warnings, settings_text
+from wavesim.scene.settings import SingleEngineDetails
 
-Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
 WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
 PICTURES = (".png", ".pdf", ".svg")
@@ -34,6 +21,7 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def resolve(
     design: Design,
+    details: SingleEngineDetails,
     linewidths_um: Annotated[str, typer.Option(help="Widths, separated by commas.")] = "1.55,0.775,0.532",
     field_mm: Annotated[str, typer.Option(help="Field heights along y, separated by commas.")] = "0",
     engine: Annotated[
@@ -45,13 +33,6 @@ def resolve(
         ),
     ] = None,
     reference: Annotated[str, typer.Option(help="What carries them to the exit plane.")] = "eikonal",
-    slices: Slices = None,
-    compensation: Compensation = None,
-    spacing: Spacing = None,
-    tile_width_mm: TileWidthMm = None,
-    interface: Interface = None,
-    step_um: StepUm = None,
-    pitch_um: PitchUm = None,
     bars: Annotated[int, typer.Option(help="Bars of each width, at least 5.")] = 5,
     plane_distance_mm: PlaneDistanceMm = 2.0,
     wavelength_um: WavelengthUm = None,
@@ -72,16 +53,7 @@ def resolve(
         )
     lens = load_design(design)
     widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
-    settings = engine_settings(
-        slices=slices,
-        compensation=compensation,
-        spacing=spacing,
-        tile_width_mm=tile_width_mm,
-        interface=interface,
-        step_um=step_um,
-        pitch_um=pitch_um,
-    )
-    engines = _engines(engine or ["slices"], settings)
+    engines = _engines(engine or ["slices"], details.details())
     common = {
         "reference": reference,
         "wavelength_um": wavelength_um,

@@ -56,7 +56,7 @@ def view(
     A folder's layers are amplitude and phase of the reconstruction, the true object, and the frames. A region
     is one of the object (the frames of a folder are left out then), or of the frame that RESULT names.
     """
-    from wavesim.cli.engine_options import numbers
+    from wavesim.cli.options import numbers
     from wavesim.pictures.page import write_zoom_page
 
     region = None if region_mm is None else numbers(region_mm, "--region-mm", 4)
@@ -110,8 +110,8 @@ def _layers(
 
 
 def _field(path: Path, name: str, region: list[float] | None) -> list[Any]:
+    from wavesim.fields.files import read_centre_um, read_field
     from wavesim.objects.region import cut_out
-    from wavesim.pictures.field_files import read_centre_um, read_field
     from wavesim.pictures.layers import field_layers
 
     values, pitch_um = read_field(path)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 import numpy as np
 import scipy.fft
@@ -20,6 +21,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.fields.coverage import rectangle
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.files import read_centre_um
 from wavesim.objects.illumination import (
     field_stop,
     gaussian_beam,
@@ -32,6 +34,7 @@ from wavesim.objects.targets import Ground, phase_target, picture_target, read_g
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.scene import wavelength_of
+from wavesim.scene.settings import PatchSettings
 
 FIELD_MARGIN = 1.02
 """Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
@@ -44,6 +47,8 @@ INSCRIBED = 1.0 / math.sqrt(2.0)
 
 SPOKES, STAR_RADIUS = 36, 0.45
 """Of the Siemens star; the radius as a share of the field stop's diameter."""
+
+OBJECT_FILE = "object.npz"
 
 PADS, PAD_SHARE, PAD_PHASE_RAD = 4, 0.08, 0.5 * math.pi
 """Of the phase target; a pad's side as a share of the field stop's diameter, and the last pad's phase."""
@@ -311,6 +316,66 @@ def make_illumination(
     light = light.with_values(light.values.astype(np.complex64))
     light.values[...] *= field_stop(grid, "disc", patch.field_stop_mm).astype(np.float32)
     return light
+
+
+def read_object(path: Path, patch: Patch) -> Field:
+    """The transmission of an object on a patch, from a file.
+
+    Parameters
+    ----------
+    path
+        File (.npz) with `values` and `pitch_um`, or the folder that `wavesim image` wrote it to.
+    patch
+        Where it is wanted.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, covers less than the patch, or is that of a region beside the middle.
+    """
+    place = path / OBJECT_FILE if path.is_dir() else path
+    if is_zipfile(place) and (centre_um := read_centre_um(place)) != (0.0, 0.0):
+        x_mm, y_mm = (1e-3 * c for c in centre_um)
+        raise InputError(f"{place}: is a region about {x_mm:.4g}, {y_mm:.4g} mm; give a field about the axis")
+    return measured_field(place, patch.grid, patch.wavelength_um)
+
+
+def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None = None) -> tuple[Patch, Field]:
+    """The patch of a design's object that is looked at, and the light on it.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    settings
+        Of both.
+    wavelength_um
+        The design's first one if left out.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`object_patch` and :func:`make_illumination`.
+    """
+    patch = object_patch(
+        lens,
+        lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
+        settings.field_stop_mm,
+        wavelength_um=wavelength_um,
+        object_pitch_um=settings.object_pitch_um,
+    )
+    return patch, lit(patch, settings)
+
+
+def lit(patch: Patch, settings: PatchSettings) -> Field:
+    """The light on a patch that settings say."""
+    return make_illumination(
+        patch,
+        settings.illumination,
+        tilt_deg=settings.light_tilt_deg,
+        waist_mm=settings.waist_mm,
+        pitch_um=settings.light_pitch_um,
+    )
 
 
 def transmission_of(behind_object: Field, illumination: Field) -> Field:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavesim.calibration.estimation import Calibrated
-from wavesim.calibration.mounting import TILTS
+from wavesim.camera.mounting import TILTS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

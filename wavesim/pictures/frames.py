@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.text import visible
 from wavesim.camera.frames import Frame
+from wavesim.camera.recorded import Array as Floats
 from wavesim.fields.field import Array, Field
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def _phase_reach(phase: Array) -> float:
 
 
 def residual_figure(
-    maps: Sequence[Array], amplitudes: Sequence[Array], distances_mm: Sequence[float], pitch_um: float
+    maps: Sequence[Floats], amplitudes: Sequence[Floats], distances_mm: Sequence[float], pitch_um: float
 ) -> Figure:
     """Amplitude of the result less the recorded one on every plane, over the recorded root mean square."""
     figure, axes = _row(len(maps), "Amplitude of the result less the recorded one")

@@ -127,8 +127,8 @@ def _phasors(angles: Any) -> Any:
 
 
 def write_pyramid(
-    path: str | os.PathLike[str],
     values: Any,
+    path: str | os.PathLike[str],
     pitch_um: float,
     quantities: Sequence[str] = ("amplitude", "phase_rad"),
     **said: Any,
@@ -141,10 +141,10 @@ def write_pyramid(
 
     Parameters
     ----------
-    path
-        File to write.
     values
         Complex or real, shape (ny, nx).
+    path
+        File to write.
     pitch_um
         Of the samples.
     quantities

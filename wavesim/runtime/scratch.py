@@ -117,8 +117,8 @@ class Scratch:
         return f"{1e-6 * shutil.disk_usage(self.folder).free:.0f} MB"
 
 
-def scratch_in(folder: Path, memory_bytes: float) -> Scratch:
-    """Room in memory, and in files of a folder, which is made where they are needed.
+def scratch_in(folder: Path | None, memory_bytes: float) -> Scratch:
+    """Room in memory, and in files of a folder, which is made where they are needed; None: a temporary one.
 
     Raises
     ------
@@ -127,6 +127,7 @@ def scratch_in(folder: Path, memory_bytes: float) -> Scratch:
     """
     if math.isinf(memory_bytes):
         return Scratch()
+    folder = folder or Path(tempfile.gettempdir())
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -11,7 +11,7 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.estimation import Calibrated, calibrate, eikonal_tiles, noise_misfit
-from wavesim.calibration.mounting import Mounting
+from wavesim.camera.mounting import Mounting
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
 from wavesim.pictures.calibrations import calibration_figure

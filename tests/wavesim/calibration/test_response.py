@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
-from wavesim.calibration.mounting import Mounting, parameter_names
 from wavesim.calibration.response import mounting_response
+from wavesim.camera.mounting import Mounting, parameter_names
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid

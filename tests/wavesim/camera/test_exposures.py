@@ -170,7 +170,7 @@ def write(folder: Path, frames: Sequence[Frame]) -> list[Path]:
 
 
 def read(paths: Sequence[Path]) -> tuple[Frame, ...]:
-    return read_frames(paths, [{}] * len(paths))
+    return read_frames(paths)
 
 
 def test_frames_of_a_plane_are_read_together(tmp_path: Path) -> None:

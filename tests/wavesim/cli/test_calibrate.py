@@ -10,8 +10,8 @@ from wavesim_command import frames_and_design, run_wavesim, write_frames
 
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration import estimation as calibration
-from wavesim.calibration.mounting import read_mounting
+from wavesim.calibration import from_frames as calibration
+from wavesim.camera.mounting import read_mounting
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
 

@@ -6,7 +6,7 @@ import pytest
 from wavesim_command import run_wavesim
 
 from lensdesign.errors import InputError
-from wavesim.cli.engine_options import engine_settings
+from wavesim.scene.settings import SingleEngineDetails
 
 
 def run(
@@ -71,7 +71,7 @@ def test_bad_input_is_one_message_and_status_two(
 
 
 def test_settings_are_those_given_in_the_engines_words() -> None:
-    given = engine_settings(slices=30, compensation="oblique", step_um=0.5, pitch_um=0.25, interface=None)
-    assert given == {"slices": 30, "compensation": "oblique", "step_um": 0.5, "pitch_mm": 2.5e-4}
-    with pytest.raises(InputError, match="--tile-width-mm = nan"):
-        engine_settings(tile_width_mm=float("nan"))
+    given = SingleEngineDetails(slices=30, compensation="oblique", step_um=0.5, pitch_um=0.25)
+    assert given.details() == {"slices": 30, "compensation": "oblique", "step_um": 0.5, "pitch_mm": 2.5e-4}
+    with pytest.raises(InputError, match="tile_width_mm: must be finite"):
+        SingleEngineDetails().replaced(tile_width_mm=float("nan"))

@@ -13,9 +13,8 @@ import pytest
 from dask_cluster import Cluster
 from wavesim_command import frames_and_design, run_wavesim, write_frames
 
-from wavesim.cli import reconstruct_run as reconstruction_run
 from wavesim.engines.whole_field.on_cluster import ClusterError
-from wavesim.reconstruction import resumable
+from wavesim.reconstruction import from_frames, resumable
 
 Run = Callable[..., tuple[object, str, str]]
 
@@ -80,7 +79,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 
         yield take
 
-    monkeypatch.setattr(reconstruction_run, "tiles_in", tiles)
+    monkeypatch.setattr(from_frames, "tiles_in", tiles)
     options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     for most[0], said in ((1, "no iteration was kept"), (4, "goes on from where it was last kept")):

@@ -13,7 +13,7 @@ from wavesim_command import frames_and_design, run_wavesim, write_frames
 
 from lensdesign.errors import InputError
 from wavesim.cli.view import _field
-from wavesim.pictures.field_files import read_centre_um
+from wavesim.fields.files import read_centre_um
 
 Run = Callable[..., tuple[object, str, str]]
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from wavesim_command import frames_and_design, run_wavesim, write_frames
 
-from wavesim.cli import reconstruct_run as reconstruction_run
+from wavesim.cli import runs
+from wavesim.reconstruction import frames_case
 from wavesim.runtime.memory import Need
 from wavesim.runtime.scratch import Scratch
 
@@ -49,7 +50,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
 ) -> None:
     needs: list[Need] = []
     files: list[str] = []
-    tell, make = reconstruction_run.run_need, Scratch._mapped
+    tell, make = frames_case.run_need, Scratch._mapped
 
     def told(*arguments: Any, **settings: Any) -> Need:
         needs.append(tell(*arguments, **settings))
@@ -59,7 +60,7 @@ def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
         files.append(what)
         return make(self, size, what)
 
-    monkeypatch.setattr(reconstruction_run, "run_need", told)
+    monkeypatch.setattr(frames_case, "run_need", told)
     monkeypatch.setattr(Scratch, "_mapped", made)
     options = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 3, "--truth", data)
     code, out, err = run(*options, "--json", "-o", tmp_path / "free")
@@ -110,14 +111,14 @@ def test_progress_is_told_within_an_iteration(
     def shown() -> Iterator[Bar]:
         yield bar
 
-    make = reconstruction_run.engine_for
+    make = frames_case.engine_for
 
     def kept(*arguments: Any, **settings: Any) -> Any:
         engines.append(make(*arguments, **settings))
         return engines[-1]
 
-    monkeypatch.setattr(reconstruction_run, "progress_bar", shown)
-    monkeypatch.setattr(reconstruction_run, "engine_for", kept)
+    monkeypatch.setattr(runs, "progress_bar", shown)
+    monkeypatch.setattr(frames_case, "engine_for", kept)
     options = ("--engine", "two-level", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code == 0, err

@@ -15,8 +15,9 @@ from PIL import Image
 from wavesim_command import run_wavesim
 
 from wavesim import Field, Frame, FrameSettings, Grid, write_frame
+from wavesim.fields.files import write_field
 from wavesim.pictures import page as zoom_page
-from wavesim.pictures.field_files import write_field, write_tiff
+from wavesim.pictures.pyramid import write_pyramid
 
 Command = Callable[..., tuple[object, str, str]]
 PITCH_UM, SIDE = 0.4, 300
@@ -37,7 +38,7 @@ def put_field(path: Path, phase: float = 0.0, side: int = SIDE) -> None:
     rng = np.random.default_rng(side)
     values = rng.uniform(0.5, 1.0, (side, side)) * np.exp(1j * phase * rng.standard_normal((side, side)))
     path.parent.mkdir(exist_ok=True)
-    write_field(path, Field(Grid((side, side), 1e-3 * PITCH_UM, 0.0), values, 0.532))
+    write_field(Field(Grid((side, side), 1e-3 * PITCH_UM, 0.0), values, 0.532), path)
 
 
 def put_frame(path: Path, plane_mm: float = 2.0) -> None:
@@ -164,7 +165,7 @@ def test_what_cannot_be_shown_is_refused(command: Command, frames: Path, result:
     empty, text, picture = frames / "empty", frames / "a.txt", frames / "amplitude.tif"
     empty.mkdir()
     text.write_text("no field")
-    write_tiff(picture, np.ones((4, 4)), 0.4, quantity="amplitude")
+    write_pyramid(np.ones((4, 4)), picture, 0.4, ["amplitude"])
     (frames / "cut.npz").write_bytes(field.read_bytes()[:-100])
     (frames / "cut.tif").write_bytes(frame.read_bytes()[:2000])
     before = sorted(frames.iterdir())

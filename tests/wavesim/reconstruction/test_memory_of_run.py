@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tracemalloc
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from lensdesign import load_design
 from wavesim.camera.recorded import Recorded
-from wavesim.cli.reconstruct_results import truth_figures
+from wavesim.evaluation.judgement import truth_figures
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import LIGHT_BYTES, Patch, make_illumination
 from wavesim.reconstruction.memory import REFOCUSED_BYTES, run_need
@@ -109,8 +108,7 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
 
     def compare(room: Scratch) -> None:
         inside = np.ones(SHAPE, bool)
-        case = SimpleNamespace(light=light, truth=fields[1], shown=grid, inside=inside, scratch=room)
-        truth_figures(case, fields[0], engine)
+        truth_figures(fields[0], fields[1], light, inside, engine, room)
 
     most, least = told(engine, truth=True)
     held = 24.0  # light, truth and what was found: made before

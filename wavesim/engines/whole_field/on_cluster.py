@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
@@ -128,6 +128,27 @@ def tile_cluster(address: str) -> Iterator[TileCluster]:
             yield TileCluster(client, executor)
         finally:
             executor.shutdown(wait=False)
+
+
+@contextmanager
+def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
+    """What hands an engine's tiles to a cluster and returns it; without an address, it stays as it is.
+
+    Raises
+    ------
+    InputError, ClusterError
+        As of :func:`tile_cluster`.
+    """
+    if address is None:
+        yield lambda engine: engine
+        return
+    with tile_cluster(address) as tiles:
+
+        def take(engine: Engine) -> Engine:
+            tiles.take(engine)
+            return engine
+
+        yield take
 
 
 def deliver(packet: ScenePacket) -> ScenePacket:

@@ -1,16 +1,14 @@
-"""How a lens sits between object and sensor, and what moving it does to fields."""
+"""How a lens sits between object and sensor."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 from pydantic import field_validator
 
@@ -18,13 +16,10 @@ from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.section import Finite, Section, tuples
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError
-from lensdesign.lens.poses import Pose, rotation_matrix
+from lensdesign.lens.poses import Pose
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.scene.scene import Scene
-
-ComplexArray = NDArray[np.complexfloating]
 
 DECENTERS = ("decenter_x_mm", "decenter_y_mm")
 TILTS = ("tilt_x_deg", "tilt_y_deg")
@@ -158,56 +153,3 @@ def plane_of(name: str) -> int | None:
     if name.startswith(head) and name.endswith(tail):
         return int(name[len(head) : -len(tail)]) - 1
     return None
-
-
-def motion(field: Field, mounting: Mounting, parameter: str) -> ComplexArray:
-    """Change of a field for a unit of a rigid parameter if its sources moved with the lens.
-
-    The generator of the motion: for a shift along x, -d/dx; for a rotation w about a point c,
-    -(w x (r - c)) . grad; along z the field goes on as free space has it.
-
-    Parameters
-    ----------
-    field
-        On a plane.
-    mounting
-        Where the lens is.
-    parameter
-        One of `DECENTERS` or `TILTS`.
-    """
-    along_x, along_y, along_z = gradient(field)
-    if parameter == DECENTERS[0]:
-        return -along_x
-    if parameter == DECENTERS[1]:
-        return -along_y
-    grid = field.grid
-    tilt = np.deg2rad([mounting.tilt_x_deg])
-    axis = (
-        np.array([1.0, 0.0, 0.0])
-        if parameter == TILTS[0]
-        else rotation_matrix(tilt, np.zeros(1))[0] @ np.array([0.0, 1.0, 0.0])
-    )
-    x = grid.x_mm[None, :] - mounting.decenter_x_mm
-    y = grid.y_mm[:, None] - mounting.decenter_y_mm
-    z = grid.z_mm - mounting.pivot_z_mm
-    moved_x, moved_y, moved_z = (
-        axis[1] * z - axis[2] * y,
-        axis[2] * x - axis[0] * z,
-        axis[0] * y - axis[1] * x,
-    )
-    change = moved_x * along_x + moved_y * along_y + moved_z * along_z
-    return np.asarray(-math.radians(1.0) * change)
-
-
-def gradient(field: Field) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Derivatives of a field along x, y and z, the last for waves towards +z."""
-    grid = field.grid
-    spectrum = scipy.fft.fft2(np.asarray(field.values), workers=-1)
-    cycles = fft_frequencies(grid.shape, grid.pitch_mm)
-    rows, columns = (2j * np.pi * f for f in cycles)
-    along_z, _ = axial_wavenumbers(cycles, field.wavelength_um, field.index)
-    factors = (columns, rows, 1j * along_z)
-    return tuple(  # type: ignore[return-value]
-        scipy.fft.ifft2(spectrum * factor.astype(spectrum.dtype), workers=-1, overwrite_x=True)
-        for factor in factors
-    )

@@ -1,15 +1,9 @@
-"""Files of fields: complex arrays, 32-bit grey TIFF; and folders whose files change together at the end."""
+"""Files of fields: complex values, their pitch, and where they lie (.npz)."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import shutil
-import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,70 +11,18 @@ import numpy as np
 
 from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError
-from wavesim.fields.field import Array, Field
-from wavesim.pictures.pyramid import write_pyramid
+from wavesim.fields.field import Field
 
 
-@contextmanager
-def new_results(folder: Path) -> Iterator[Path]:
-    """Give an empty folder to write to, and rename its files into `folder` at the end.
-
-    A failure leaves `folder` as it was; other files in it stay.
-
-    Yields
-    ------
-    Path
-        A temporary folder within `folder`.
-
-    Raises
-    ------
-    InputError
-        If the folder or its files cannot be written.
-    """
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(prefix=".new.", dir=folder))
-    except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"cannot make the folder {folder}: a file stands in its place") from error
-    except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
-    try:
-        yield place
-        for path in sorted(place.iterdir()):
-            os.replace(path, folder / path.name)
-    except OSError as error:
-        raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-        if made and not any(folder.iterdir()):
-            folder.rmdir()
-
-
-def refuse_no_folder(folder: Path) -> None:
-    """Refuse, before anything is computed, a place where no folder can stand.
-
-    Raises
-    ------
-    InputError
-        If a file stands there.
-    """
-    for place in (folder, *folder.parents):
-        if place.exists():
-            if not place.is_dir():
-                raise InputError(f"--output = {str(folder)!r}: {place} is no folder")
-            return
-
-
-def write_field(path: Path, field: Field, **numbers: float) -> None:
+def write_field(field: Field, path: Path, **numbers: float) -> None:
     """Write complex values with their pitch and wavelength, as `measured_field` reads them (.npz).
 
     Parameters
     ----------
-    path
-        File to write.
     field
         On a plane.
+    path
+        File to write.
     **numbers
         What else is to stand beside the values.
     """
@@ -157,25 +99,3 @@ def read_centre_um(path: Path) -> tuple[float, float]:
     if not (math.isfinite(x) and math.isfinite(y)):
         raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be finite")
     return 1e3 * x, 1e3 * y
-
-
-def write_tiff(path: Path, values: Array, pitch_um: float, quantity: str) -> None:
-    """Write one quantity of a field as a grey TIFF of 32-bit floating point numbers, in tiles that zoom.
-
-    Parameters
-    ----------
-    path
-        File to write; its first row is that of the smallest y.
-    values
-        Real, or complex values of which the quantity is taken, shape (ny, nx).
-    pitch_um
-        Of the samples.
-    quantity
-        "amplitude", "phase_rad" or another, as in :func:`wavesim.pictures.pyramid.write_pyramid`.
-    """
-    write_pyramid(path, values, pitch_um, (quantity,))
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write one JSON object."""
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,71 @@
+"""What frames say of the object behind them: its patch and light, and under what a run on them is kept."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens, Sensor
+from lensdesign.lens.poses import Pose
+from wavesim.camera.frame_sets import frames_by_plane, refuse_other_pitch
+from wavesim.camera.frames import Frame
+from wavesim.camera.windows import check_diversity, check_footprint
+from wavesim.fields.field import Field
+from wavesim.objects.patch import Patch, lit_patch
+from wavesim.runtime.checkpoint import key_of
+from wavesim.scene.settings import PatchSettings
+
+
+class Framed(NamedTuple):
+    """What frames and settings say of the object: its patch and light, the planes, each once, and sensor."""
+
+    frames: tuple[Frame, ...]
+    planes_mm: tuple[float, ...]
+    sensor: Sensor
+    patch: Patch
+    light: Field
+    diversity: float
+
+
+def framed_patch(lens: Lens, frames: Sequence[Frame], settings: PatchSettings, pose: Pose = Pose()) -> Framed:
+    """The patch and light of frames, which are checked for what they can tell.
+
+    Raises
+    ------
+    InputError
+        If frames do not belong to the design, or a value is not usable.
+
+    Warns
+    -----
+    FootprintWarning, DiversityWarning
+        Where frames tell less than they might.
+    """
+    if not frames:
+        raise InputError("frames: must be one at least")
+    refuse_other_pitch(frames, lens)
+    by_plane = frames_by_plane(frames)
+    patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)
+    rows, columns = frames[0].counts.shape
+    planes = tuple(plane[0].settings.plane_distance_mm for plane in by_plane)
+    sensor = lens.sensor.replaced(pixels=(columns, rows))
+    check_footprint(lens, patch, sensor, planes, pose)
+    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    return Framed(tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure)
+
+
+def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *told: str | bytes) -> str:
+    """Digest of all that a result depends on, under which parts of a run are kept."""
+    pictures = [
+        part for frame in frames for part in (_digest(frame.counts), frame.settings.model_dump_json())
+    ]
+    return key_of(lens.model_dump_json(), _digest(light.values), *told, *pictures)
+
+
+def _digest(values: Any) -> str:
+    """Of an array, without a copy of it."""
+    data: Any = np.ascontiguousarray(values)
+    return hashlib.sha256(data).hexdigest()

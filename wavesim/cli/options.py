@@ -1,0 +1,188 @@
+"""Options of commands: those that several share, and those that settings models make."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import types
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import typer
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from lensdesign.common.console import message_console
+from lensdesign.common.section import Section
+from lensdesign.errors import InputError
+from wavesim.scene.settings import SettingError
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")]
+DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="Design file (TOML).")]
+Frames = Annotated[
+    list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
+]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+Command = Callable[..., None]
+
+
+def with_settings(command: Command) -> Command:
+    """A command whose parameters that are settings models become options, one for each of their fields.
+
+    An option has its field's name (or alias), default and description; numbers that stand together are
+    separated by commas. What a model refuses, and settings that are refused later, are told by their options.
+    """
+    own = inspect.signature(command, eval_str=True).parameters
+    models: dict[str, type[Section]] = {
+        name: one.annotation
+        for name, one in own.items()
+        if inspect.isclass(one.annotation) and issubclass(one.annotation, Section)
+    }
+
+    def run(**values: Any) -> None:
+        try:
+            for name, model in models.items():
+                texts = {field: values.pop(field) for field in model.model_fields}
+                values[name] = _settings(model, texts)
+            command(**values)
+        except SettingError as error:
+            raise InputError(error.naming(_option)) from None
+
+    parameters = []
+    for name, parameter in own.items():
+        parameters += _parameters(models[name]) if name in models else [parameter]
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    keyword = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters]
+    run.__signature__ = inspect.Signature(keyword)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in keyword}
+    return run
+
+
+def _parameters(model: type[Section]) -> list[inspect.Parameter]:
+    """One for each field, annotated as Typer reads it."""
+    made = []
+    for name, field in model.model_fields.items():
+        flags = [] if field.annotation is bool else [_option(field.alias or name)]
+        kind = _typed(field)
+        typed: Any = Annotated[kind, typer.Option(*flags, help=field.description)]
+        default = field.get_default(call_default_factory=True)
+        made.append(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_text(default), annotation=typed)
+        )
+    return made
+
+
+def _typed(field: FieldInfo) -> Any:
+    """What Typer reads from the command line for a field."""
+    kinds = _kinds(field.annotation)
+    optional = type(None) in kinds
+    kinds = [kind for kind in kinds if kind is not type(None)]
+    plain: Any = kinds[0] if len(kinds) == 1 and kinds[0] in (bool, int, float, str, Path) else str
+    if _is_list(kinds[0]):
+        plain, optional = list[str], True
+    return plain | None if optional else plain
+
+
+def _kinds(annotation: Any) -> list[Any]:
+    """The members of a union, without what annotates them."""
+    if get_origin(annotation) is Annotated:
+        return _kinds(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [kind for one in get_args(annotation) for kind in _kinds(one)]
+    return [annotation]
+
+
+def _is_list(kind: Any) -> bool:
+    """Whether an option may be given several times: each time some numbers."""
+    return get_origin(kind) is tuple and get_origin(_kinds(get_args(kind)[0])[0]) is tuple
+
+
+def _text(default: Any) -> Any:
+    """A default as the command line has it."""
+    if not isinstance(default, tuple):
+        return default
+    return ",".join(f"{number:g}" for number in default) or None
+
+
+def _settings(model: type[Section], texts: dict[str, Any]) -> Section:
+    """The model, of what was given on the command line."""
+    values = {}
+    for name, text in texts.items():
+        field = model.model_fields[name]
+        if text is not None:
+            values[name] = _value(_kinds(field.annotation), text, _option(field.alias or name))
+    try:
+        return model(**values)
+    except ValidationError as error:
+        raise InputError("\n".join(_fault(model, texts, fault) for fault in error.errors())) from None
+
+
+def _value(kinds: list[Any], text: Any, option: str) -> Any:
+    """What a field takes, from the text of its option."""
+    pairs = [kind for kind in kinds if get_origin(kind) is tuple]
+    if pairs and _is_list(pairs[0]):
+        return tuple(_value(_kinds(get_args(pairs[0])[0]), one, option) for one in text)
+    words = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    if not isinstance(text, str) or text in words:
+        return text
+    if pairs and int not in kinds:
+        inner = get_args(pairs[0])
+        return tuple(numbers(text, option, None if inner[-1] is ... else len(inner)))
+    if words and float in kinds:
+        return numbers(text, option, 1)[0]
+    return text
+
+
+def _fault(model: type[Section], texts: dict[str, Any], fault: Any) -> str:
+    """What is wrong with one option."""
+    refused = fault.get("ctx", {}).get("error")
+    if isinstance(refused, SettingError):
+        return refused.naming(_option)
+    name = str(fault["loc"][0])
+    field = model.model_fields[name]
+    said = fault["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if fault["type"] == "literal_error":
+        words = (word for kind in _kinds(field.annotation) for word in get_args(kind))
+        said = f"allowed: {', '.join(words)}"
+    value = texts[name]
+    shown = f"{value:g}" if isinstance(value, int | float) else repr(value)
+    return f"{_option(field.alias or name)} = {shown}: {said}"
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def numbers(text: str, option: str, count: int | None = None) -> list[float]:
+    """Numbers of an option, separated by commas.
+
+    Raises
+    ------
+    InputError
+        If they are no finite numbers, or not as many as wanted.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(map(math.isfinite, values)) or (count is not None and len(values) != count):
+        wanted = "numbers" if count is None else f"{count} numbers"
+        raise InputError(f"{option} = {text!r}: must be {wanted}, separated by commas")
+    return values
+
+
+def settings_text(settings: dict[str, Any]) -> str:
+    """Settings of an engine in one line."""
+    return ", ".join(
+        f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
+        for name, value in settings.items()
+    )
+
+
+def print_warnings(messages: Iterable[str]) -> None:
+    """Tell on standard error what engines warned of."""
+    for message in messages:
+        message_console().print(f"warning: {message}", soft_wrap=True, markup=False, highlight=False)

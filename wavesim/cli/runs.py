@@ -1,0 +1,57 @@
+"""What commands tell of a run: before it, while it goes on, and in its summary."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lensdesign.common.console import progress_bar
+
+if TYPE_CHECKING:
+    from wavesim.camera.recording import Progress
+    from wavesim.runtime.memory import Memory
+    from wavesim.scene.engine import Engine
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """A bar, as library functions tell their progress."""
+    with progress_bar() as bar:
+        tasks: list[Any] = []
+
+        def tell(what: str, done: int, count: int) -> None:
+            if not tasks:
+                tasks.append(bar.add_task(what, total=None))
+            bar.update(tasks[0], completed=done, total=count or None, description=what)
+
+        yield tell
+
+
+def memory_teller(folder: Path) -> Callable[[Memory], None]:
+    """Tells on standard error what a run will take."""
+    return lambda memory: print(memory.line(folder), file=sys.stderr)
+
+
+def engine_summary(engine: Engine) -> dict[str, Any]:
+    """What an engine is and says of itself, ready for JSON."""
+    import math
+
+    error = engine.predicted_error()
+    return {
+        "name": engine.name,
+        "settings": engine.settings(),
+        "predicted_error": error if math.isfinite(error) else None,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what results depend on."""
+    import platform
+    from importlib.metadata import version
+
+    return {"python": platform.python_version()} | {
+        name: version(name) for name in ("transferlens", "numpy", "scipy", "finufft")
+    }

@@ -1,0 +1,153 @@
+"""What a reconstruction is worth: against the true object, on charts, and against what was recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wavesim.evaluation.metrics import as_passed, bar_contrast, object_correlation, smallest_resolved_element
+from wavesim.evaluation.similarity import psnr_db, ssim
+from wavesim.fields.field import Field
+from wavesim.objects.region import around, cut_field, holds
+from wavesim.objects.targets import Ground
+from wavesim.objects.usaf import UsafElement
+from wavesim.runtime.scratch import Scratch
+from wavesim.runtime.threads import row_blocks
+from wavesim.scene.engine import Engine
+
+
+def truth_figures(
+    found: Field,
+    true: Field,
+    illumination: Field,
+    inside: NDArray[np.bool_],
+    engine: Engine,
+    scratch: Scratch,
+) -> dict[str, float | None]:
+    """Correlation, PSNR and SSIM with the true object, both as the lens passes them.
+
+    The correlation is that of object fields from which the illumination has been taken out; for PSNR and SSIM
+    of the amplitudes the result is multiplied by the complex factor that fits best.
+
+    Parameters
+    ----------
+    found, true
+        Transmissions, on the part of the object that is judged.
+    illumination
+        There.
+    inside
+        Samples within the field stop.
+    engine
+        From that part.
+    scratch
+        Where fields lie that the lens passes.
+    """
+
+    def passed(values: Any) -> Field:
+        own = illumination.with_values((illumination.values * values).astype(np.complex64))
+        there = as_passed(own, engine)
+        return there.with_values(scratch.held(there.values, "a field that the lens passes"))
+
+    one, other = passed(found.values), passed(true.values)
+    figures = {"object_correlation": object_correlation(one, other, passed(np.float32(1.0)), inside)}
+    energy = _product(one.values, one.values, inside).real
+    factor = _product(one.values, other.values, inside) / energy if energy > 0.0 else 0.0
+    pair = _moduli(one.values, abs(factor)), _moduli(other.values)
+    del one, other
+    brightest = float(pair[1].max(where=inside, initial=0.0))
+    figures |= {
+        "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),
+        "ssim": ssim(*pair, full_scale=brightest, support=inside),
+    }
+    return {name: _plain(value) for name, value in figures.items()}
+
+
+def _product(a: Any, b: Any, inside: Any) -> complex:
+    """Inner product within the field stop, without copies of whole fields."""
+    blocks = row_blocks(len(inside))
+    return complex(sum(complex(np.vdot(a[rows][inside[rows]], b[rows][inside[rows]])) for rows in blocks))
+
+
+def _moduli(values: Any, factor: float = 1.0) -> Any:
+    """Moduli in single precision."""
+    result = np.empty(values.shape, np.float32)
+    for rows in row_blocks(len(values)):
+        result[rows] = factor * np.abs(values[rows])
+    return result
+
+
+def chart_figures(transmission: Field, elements: Sequence[UsafElement], ground: Ground) -> dict[str, Any]:
+    """Contrast of every element of a chart that lies in a part of the object, and the finest resolved."""
+    contrasts = [
+        # From the samples about it alone.
+        bar_contrast(own.values, own.grid, one, ground)
+        for one in elements
+        if holds(transmission.grid, one.outline)
+        for own in [cut_field(transmission, around(one.outline, transmission.grid))]
+    ]
+    finest = smallest_resolved_element(contrasts)
+    return {
+        "smallest_resolved": None
+        if finest is None
+        else {
+            "group": finest.group,
+            "element": finest.element,
+            "line_width_um": finest.line_width_um,
+        },
+        "elements": [
+            {
+                "group": one.element.group,
+                "element": one.element.element,
+                "line_width_um": one.element.line_width_um,
+                "contrast_x": _plain(one.x.contrast),
+                "contrast_y": _plain(one.y.contrast),
+                "resolved": one.resolved(),
+            }
+            for one in sorted(contrasts, key=lambda one: -one.element.line_width_um)
+        ],
+    }
+
+
+def plane_figures(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
+    """Residual, what the stated noise alone would leave of it, and the correlation of amplitudes (A6).
+
+    Over the pixels that are known, in blocks of rows.
+
+    Parameters
+    ----------
+    amplitude, sigma
+        As recorded on a plane (:class:`wavesim.camera.recorded.Recorded`).
+    error
+        Amplitude of the result less the recorded one.
+    """
+    count, sums, noise = 0, np.zeros(2), 0.0
+    products = np.zeros((2, 2))
+    missed = 0.0
+    for rows in row_blocks(len(error)):
+        known = slice(None) if sigma is None else np.isfinite(sigma[rows])
+        recorded = np.ravel(amplitude[rows][known]).astype(float)
+        left = np.ravel(error[rows][known]).astype(float)
+        pair = np.stack([recorded + left, recorded])
+        count += recorded.size
+        sums += pair.sum(axis=1)
+        products += pair @ pair.T
+        missed += float(left @ left)
+        if sigma is not None:
+            noise += float(np.sum(sigma[rows][known].astype(float) ** 2))
+    size = products[1, 1]
+    about_means = products - np.outer(sums, sums) / count
+    spread = math.sqrt(max(about_means[0, 0] * about_means[1, 1], 0.0))
+    return {
+        "residual": math.sqrt(missed / size),
+        "noise": None if sigma is None else math.sqrt(noise / size),
+        "correlation": float(about_means[0, 1]) / spread if spread > 0.0 else 0.0,
+    }
+
+
+def _plain(value: float) -> float | None:
+    """JSON knows no infinity, and nothing that is not a number."""
+    return value if math.isfinite(value) else None

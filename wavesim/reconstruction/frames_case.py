@@ -1,0 +1,225 @@
+"""What is reconstructed from frames, and from what: read, checked and predicted before it runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
+from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
+from wavesim.camera.framed import framed_patch, key_of_frames
+from wavesim.camera.frames import Frame
+from wavesim.camera.mounting import Mounting
+from wavesim.camera.recorded import Recorded
+from wavesim.camera.windows import exit_scene, imaging_error
+from wavesim.engines.choosing import engine_for
+from wavesim.engines.whole_field.on_cluster import refuse_no_tiles
+from wavesim.fields.field import Field, Grid
+from wavesim.objects.patch import Patch, read_object, usaf_charts_of
+from wavesim.objects.region import region_grid, widened
+from wavesim.objects.usaf import UsafElement
+from wavesim.reconstruction.memory import run_need
+from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, Need, memory_limit, room_for_arrays
+from wavesim.runtime.scratch import Scratch, scratch_in
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
+from wavesim.scene.settings import ReconstructionSettings, SettingError
+
+CHECKPOINT = "checkpoint.npz"
+"""File in which a run keeps where it stands."""
+
+FOLDS = 2.0
+"""Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
+
+TELLING = ("method", "kind", "iterations", "tv_weight", "start", "scale", "active_width")
+"""Settings on which the iterations depend, beside the engine's."""
+
+
+class FramesCase(NamedTuple):
+    """What is reconstructed from what.
+
+    `shown` is the part of the object that is judged and written, `inside` its samples within the field stop,
+    `carried` the part that is refocused, `engine_on` makes an engine from another part of the object to the
+    same plane.
+    """
+
+    patch: Patch
+    light: Field
+    planes: tuple[PlaneFrames, ...]
+    recorded: tuple[Recorded, ...]
+    engine: Engine
+    truth: Field | None
+    charts: tuple[tuple[UsafElement, ...], ...]
+    diversity: float
+    checkpoint: Checkpoint | None
+    shown: Grid
+    inside: NDArray[np.bool_]
+    carried: Grid
+    depth_mm: float
+    engine_on: Callable[[Grid], Engine]
+    scratch: Scratch
+    memory: Memory
+
+
+def frames_case(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: ReconstructionSettings,
+    truth: Field | Path | None,
+    mounting: Mounting | None,
+    folder: Path | None,
+) -> FramesCase:
+    """Read all that a run needs, and refuse what cannot be done."""
+    limit = memory_limit(settings.memory_gb)
+    if mounting is not None and settings.pose != Pose():
+        raise SettingError("{calibration} says how the lens is mounted: give no decenter, tilt or despace")
+    pose = settings.pose if mounting is None else mounting.pose
+    framed = framed_patch(lens, frames, settings, pose)
+    patch, light = framed.patch, framed.light
+    if settings.method == "paper" and len(framed.planes_mm) < 2:
+        raise SettingError(
+            "{method} paper: needs frames of two planes or more; {method} object can do with one"
+        )
+    shown, inside = _shown(patch, settings.region_mm)
+    true = None if truth is None else _true(truth, patch)
+    charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
+    scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
+    recorded = recorded_planes(frames)
+    if mounting is not None:
+        scene, light = mounting.scene(scene), mounting.illumination(light)
+        recorded = mounting.recorded(recorded)
+    engine = _engine(
+        scene, settings, 2 * settings.most_iterations if settings.method == "object" else 2, limit
+    )
+    if settings.cluster is not None:
+        refuse_no_tiles(engine)
+    shown = shown.at(light.grid.z_mm)
+    carried = _carried(scene, settings, shown)
+    need = _need(engine, frames, recorded, shown, carried, settings, true is not None)
+    memory = Memory(need, limit)
+    scratch = scratch_in(folder, _room(memory, settings))
+    key = _key(lens, framed.frames, settings, light, recorded, engine)
+    return FramesCase(
+        patch,
+        light.with_values(scratch.held(light.values, "the illumination")),
+        planes_of_frames(frames),
+        tuple(_held_plane(scratch, plane) for plane in recorded),
+        engine,
+        true and true.with_values(scratch.held(true.values, "the true object")),
+        charts,
+        framed.diversity,
+        None if folder is None else Checkpoint(folder / CHECKPOINT, key),
+        shown,
+        inside,
+        carried,
+        1e-3 * patch.wavelength_um / lens.object.numerical_aperture**2,
+        lambda grid: _engine(replace(scene, object_grid=grid), settings, 6, limit),
+        scratch,
+        memory,
+    )
+
+
+def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:
+    """The part of the object that is judged and written, and its samples within the field stop."""
+    if region_mm is None:
+        return patch.grid, patch.inside
+    try:
+        shown = region_grid(patch.grid, region_mm, "{region_mm}")
+    except InputError as error:
+        raise SettingError(str(error)) from None
+    inside = replace(patch, grid=shown).inside
+    if not inside.any():
+        said = ",".join(f"{n:g}" for n in region_mm)
+        raise SettingError(
+            f"{{region_mm}} = {said}: lies beside the field stop of {patch.field_stop_mm:g} mm, where there "
+            "is no light"
+        )
+    return shown, inside
+
+
+def _true(truth: Field | Path, patch: Patch) -> Field:
+    if not isinstance(truth, Field):
+        truth = read_object(truth, patch)
+    elif truth.grid != patch.grid:
+        raise InputError(f"truth: its grid {truth.grid} is not the patch's {patch.grid}")
+    return truth.with_values(truth.values.astype(np.complex64, copy=False))
+
+
+def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float) -> Engine:
+    fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
+    return engine_for(
+        scene,
+        settings.engine,
+        error=imaging_error(settings.engine, settings.error),
+        memory_gb=1e-9 * (limit - BASE_BYTES - fields),
+        runs=runs,
+        **settings.details(),
+    )
+
+
+def _need(
+    engine: Engine,
+    frames: Sequence[Frame],
+    recorded: Sequence[Recorded],
+    shown: Grid,
+    carried: Grid,
+    settings: ReconstructionSettings,
+    truth: bool,
+) -> Need:
+    return run_need(
+        engine,
+        [plane.distance_mm for plane in recorded],
+        method=settings.method,
+        kind=settings.kind,
+        active_width=settings.active_width,
+        frames_bytes=sum(frame.counts.nbytes for frame in frames),
+        shown=shown.size,
+        carried=0 if settings.focus_mm is None else carried.size,
+        truth=truth,
+    )
+
+
+def _carried(scene: Scene, settings: ReconstructionSettings, shown: Grid) -> Grid:
+    """The part of the object that is refocused: with room for what light spreads."""
+    if settings.focus_mm is None:
+        return shown
+    aperture = min(scene.lens.object.numerical_aperture, 0.99)
+    reach_mm = max(map(abs, settings.focus_mm)) * math.tan(math.asin(aperture))
+    return widened(shown, scene.object_grid, FOLDS * reach_mm)
+
+
+def _room(memory: Memory, settings: ReconstructionSettings) -> float:
+    try:
+        return room_for_arrays(memory.need, memory.limit_bytes, "the reconstruction")
+    except MemoryLimitError as error:
+        if settings.focus_mm is None or settings.region_mm is not None:
+            raise
+        raise MemoryLimitError(f"{error}; or refocus a part of the object alone (--region-mm)") from None
+
+
+def _held_plane(scratch: Scratch, plane: Recorded) -> Recorded:
+    amplitude = scratch.held(plane.amplitude, "the recorded amplitudes")
+    sigma = plane.sigma if plane.sigma is None else scratch.held(plane.sigma, "the standard deviations")
+    return Recorded(plane.distance_mm, amplitude, sigma)
+
+
+def _key(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: ReconstructionSettings,
+    light: Field,
+    recorded: Sequence[Recorded],
+    engine: Engine,
+) -> str:
+    told = settings.model_dump_json(include=set(TELLING))
+    planes = [plane.distance_mm for plane in recorded]
+    return key_of_frames(lens, frames, light, told, engine.key(), str((light.grid.z_mm, planes)))

@@ -1,0 +1,251 @@
+"""From frames to the object, in one call: the iterations, refocusing, and a comparison with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lensdesign.lens.lens import Lens
+from wavesim.camera.frames import Frame
+from wavesim.camera.mounting import Mounting
+from wavesim.camera.recording import Progress
+from wavesim.engines.whole_field.on_cluster import ClusterError, tiles_in
+from wavesim.evaluation.judgement import truth_figures
+from wavesim.fields.field import Field, Grid
+from wavesim.objects.patch import transmission_of
+from wavesim.objects.region import cut_field, soft_rim
+from wavesim.reconstruction.found import Array, Focus, FoundObject
+from wavesim.reconstruction.frames_case import FramesCase, frames_case
+from wavesim.reconstruction.refocusing import refocus_field
+from wavesim.reconstruction.resumable import reconstruct_resumably, retrieve_resumably
+from wavesim.runtime.memory import Memory
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.settings import ReconstructionSettings
+
+Take = Callable[[Engine], Engine]
+"""Hands an engine's tiles to a cluster, if there is one, and returns it."""
+
+EngineOn = Callable[[Grid], AbstractContextManager[Engine]]
+
+
+def reconstruct_frames(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: ReconstructionSettings | None = None,
+    *,
+    truth: Field | Path | None = None,
+    calibration: Mounting | None = None,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    before: Callable[[Memory], None] | None = None,
+    **changes: Any,
+) -> FoundObject:
+    """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        One or more of each plane, as :func:`wavesim.image` or :func:`wavesim.read_frames` gives them.
+    settings
+        All that may be set; defaults if left out.
+    truth
+        Transmission of the true object on the patch's samples, or its file or folder.
+    calibration
+        The lens as mounted, as :func:`wavesim.calibrate_frames` finds it.
+    folder
+        Where a run keeps its last iteration (`CHECKPOINT`), so that one which was cut off goes on with the
+        same call, and arrays that memory does not hold. What was kept stays there.
+    progress
+        Told what is done, how many steps of it are, and of how many; 0 where that is not known.
+    before
+        Told what the run will take, when nothing can be refused any more.
+    **changes
+        Settings by name, in place of those of `settings`.
+
+    Raises
+    ------
+    InputError, SamplingError, MemoryLimitError
+        Before anything is computed or written.
+    KeyboardInterrupt, ClusterError
+        Saying what is kept.
+
+    Warns
+    -----
+    FootprintWarning, DiversityWarning
+        Where frames tell less than they might.
+    """
+    settings = (settings or ReconstructionSettings()).replaced(**changes)
+    case = frames_case(lens, frames, settings, truth, calibration, folder)
+    del frames  # nobody else may hold them, and they take much
+    if before is not None:
+        before(case.memory)
+    told = _Told(progress, settings, case.engine)
+    try:
+        with tiles_in(settings.cluster) as take:
+            return _run(case, settings, take, told)
+    except KeyboardInterrupt:
+        where = _goes_on(case) or "nothing was written"
+        count = f"{told.iterations} of {settings.most_iterations}"
+        raise KeyboardInterrupt(f"interrupted after {count} iterations; {where}") from None
+    except ClusterError as error:
+        raise ClusterError(f"{error}; {_goes_on(case) or 'no iteration was kept'}") from error
+
+
+class _Told:
+    """How far a run is: iterations, and within them what an engine reports."""
+
+    def __init__(self, progress: Progress | None, settings: ReconstructionSettings, engine: Engine) -> None:
+        self._progress = progress or (lambda what, done, count: None)
+        self._method, self._most = settings.method, settings.most_iterations
+        self._figure = "CC" if settings.method == "paper" else "misfit"
+        self.iterations = 0
+        self._show(f"{self._method}: engine {engine.name}", 0, self._most)
+
+    def _show(self, said: str, done: int, count: int) -> None:
+        self._said, self._done, self._count = said, done, count
+        self._progress(said, done, count)
+
+    def iteration(self, number: int, figure: float) -> None:
+        self.iterations = number + 1
+        self._show(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
+
+    def step(self, what: str) -> None:
+        """Something after the iterations."""
+        self._show(what, 0, 0)
+
+    def count(self, done: int, total: int) -> None:
+        self._show(self._said, done, total)
+
+    def part(self, done: int, total: int) -> None:
+        """Of one use of an engine."""
+        self._progress(f"{self._said}, super-tile {done} of {total}", self._done, self._count)
+
+
+@contextmanager
+def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
+    """An engine that tells how far it is, and hands its work to the cluster if there is one.
+
+    Of a region, the cheapest engine may be one that does neither.
+    """
+    if not isinstance(engine, Tiled):
+        yield engine
+        return
+    engine.report = told.part
+    try:
+        yield take(engine)
+    finally:
+        engine.report = engine.perform = None
+
+
+def _goes_on(case: FramesCase) -> str:
+    kept = case.checkpoint is not None and case.checkpoint.kept
+    return "the same command goes on from where it was last kept" if kept else ""
+
+
+class _Found(NamedTuple):
+    """What one method gave: the transmission, or the field behind the part that is to be refocused."""
+
+    transmission: Field | None
+    behind: Field | None
+    residual_maps: tuple[Array, ...]
+    curve: tuple[float, ...]
+    of_method: dict[str, Any]
+
+
+def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told) -> FoundObject:
+    def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
+        own = case.engine.scene.object_grid
+        return _ready(case.engine if grid == own else case.engine_on(grid), take, told)
+
+    found = (_paper if settings.method == "paper" else _object)(case, settings, engine_on, told)
+    transmission, behind, maps, curve, of_method = found
+    del found
+    focus = None
+    if behind is not None and settings.focus_mm is not None:
+        told.step("refocusing")
+        transmission, focus = _refocused(case, settings.focus_mm, behind, told)
+        behind = None
+    assert transmission is not None
+    truth: dict[str, float | None] = {}
+    if case.truth is not None:
+        told.step("comparison with the true object")
+        true, light = (cut_field(field, case.shown) for field in (case.truth, case.light))
+        with engine_on(case.shown) as engine:
+            truth = truth_figures(transmission, true, light, case.inside, engine, case.scratch)
+    return FoundObject(
+        settings,
+        case.patch,
+        transmission,
+        case.inside,
+        case.planes,
+        case.recorded,
+        maps,
+        curve,
+        focus,
+        of_method,
+        truth,
+        case.charts,
+        case.diversity,
+        case.engine,
+        case.memory,
+    )
+
+
+def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
+    with engine_on(case.light.grid) as engine:
+        found = reconstruct_resumably(
+            engine,
+            case.light,
+            case.recorded,
+            case.checkpoint,
+            kind=settings.kind,
+            tv_weight=settings.tv_weight,
+            iterations=settings.most_iterations,
+            scale=settings.scale,
+            start="amplitude" if settings.first == "amplitude" else None,
+            active_width=settings.active_width,
+            progress=told.iteration,
+            scratch=case.scratch,
+        )
+    said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_early": found.stopped_early}
+    part = cut_field(found.transmission, case.carried)
+    if settings.focus_mm is None:
+        return _Found(part, None, found.residual_maps, found.misfit, said)
+    behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
+    return _Found(None, behind, found.residual_maps, found.misfit, said)
+
+
+def _paper(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
+    with engine_on(case.light.grid) as engine:
+        retrieved, maps = retrieve_resumably(
+            engine,
+            case.light,
+            case.recorded,
+            case.checkpoint,
+            iterations=settings.most_iterations,
+            start=settings.first,
+            progress=told.iteration,
+            scratch=case.scratch,
+        )
+    said = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
+    told.step("back to the object")
+    with engine_on(case.carried) as engine:
+        return _Found(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, said)
+
+
+def _refocused(
+    case: FramesCase, focus_mm: tuple[float, float], behind: Field, told: _Told
+) -> tuple[Field, Focus]:
+    """The sharpest of all distances; a field is carried, not a transmission."""
+    if behind.grid != case.shown:  # a part of the field must not end as if it were cut off
+        behind = behind.with_values(behind.values * soft_rim(case.shown, behind.grid))
+    found = refocus_field(behind, focus_mm, case.depth_mm, told.count)
+    # The light is taken where the object was thought to be: over a few depths of focus it hardly changes.
+    light = cut_field(case.light, behind.grid)
+    there = transmission_of(replace(found.field, grid=light.grid), light)
+    return cut_field(there, case.shown), Focus(found.distance_mm, found.distances_mm, found.svfg)

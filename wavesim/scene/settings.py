@@ -1,0 +1,280 @@
+"""All that may be set of an image, a reconstruction and a calibration.
+
+Every field of a model here is an option of the commands, too: its name, its default, and its description as
+help.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+
+from lensdesign.common.section import Section, tuples
+from lensdesign.errors import InputError
+from lensdesign.lens.poses import Pose
+
+STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
+"""Of each way of reconstruction; the first is the one that is taken."""
+
+ITERATIONS = {"paper": 500, "object": 30}
+PAPER_REFOCUS_MM = (-0.01, 0.01)
+
+
+class SettingError(InputError):
+    """A setting that cannot be used.
+
+    Parameters
+    ----------
+    text
+        The message, in which names of settings stand in braces, so that a command can name its options.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        super().__init__(self.naming(str))
+
+    def naming(self, name: Callable[[str], str]) -> str:
+        """The message, with names of settings as they are called somewhere."""
+        return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
+
+
+def _finite_positive(value: float) -> float:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError("must be finite and greater than 0")
+    return value
+
+
+Size = Annotated[float, AfterValidator(_finite_positive)]
+Count = Annotated[int, AfterValidator(_finite_positive)]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
+Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
+Points = Annotated[
+    tuple[Pair, ...],
+    BeforeValidator(tuples),
+    Field(description="usaf: x,y of fine groups beside those in the middle; may be given again."),
+]
+Pixels = int | tuple[int, int] | Literal["all"]
+
+
+def _pixels(value: Any) -> Any:
+    """Pixels from their text, such as 9344x7000."""
+    if not isinstance(value, str) or value == "all":
+        return tuple(value) if isinstance(value, list) else value
+    parts = value.split("x")
+    if not all(part.strip().isdecimal() for part in parts) or len(parts) > 2:
+        raise ValueError("must be a whole number, two such as 9344x7000, or all")
+    sides = [int(part) for part in parts]
+    return sides[0] if len(sides) == 1 else (sides[0], sides[1])
+
+
+class PatchSettings(Section):
+    """The square of the object plane that is looked at, its field stop, and the light on it."""
+
+    patch_mm: float | None = Field(None, description="Side of the object patch; left out, the whole field.")
+    field_stop_mm: float | None = Field(None, description="Diameter of the field stop; left out: the patch.")
+    object_pitch_um: float | None = Field(None, description="Samples of the object; left out: by NA.")
+    illumination: str = Field("plane", description="plane, tilted, gaussian, or FILE of a measured field.")
+    light_tilt_deg: Pair = Field((0.0, 0.0), description="tilted: angles x,y of the light.")
+    waist_mm: float | None = Field(None, description="gaussian: radius of the waist.")
+    light_pitch_um: float | None = Field(None, description="FILE: its pitch, if it does not say.")
+
+    @field_validator("light_tilt_deg", "waist_mm")
+    @classmethod
+    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        kind = "tilted" if info.field_name == "light_tilt_deg" else "gaussian"
+        if value not in (None, (0.0, 0.0)) and info.data.get("illumination") != kind:
+            raise SettingError(f"{{{info.field_name}}}: means nothing without {{illumination}} {kind}")
+        return value
+
+
+class PoseSettings(Section):
+    """The lens as mounted, as of :class:`lensdesign.Pose`."""
+
+    decenter_x_mm: float = Field(0.0, description="Shift of the lens as mounted, along x.")
+    decenter_y_mm: float = Field(0.0, description="Shift of the lens as mounted, along y.")
+    despace_mm: float = Field(0.0, description="Shift of the lens towards the sensor.")
+    tilt_x_deg: float = Field(0.0, description="Rotation of the lens about x.")
+    tilt_y_deg: float = Field(0.0, description="Rotation of the lens about y.")
+    pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")
+
+    @property
+    def pose(self) -> Pose:
+        """Of the lens."""
+        return Pose(**{name: getattr(self, name) for name in PoseSettings.model_fields})
+
+
+class EngineDetails(Section):
+    """What engines let one set; None leaves it to the engine."""
+
+    tile_width_mm: Size | None = Field(None, description="eikonal, two-level: width of a tile of the object.")
+    slices: Count | None = Field(None, description="slices: number of slices.")
+    compensation: str | None = Field(None, description="slices: vertical or oblique.")
+    interface: str | None = Field(None, description="wpm: substep or staircase.")
+    step_um: Size | None = Field(None, description="wpm: step along z.")
+    pitch_um: Size | None = Field(None, description="slices, wpm, thin-lens: pitch of the working grid.")
+
+    def details(self) -> dict[str, Any]:
+        """Those that are set, in the engines' own words."""
+        names = (*EngineDetails.model_fields, "spacing", "device")
+        given = {name: getattr(self, name, None) for name in names}
+        if self.pitch_um is not None:
+            given |= {"pitch_um": None, "pitch_mm": 1e-3 * self.pitch_um}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+class SingleEngineDetails(EngineDetails):
+    """Those of an engine that is tried alone."""
+
+    spacing: str | None = Field(None, description="slices: equal, paper or equal-phase.")
+
+
+class EngineSettings(EngineDetails):
+    """Which engine carries light, and how exactly."""
+
+    engine: str = Field("auto", description="Engine, or auto: the cheapest that holds.")
+    error: float | None = Field(None, description="Relative error that the engine may have.")
+
+
+class MachineSettings(Section):
+    """What a run may take, and where its parts are done."""
+
+    memory_gb: Size | None = Field(None, description="Most memory; left out, 80 % of what is free.")
+    cluster: str | None = Field(
+        None, description="two-level: Dask scheduler (ADDRESS) whose workers do the tiles."
+    )
+    device: str | None = Field(None, description="two-level: cpu or gpu.")
+
+
+class CameraSettings(Section):
+    """The sensor, its stage, and its exposures."""
+
+    model_config = ConfigDict(loc_by_alias=False)
+
+    planes_mm: Numbers | None = Field(None, description="From the exit vertex; left out: the design's.")
+    pixels: Annotated[Pixels | None, BeforeValidator(_pixels)] = Field(
+        None, description="Of a side, or 9344x7000, or all; left out, what holds the light."
+    )
+    noise: bool = Field(True, description="Shot noise and read noise.")
+    seed: int = Field(0, ge=0, description="Of noise, and of tissue.")
+    full_well_electrons: float = Field(10_000.0, alias="full_well", description="Electrons.")
+    read_noise_electrons: float = Field(2.0, alias="read_noise", description="Electrons.")
+    bits: int = Field(12, description="Of a count.")
+    brightest_share: float = Field(0.8, description="Of full well, in the brightest pixel.")
+    exposures: Numbers = Field(
+        (1.0,), description="Of each plane, as multiples of what gives the brightest share."
+    )
+    active_width: float = Field(1.0, description="Of a pixel, as a share of the pitch.")
+    stage_error_mm: Numbers = Field((0.0,), description="Of all planes, or of each.")
+    shift_um: Pair = Field((0.0, 0.0), description="x,y of the sensor from plane to plane.")
+
+    @field_validator("planes_mm")
+    @classmethod
+    def _apart(cls, planes: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if planes is None:
+            return None
+        if not planes or min(planes) <= 0.0 or len(set(planes)) < len(planes):
+            raise ValueError("must be greater than 0, and differ")
+        return tuple(sorted(planes))
+
+    @field_validator("exposures")
+    @classmethod
+    def _lit(cls, exposures: tuple[float, ...]) -> tuple[float, ...]:
+        if not exposures or min(exposures) <= 0.0:
+            raise ValueError("must be greater than 0")
+        return tuple(sorted(exposures))
+
+
+class ImageSettings(PoseSettings, MachineSettings, EngineSettings, CameraSettings, PatchSettings):
+    """All settings of :func:`wavesim.image`."""
+
+    wavelength_um: float | None = Field(None, description="Left out: the design's first.")
+    ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark.")
+    chart_at_mm: Points = ()
+    picture_pixel_um: float | None = Field(None, description="FILE: side of its pixels.")
+
+
+class FrameSetSettings(Section):
+    """What frames should say of themselves and do not; all of them alike, or one for each."""
+
+    plane_distance_mm: Numbers | None = Field(None, description="Of each frame, as its file should say.")
+    exposure: Numbers | None = Field(None, description="Of each frame; any unit.")
+    pixel_pitch_um: float | None = Field(None, description="Of the frames.")
+    wavelength_um: float | None = Field(None, description="Of the frames.")
+    bits: int | None = Field(None, description="Of a count.")
+    offset_counts: float | None = Field(None, description="Count of a dark pixel.")
+    gain_electrons_per_count: float | None = Field(None, description="Of the sensor.")
+    read_noise_electrons: float | None = Field(None, description="Of the sensor.")
+
+
+class FramedSettings(EngineSettings, PatchSettings):
+    """What a reconstruction and a calibration have in common."""
+
+    kind: Literal["complex", "amplitude"] = Field("complex", description="object: complex or amplitude.")
+    scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
+    active_width: float = Field(1.0, description="Of a pixel, as a share of the pitch.")
+
+
+class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
+    """All settings of :func:`wavesim.reconstruct_frames`."""
+
+    method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
+    iterations: int | None = Field(None, ge=1, description="Left out: object 30, paper 500.")
+    tv_weight: float | Literal["auto"] = Field(
+        "auto", description="object: total variation, or auto: by the noise."
+    )
+    start: str | None = Field(None, description="paper: model, uniform, random; object: even, amplitude.")
+    refocus_mm: Pair | None = Field(None, description="low,high: where to look for the focus.")
+    usaf: Literal["bright", "dark"] | None = Field(
+        None, description="The object is a USAF chart: bright or dark."
+    )
+    chart_at_mm: Points = ()
+    region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
+        None, description="x,y,width,height: the part of the object that is judged and written."
+    )
+
+    @field_validator("start")
+    @classmethod
+    def _start_of_method(cls, start: str | None, info: ValidationInfo) -> str | None:
+        method = info.data.get("method", "object")
+        if start is not None and start not in STARTS[method]:
+            raise ValueError(f"allowed for {method}: {', '.join(STARTS[method])}")
+        return start
+
+    @field_validator("chart_at_mm")
+    @classmethod
+    def _of_a_chart(cls, points: tuple[Pair, ...], info: ValidationInfo) -> tuple[Pair, ...]:
+        if points and info.data.get("usaf") is None:
+            raise SettingError("{chart_at_mm}: means nothing without {usaf}")
+        return points
+
+    @property
+    def most_iterations(self) -> int:
+        """At most; of the method where it was left out."""
+        return self.iterations or ITERATIONS[self.method]
+
+    @property
+    def first(self) -> str:
+        """The start; of the method where it was left out."""
+        return self.start or STARTS[self.method][0]
+
+    @property
+    def focus_mm(self) -> Pair | None:
+        """Where to look for the focus; of the method where it was left out."""
+        return self.refocus_mm or (PAPER_REFOCUS_MM if self.method == "paper" else None)
+
+
+class CalibrationSettings(FramedSettings):
+    """All settings of :func:`wavesim.calibrate_frames`."""
+
+    kind: Literal["complex", "amplitude"] = Field(
+        "amplitude", description="Of an unknown object: complex or amplitude."
+    )
+    engine: str = Field("eikonal", description="Engine, or auto: the cheapest that holds.")
+    iterations: int = Field(8, ge=1, description="Of each reconstruction on the way.")
+    most_mountings: int = Field(80, description="That are tried.")
+    parameters: str = Field("rigid", description="What is unknown: rigid, all, or names separated by commas.")
+    pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")
