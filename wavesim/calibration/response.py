@@ -15,6 +15,7 @@ from wavesim.calibration.motion import gradient, motion
 from wavesim.camera.mounting import WORKING_DISTANCE, Mounting, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.reconstruction.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_model import RecordingModel
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -95,16 +96,16 @@ def mounting_response(
     recorded, seen, slopes = [], [], []
     for number, (plane, weight) in enumerate(zip(model.recorded, model.weights, strict=True)):
         root = 1.0 if weight is None else np.sqrt(weight)
-        measure = _Plane(model, spectrum * model.ways[number], plane.known, blur_pixels)
+        measure = _Plane(model, number, spectrum, plane.known, blur_pixels)
         recorded.append(np.ravel(root * measure.root(plane.amplitude**2)))
         seen.append(np.ravel(root * measure.amplitude))
         parts = []
         for name in parameters:
             moved = plane_of(name)
             if moved is None:
-                parts.append(np.ravel(root * measure.slope(lens_changes[name] * model.ways[number])))
+                parts.append(np.ravel(root * measure.slope(lens_changes[name])))
             elif moved == number:
-                parts.append(np.ravel(root * measure.slope(along_z * measure.spectrum)))
+                parts.append(np.ravel(root * measure.slope(along_z * spectrum)))
             else:
                 parts.append(np.zeros(measure.amplitude.size, measure.amplitude.dtype))
         slopes.append(np.stack(parts) if parts else np.zeros((0, measure.amplitude.size), np.float32))
@@ -145,13 +146,15 @@ class _Plane:
     def __init__(
         self,
         model: RecordingModel,
+        number: int,
         spectrum: ComplexArray,
         known: NDArray[np.bool_] | None,
         blur_pixels: float,
     ) -> None:
-        self.pixels, self.spectrum, self.known, self.blur_pixels = model.pixels, spectrum, known, blur_pixels
-        self.field = self._fine(spectrum)
-        self.amplitude = self.root(self._means(self.field.real**2 + self.field.imag**2))
+        self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
+        self.way, self.known, self.blur_pixels = model.ways[number], known, blur_pixels
+        self.rows = self.pixels.carried(spectrum, self.way)
+        self.amplitude = self.root(self.pixels.intensity(self.rows))
 
     def root(self, intensity: RealArray) -> RealArray:
         """Amplitude of blurred known intensities."""
@@ -159,18 +162,9 @@ class _Plane:
         return np.asarray(np.sqrt(np.maximum(smooth, 0.0) + DARK * smooth.mean()))
 
     def slope(self, change_spectrum: ComplexArray) -> RealArray:
-        """Change of the amplitude with that of the field."""
-        change = self._fine(change_spectrum)
-        of_intensity = self._means(self.field.real * change.real + self.field.imag * change.imag, signed=True)
-        return np.asarray(self._blurred(of_intensity) / self.amplitude)
-
-    def _fine(self, spectrum: ComplexArray) -> ComplexArray:
-        if self.pixels is None:
-            return np.asarray(scipy.fft.ifftn(spectrum, workers=-1))
-        return self.pixels.densely(spectrum)
-
-    def _means(self, intensity: RealArray, signed: bool = False) -> RealArray:
-        return intensity if self.pixels is None else self.pixels.means(intensity, signed=signed)
+        """Change of the amplitude with that of the field at the exit."""
+        change = self.pixels.carried(change_spectrum, self.way)
+        return np.asarray(self._blurred(self.pixels.products(self.rows, change)) / self.amplitude)
 
     def _blurred(self, intensity: RealArray) -> RealArray:
         if self.known is not None:

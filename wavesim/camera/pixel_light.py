@@ -1,4 +1,9 @@
-"""Mean intensity on the pixels of a sensor, from a field whose rows come band by band."""
+"""Mean intensity on the pixels of a sensor, from a field whose rows come band by band.
+
+Exact for light that its samples hold. The reconstruction's square (:mod:`wavesim.reconstruction.pixel_means`)
+is another on purpose: what is reconstructed from simulated frames shall not rest on the very model that made
+them. On a frame of the 1/32 twin the two differ by 0.05 %.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +72,7 @@ class PixelLight:
         for block in row_blocks(len(values)):
             intensity = np.abs(values[block]).astype(float) ** 2
             self.caught += float(intensity.sum())
-            means = pixel_means(intensity, self._oversampling, self._active_width)
+            means = means_over_pixels(intensity, self._oversampling, self._active_width)
             self._across[rows.start + block.start : rows.start + block.stop] = means
 
     def means(self) -> Array:
@@ -75,12 +80,12 @@ class PixelLight:
         means = np.empty(self._shape, self._kept)
         for columns in row_blocks(self._shape[1]):
             lines = self._across[:, columns].T.astype(float)
-            means[:, columns] = pixel_means(lines, self._oversampling, self._active_width).T
+            means[:, columns] = means_over_pixels(lines, self._oversampling, self._active_width).T
         # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
         return np.maximum(means, 0.0, out=means)
 
 
-def pixel_means(fine: Array, oversampling: int, active_width: float) -> Array:
+def means_over_pixels(fine: Array, oversampling: int, active_width: float) -> Array:
     """Means over pixels along the last axis, by the pixel's transfer on a cosine series.
 
     The series continues the light mirrored at the window's borders, so that nothing wraps around. At the

@@ -3,6 +3,10 @@
 The intensity has twice the band of the field, so that the field is taken twice as densely; means over the
 square follow from seven samples along each axis. All fine samples together would fill four times the field's
 memory: twice as many rows are kept, and between the samples of a row others are made where they are used.
+
+This is not the simulator's square (:mod:`wavesim.camera.pixel_light`), on purpose: that one is exact, this
+one is fast and has an adjoint, and a reconstruction from simulated frames does not find its own model in
+them. On a frame of the 1/32 twin they differ by 0.05 %.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
+Rows = tuple[ComplexArray, ComplexArray]
 
 TAPS = 3
 """Pairs of samples, at 1/2, 1 and 3/2 of a pixel from its middle, that with it make the mean over it."""
@@ -56,9 +61,7 @@ class PixelMeans:
         self.shape = grid.shape
         self.taps = _taps(active_width)
 
-    def carried(
-        self, spectrum: ComplexArray, way: PlaneWay, room: tuple[ComplexArray, ComplexArray] | None = None
-    ) -> tuple[ComplexArray, ComplexArray]:
+    def carried(self, spectrum: ComplexArray, way: PlaneWay, room: Rows | None = None) -> Rows:
         """A field on a plane behind a way, in rows through the pixels' middles and through their upper edges.
 
         Parameters
@@ -88,23 +91,39 @@ class PixelMeans:
         for_blocks(columns, width, COLUMNS)
         return middles, edges
 
-    def intensity(self, rows: tuple[ComplexArray, ComplexArray]) -> RealArray:
+    def intensity(self, rows: Rows) -> RealArray:
         """Each pixel's mean of the intensity, never negative, from what :meth:`carried` gives."""
-        taps, phase = self._taps_for(rows[0]), _half_sample(rows[0].shape[1], rows[0].dtype)
-        along = tuple(np.empty(part.shape, taps.dtype) for part in rows)
-        for part, means in zip(rows, along, strict=True):
+        return self._means(rows, rows, 0.0)
 
-            def block(start: int, stop: int, part: ComplexArray = part, means: RealArray = means) -> None:
-                means_along_rows(*_samples(part[start:stop], phase), taps, means[start:stop])
+    def products(self, rows: Rows, others: Rows) -> RealArray:
+        """Each pixel's mean of Re(conj(u) v), of two fields u and v from :meth:`carried`."""
+        return self._means(rows, others, -np.inf)
+
+    def _means(self, rows: Rows, others: Rows, least: float) -> RealArray:
+        taps = np.array(self.taps, np.result_type(rows[0].real, others[0].real))
+        phase = _half_sample(rows[0].shape[1], rows[0].dtype)
+        along = tuple(np.empty(part.shape, taps.dtype) for part in rows)
+        for part, other, means in zip(rows, others, along, strict=True):
+
+            def block(
+                start: int,
+                stop: int,
+                part: ComplexArray = part,
+                other: ComplexArray = other,
+                means: RealArray = means,
+            ) -> None:
+                own = _samples(part[start:stop], phase)
+                theirs = own if other is part else _samples(other[start:stop], phase)
+                means_along_rows(*own, *theirs, taps, means[start:stop])
 
             for_blocks(block, len(part), rows_in(part[0].nbytes))
-        result = np.empty_like(along[0])
-        for_blocks(lambda a, b: means_along_columns(*along, taps, result, a, b), len(result), 64)
+        result, bound = np.empty_like(along[0]), taps.dtype.type(least)
+        for_blocks(lambda a, b: means_along_columns(*along, taps, bound, result, a, b), len(result), 64)
         return result
 
     def add_back(
         self,
-        rows: tuple[ComplexArray, ComplexArray],
+        rows: Rows,
         change: RealArray,
         way: PlaneWay,
         total: ComplexArray,
@@ -124,7 +143,7 @@ class PixelMeans:
         """
         height, width = change.shape
         along_y, along_x = (_half_sample(n, total.dtype) for n in (height, width))
-        taps = 2.0 * self._taps_for(total)
+        taps = np.array(self.taps, total.real.dtype) * 2
         half = taps.dtype.type(0.5)
         for between, part in zip((False, True), rows, strict=True):
 
@@ -145,30 +164,8 @@ class PixelMeans:
 
         for_blocks(columns, width, COLUMNS)
 
-    def densely(self, spectrum: ComplexArray) -> ComplexArray:
-        """Two samples a pixel along each axis: in its middle, and at its upper edge."""
-        for axis, count in enumerate(self.shape):
-            spectrum = _padded(spectrum, axis, 2 * count)
-            spectrum = scipy.fft.ifft(spectrum, axis=axis, workers=-1, overwrite_x=True)
-            spectrum *= 2.0
-        return spectrum
 
-    def means(self, fine: RealArray, signed: bool = False) -> RealArray:
-        """Means over the squares of samples as :meth:`densely` gives them; not negative unless signed."""
-        for axis in range(fine.ndim):
-            halves = _halves(fine, axis)
-            total = self.taps[0] * halves[0]
-            for away, tap in enumerate(self.taps[1:], start=1):
-                half, behind, before = halves[away % 2], away // 2, away - away // 2
-                total += tap * (np.roll(half, -behind, axis) + np.roll(half, before, axis))
-            fine = total
-        return fine if signed else np.maximum(fine, 0.0)
-
-    def _taps_for(self, field: ComplexArray) -> RealArray:
-        return np.array(self.taps, field.real.dtype)
-
-
-def _samples(spectra: ComplexArray, phase: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _samples(spectra: ComplexArray, phase: ComplexArray) -> Rows:
     """In the middles of pixels and at their upper edges, from the spectrum along each row."""
     middle = scipy.fft.ifft(spectra, axis=1)
     return middle, scipy.fft.ifft(spectra * phase, axis=1, overwrite_x=True)
@@ -192,22 +189,3 @@ def _taps(active_width: float) -> list[float]:
         weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
     )
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]
-
-
-def _halves(fine: RealArray, axis: int) -> tuple[RealArray, RealArray]:
-    """Views on the samples in the pixels' middles and at their edges."""
-    before = (slice(None),) * axis
-    return fine[(*before, slice(0, None, 2))], fine[(*before, slice(1, None, 2))]
-
-
-def _padded(spectrum: ComplexArray, axis: int, count: int) -> ComplexArray:
-    """Zeros at frequencies beyond the band of a spectrum."""
-    few, before = spectrum.shape[axis], (slice(None),) * axis
-    result = np.zeros((*spectrum.shape[:axis], count, *spectrum.shape[axis + 1 :]), spectrum.dtype)
-    positive = (few + 1) // 2
-    for mine, other in (
-        (slice(0, positive),) * 2,
-        (slice(positive, few), slice(count - few + positive, count)),
-    ):
-        result[(*before, other)] = spectrum[(*before, mine)]
-    return result

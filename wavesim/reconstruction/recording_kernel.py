@@ -58,14 +58,18 @@ def add_columns(
 
 
 @_jit
-def means_along_rows(even: NDArray, odd: NDArray, taps: NDArray, result: NDArray) -> None:
-    """Of intensities, from fields in the middles of pixels and at their upper edges."""
+def means_along_rows(
+    even: NDArray, odd: NDArray, other_even: NDArray, other_odd: NDArray, taps: NDArray, result: NDArray
+) -> None:
+    """Of real products of two fields, from samples in the middles of pixels and at their upper edges."""
     count = even.shape[1]
     middle, edge = empty(count + 3, taps.dtype), empty(count + 3, taps.dtype)
     for i in range(even.shape[0]):
         for j in range(count):
-            middle[j + 2] = even[i, j].real * even[i, j].real + even[i, j].imag * even[i, j].imag
-            edge[j + 2] = odd[i, j].real * odd[i, j].real + odd[i, j].imag * odd[i, j].imag
+            value, other = even[i, j], other_even[i, j]
+            middle[j + 2] = value.real * other.real + value.imag * other.imag
+            value, other = odd[i, j], other_odd[i, j]
+            edge[j + 2] = value.real * other.real + value.imag * other.imag
         _wrap(middle, count)
         _wrap(edge, count)
         for j in range(count):
@@ -87,10 +91,10 @@ def _wrap(line: NDArray, count: int) -> None:
 
 @_jit
 def means_along_columns(
-    even: NDArray, odd: NDArray, taps: NDArray, result: NDArray, start: int, stop: int
+    even: NDArray, odd: NDArray, taps: NDArray, least: Any, result: NDArray, start: int, stop: int
 ) -> None:
-    """Rows `start` to `stop` of the pixels' means; never negative."""
-    count, zero = even.shape[0], taps[0] - taps[0]
+    """Rows `start` to `stop` of the pixels' means, not below `least`."""
+    count = even.shape[0]
     for i in range(start, stop):
         below, under, above = (i - 1) % count, (i - 2) % count, (i + 1) % count
         for j in range(even.shape[1]):
@@ -100,7 +104,7 @@ def means_along_columns(
                 + taps[2] * (even[above, j] + even[below, j])
                 + taps[3] * (odd[above, j] + odd[under, j])
             )
-            result[i, j] = max(total, zero)
+            result[i, j] = max(total, least)
 
 
 @_jit

@@ -23,7 +23,7 @@ from wavesim.camera.exposures import (
     plane_seeds,
 )
 from wavesim.camera.frames import Frame, FrameSettings
-from wavesim.camera.pixel_light import pixel_means
+from wavesim.camera.pixel_light import means_over_pixels
 from wavesim.camera.sensor import FootprintWarning, light_on_pixels, pixel_mtf, record, sensor_grid
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
@@ -91,7 +91,7 @@ def test_pixels_pass_a_cosine_by_their_mtf(
     cycles_per_pixel = 0.5 * order / pixels
     fine = (np.arange(oversampling * pixels) + 0.5) / oversampling
     middle = np.arange(pixels) + 0.5
-    got = pixel_means(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width)[0]
+    got = means_over_pixels(np.cos(2 * np.pi * cycles_per_pixel * fine)[None], oversampling, width)[0]
     mtf = pixel_mtf(cycles_per_pixel * 1e3 / PITCH_UM, SENSOR, width)
     np.testing.assert_allclose(got, mtf * np.cos(2 * np.pi * cycles_per_pixel * middle), atol=1e-12)
 

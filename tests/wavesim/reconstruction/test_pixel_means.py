@@ -36,6 +36,28 @@ def speckle(shape: tuple[int, ...], seed: int) -> tuple[np.ndarray, np.ndarray]:
     return random.standard_normal(shape) + 1j * random.standard_normal(shape), random.random(shape)
 
 
+def densely(spectrum: np.ndarray) -> np.ndarray:
+    """Two samples a pixel along each axis: in its middle, and at its upper edge."""
+    for axis, count in enumerate(spectrum.shape):
+        few = np.moveaxis(spectrum, axis, 0)
+        wide = np.zeros((2 * count, *few.shape[1:]), spectrum.dtype)
+        wide[np.round(count * np.fft.fftfreq(count)).astype(int)] = few
+        spectrum = 2.0 * np.moveaxis(np.fft.ifft(wide, axis=0), 0, axis)
+    return spectrum
+
+
+def means_of(pixels: PixelMeans, fine: np.ndarray) -> np.ndarray:
+    """Means over the squares of samples as `densely` gives them: in NumPy's words."""
+    for axis in range(fine.ndim):
+        along = np.moveaxis(fine, axis, 0)
+        total = pixels.taps[0] * along[::2]
+        for away, tap in enumerate(pixels.taps[1:], start=1):
+            half, behind, before = along[away % 2 :: 2], away // 2, away - away // 2
+            total = total + tap * (np.roll(half, -behind, 0) + np.roll(half, before, 0))
+        fine = np.moveaxis(total, 0, axis)
+    return fine
+
+
 def spread(pixels: PixelMeans, values: np.ndarray) -> np.ndarray:
     """The adjoint of the means of fine samples, such that means remain: in NumPy's words."""
     for axis in (1, 0):
@@ -66,7 +88,8 @@ def test_means_are_those_of_the_sensor(active_width: float) -> None:
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
     expected = light_on_pixels(one, sensor, active_width=active_width, oversampling=4)
     pixels = PixelMeans(GRID, active_width)
-    means = pixels.means(np.abs(pixels.densely(np.fft.fft2(one.values))) ** 2)
+    way = PlaneWay(GRID, 0.532, 0.0, np.complex128)
+    means = pixels.intensity(pixels.carried(np.fft.fft2(one.values), way))
     off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
     at_points = np.linalg.norm(np.abs(one.values) ** 2 - expected) / np.linalg.norm(expected)
     assert off < 0.01
@@ -82,9 +105,15 @@ def test_means_in_blocks_are_those_of_all_fine_samples(
     grid = Grid(shape, PITCH, 1.0)
     pixels, way = PixelMeans(grid, active_width), PlaneWay(grid, 0.532, distance_mm, np.complex128)
     spectrum, _ = speckle(shape, 2)
-    fine = pixels.densely(spectrum * transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm))
+    factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm)
+    fine = densely(spectrum * factor)
     found = pixels.intensity(pixels.carried(spectrum, way))
-    np.testing.assert_allclose(found, pixels.means(np.abs(fine) ** 2), atol=1e-14 * np.ptp(np.abs(fine) ** 2))
+    means = np.maximum(means_of(pixels, np.abs(fine) ** 2), 0.0)
+    np.testing.assert_allclose(found, means, atol=1e-14 * np.ptp(np.abs(fine) ** 2))
+    other, _ = speckle(shape, 5)
+    product = (fine.conj() * densely(other * factor)).real
+    found = pixels.products(pixels.carried(spectrum, way), pixels.carried(other, way))
+    np.testing.assert_allclose(found, means_of(pixels, product), atol=1e-13 * np.abs(product).max())
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -97,7 +126,7 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
     there = spectrum.astype(dtype)
     pixels.add_back(pixels.carried(there, way), change.astype(total.real.dtype), way, total)
     factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, 0.4)
-    fine = pixels.densely(spectrum * factor) * spread(pixels, change)
+    fine = densely(spectrum * factor) * spread(pixels, change)
     expected = 1.0 + coarsely(fine, shape) * factor.conj()
     np.testing.assert_allclose(total, expected, atol=20.0 * np.finfo(dtype).eps * np.abs(expected).max())
 
@@ -117,10 +146,17 @@ def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: floa
     assert np.vdot(spectrum, total) / grid.size == pytest.approx(met, rel=1e-10)
 
 
+def test_a_point_is_a_pixel_of_no_width() -> None:
+    pixels, (spectrum, _) = PixelMeans(GRID, 0.0), speckle(GRID.shape, 4)
+    found = pixels.intensity(pixels.carried(spectrum, PlaneWay(GRID, 0.532, 0.0, np.complex128)))
+    assert pixels.taps == [1.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(found, np.abs(np.fft.ifft2(spectrum)) ** 2, atol=1e-14)
+
+
 def test_dense_samples_hold_the_coarse_ones() -> None:
-    one, pixels = field(), PixelMeans(GRID, 1.0)
+    one = field()
     spectrum = np.fft.fft2(one.values)
-    fine = pixels.densely(spectrum)
+    fine = densely(spectrum)
     np.testing.assert_allclose(fine[::2, ::2], one.values, atol=1e-12)
     np.testing.assert_allclose(coarsely(fine, GRID.shape), spectrum, atol=1e-10)
 
@@ -128,6 +164,8 @@ def test_dense_samples_hold_the_coarse_ones() -> None:
 def test_means_and_spread_of_an_even_field_are_even() -> None:
     pixels = PixelMeans(GRID, 1.0)
     fine, coarse = (np.random.default_rng(2).random([k * n for n in GRID.shape]) for k in (2, 1))
-    assert np.vdot(pixels.means(fine), coarse) == pytest.approx(0.25 * np.vdot(fine, spread(pixels, coarse)))
+    assert np.vdot(means_of(pixels, fine), coarse) == pytest.approx(
+        0.25 * np.vdot(fine, spread(pixels, coarse))
+    )
     assert spread(pixels, np.ones(GRID.shape)).mean() == pytest.approx(1.0)
-    np.testing.assert_allclose(pixels.means(np.ones([2 * n for n in GRID.shape])), 1.0)
+    np.testing.assert_allclose(means_of(pixels, np.ones([2 * n for n in GRID.shape])), 1.0)
