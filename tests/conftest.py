@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,22 @@ settings.register_profile(
     "transferlens", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("transferlens")
+
+HUNG_SECONDS = 600
+
+
+@pytest.fixture(autouse=True)
+def no_hanging() -> Iterator[None]:
+    """A test that hangs fails in the end; how fast one is, is for the benchmarks to say."""
+
+    def hung(*_: object) -> None:
+        raise TimeoutError(f"this test has not ended in {HUNG_SECONDS} s")
+
+    before = signal.signal(signal.SIGALRM, hung)
+    signal.alarm(HUNG_SECONDS)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture(scope="session")

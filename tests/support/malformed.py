@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -33,7 +32,6 @@ NUMBERS = [
     b"[]",
     b"2147483648",
 ]
-SECONDS_EACH = 2.0
 
 
 def malformed(data: bytes, rng: np.random.Generator, own: Sequence[bytes] = ()) -> bytes:
@@ -68,15 +66,14 @@ def outcomes(
 ) -> list[bool]:
     """Read each; True where it was read, with `check` of the result, False where a fault was told.
 
-    Any other exception, a fault that does not name the file or one that it names, a file beside it, or one
-    that takes longer than some seconds is an error.
+    Any other exception, a fault that does not name the file or one that it names, or a file beside it is an
+    error.
     """
     found = []
     for number, content in enumerate(files):
         path.write_bytes(content)
         os.utime(path, ns=(number, number))  # another time for each, or a cache would take it for the last
         before = sorted(path.parent.iterdir())
-        start = time.perf_counter()
         try:
             result = read(path)
         except InputError as error:
@@ -87,7 +84,6 @@ def outcomes(
         if message:
             assert str(path.parent) in message, message[:500]
         found.append(not message)
-        assert time.perf_counter() - start < SECONDS_EACH, content[:500]
         assert sorted(path.parent.iterdir()) == before
     return found
 

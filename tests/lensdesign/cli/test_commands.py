@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -320,11 +319,9 @@ def test_version(command: Command) -> None:
     assert out.startswith("transferlens ")
 
 
-def test_help_is_quick_and_lists_the_commands() -> None:
+def test_help_lists_the_commands() -> None:
     script = Path(sys.executable).parent / "lensdesign"
-    began = time.perf_counter()
     done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=True)
-    assert time.perf_counter() - began < 5.0  # well under 1 s where nothing else runs
     for name in ("check", "optimize", "draw", "export", "import", "scene", "drawing", "sag", "glass"):
         assert f"\n  {name} " in done.stdout
 

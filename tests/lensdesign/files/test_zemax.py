@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -462,10 +461,8 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
             read_zmx(path)
     with path.open("wb") as handle:
         handle.truncate(2**30)
-    start = time.perf_counter()
     with pytest.raises(InputError, match=f"1073741824 bytes; at most {LENS_FILE_BYTES} are read"):
         read_zmx(path)
-    assert time.perf_counter() - start < 1.0
     with pytest.raises(InputError, match="No such file"):
         read_zmx(tmp_path / "nowhere.zmx")
     with pytest.raises(InputError, match="Is a directory"):
@@ -492,7 +489,6 @@ def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens
     seeds = [own, AC254_050.encode(), ACL2520.encode("utf-16")]
     rng = np.random.default_rng(7)
     outcomes, messages = [], []
-    start = time.perf_counter()
     for trial in range(500):
         data = mutilated(bytearray(seeds[trial % len(seeds)]), rng, [b"INFINITY", b"()"])
         (tmp_path / "lens.zmx").write_bytes(data)
@@ -502,6 +498,5 @@ def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens
         except InputError as error:
             outcomes.append(False)
             messages.append(str(error))
-    assert time.perf_counter() - start < 60.0
     assert 20 < sum(outcomes) < 480
     assert all(message.find(str(tmp_path / "lens.zmx")) >= 0 for message in messages)

@@ -108,9 +108,8 @@ def test_time_limit_holds():
         time.sleep(0.01)
         return quadratic(x)
 
-    began = time.monotonic()
     found = minimize(slow, np.array([0.1, 0.9]), "isres", max_seconds=0.3, max_evaluations=10**6)
-    assert time.monotonic() - began < 1.5
+    assert found.evaluations < 100
     assert found.stopped_because == "time limit"
 
 

@@ -87,7 +87,6 @@ def test_smallest_spread_from_a_plate(smallest_spread):
     found = optimize(smallest_spread)
     assert found.feasible
     assert found.goal_value <= 4.585
-    assert found.seconds < 20.0  # the kernels may still have to be compiled; see benchmarks for the real time
     assert largest_spread(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
 
 

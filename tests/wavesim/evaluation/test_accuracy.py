@@ -56,11 +56,29 @@ def scaled(monkeypatch: pytest.MonkeyPatch) -> str:
     return "scaled"
 
 
-def test_error_is_not_fitted_and_all_that_was_measured_is_told(scaled: str) -> None:
+class Clock:
+    """Time passes by sleeping alone."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def perf_counter(self) -> float:
+        return self.seconds
+
+    def sleep(self, seconds: float) -> None:
+        self.seconds += seconds
+
+
+def test_error_is_not_fitted_and_all_that_was_measured_is_told(
+    scaled: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(time, "perf_counter", clock.perf_counter)
+    monkeypatch.setattr(time, "sleep", clock.sleep)
     result = run_oracle(scaled, "beam", factor=0.9, pause_seconds=0.03)
     assert result.relative_error == pytest.approx(0.1)
-    assert 0.03 <= result.seconds < 0.09
-    assert 0.05 <= result.setup_seconds < 0.2
+    assert result.seconds == pytest.approx(0.03)
+    assert result.setup_seconds == pytest.approx(0.06)
     assert result.peak_mb == pytest.approx(1e-6 * BALLAST_BYTES, rel=0.1)
     assert result.predicted == Cost(0.03, 0.06, BALLAST_BYTES)
     assert result.settings == {"factor": 0.9, "pause_seconds": 0.03}
