@@ -1,4 +1,4 @@
-"""The command, end to end, in processes of its own."""
+"""The command, end to end; in a process of its own where it is interrupted."""
 
 import json
 import signal
@@ -6,19 +6,37 @@ import sqlite3
 import subprocess
 import sys
 import time
+from typing import NamedTuple
 
 import pytest
+
+from tolerancing.cli.commands import main
 
 HEAVY = ("scipy", "pandas", "matplotlib", "jinja2", "numba")
 
 
-def command(*arguments):
-    """Run ``tolerancing`` and return the finished process."""
-    start = [sys.executable, "-m", "tolerancing.cli", *map(str, arguments)]
-    return subprocess.run(start, capture_output=True, text=True, timeout=120, check=False)
+class Ran(NamedTuple):
+    """How a command ended, and what it said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_run_show_and_report(write_study, full_study, tmp_path):
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Runs ``tolerancing``."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["tolerancing", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return Ran(int(ended.value.code or 0), *capsys.readouterr())
+
+    return run
+
+
+def test_run_show_and_report(command, write_study, full_study, tmp_path):
     store, out = tmp_path / "a.store", tmp_path / "out"
     ran = command(
         "run", write_study(full_study), "--store", store, "--workers", "1", "--trials", "12", "--json"
@@ -48,7 +66,7 @@ def test_run_show_and_report(write_study, full_study, tmp_path):
     assert (out / "trials.csv").read_text().count("\n") == 13
 
 
-def test_run_ends_by_saying_what_was_done_and_where_it_lies(write_study, ray_study, tmp_path):
+def test_run_ends_by_saying_what_was_done_and_where_it_lies(command, write_study, ray_study, tmp_path):
     store = tmp_path / "a.store"
     ran = command("run", write_study(ray_study), "--store", store, "--workers", "1")
     assert ran.stdout.splitlines()[-1].startswith("40 trials, 8 steps in ")
@@ -64,7 +82,7 @@ def test_run_ends_by_saying_what_was_done_and_where_it_lies(write_study, ray_stu
         ("sgma = 1.0", "perturbation 1: sgma: unknown key; allowed: "),
     ],
 )
-def test_faulty_study_is_one_message_and_status_2(write_study, ray_study, tmp_path, text, message):
+def test_faulty_study_is_one_message_and_status_2(command, write_study, ray_study, tmp_path, text, message):
     path = write_study(ray_study.replace("sigma = 0.02", text))
     ran = command("run", path, "--store", tmp_path / "a.store")
     assert ran.returncode == 2
@@ -74,7 +92,7 @@ def test_faulty_study_is_one_message_and_status_2(write_study, ray_study, tmp_pa
     assert not (tmp_path / "a.store").exists()
 
 
-def test_one_trial_is_shown_again(write_study, full_study, tmp_path):
+def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
     store, picture = tmp_path / "a.store", tmp_path / "trial.svg"
     command("run", write_study(full_study), "--store", store, "--workers", "1", "--trials", "4")
     shown = command("show", store, "--trial", "2", "-o", picture)
@@ -94,7 +112,7 @@ def test_one_trial_is_shown_again(write_study, full_study, tmp_path):
         assert refused.stderr.startswith(message)
 
 
-def test_a_study_is_started_run_ranked_inverted_and_budgeted(paper_design, tmp_path):
+def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_design, tmp_path):
     study, store, out = tmp_path / "study.toml", tmp_path / "a.db", tmp_path / "budget.toml"
     started = command("start", paper_design, "-o", study, "--grade", "high_precision")
     assert started.returncode == 0, started.stderr
@@ -141,7 +159,9 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(paper_design, tmp_p
         (("export", "STORE", "OUT"), "cannot write"),
     ],
 )
-def test_faulty_questions_are_one_message_and_status_2(write_study, ray_study, tmp_path, arguments, message):
+def test_faulty_questions_are_one_message_and_status_2(
+    command, write_study, ray_study, tmp_path, arguments, message
+):
     study, store = write_study(ray_study), tmp_path / "a.store"
     command("run", study, "--store", store, "--workers", "1", "--trials", "40")
     places = {"STORE": store, "STUDY": study, "OUT": tmp_path / "out.txt"}
@@ -153,7 +173,7 @@ def test_faulty_questions_are_one_message_and_status_2(write_study, ray_study, t
 
 
 @pytest.mark.parametrize("arguments", [("show",), ("report", "-o", "out")])
-def test_other_files_are_refused_with_status_2(tmp_path, arguments):
+def test_other_files_are_refused_with_status_2(command, tmp_path, arguments):
     path = tmp_path / "notes.txt"
     path.write_text("mine")
     name, *rest = arguments
@@ -173,7 +193,7 @@ def test_import_is_light():
     assert done.stdout.strip() == "[]"
 
 
-def test_an_interrupted_run_says_so_and_goes_on(write_study, ray_study, tmp_path):
+def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study, tmp_path):
     path = tmp_path / "a.store"
     start = [
         sys.executable,
