@@ -45,8 +45,8 @@ SHORTER = {
     r" --usaf bright": "",
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
-    # The whole field of the full-size lens (half an hour): of a small twin.
-    r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/small_twin.toml\1",
+    # The whole field of the full-size lens (half an hour): of a tiny twin.
+    r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
     # Its fine lines need samples and exposures that the twin has no room for; nobody runs a cluster here.
     r" --(chart-at-mm|object-pitch-um|cluster) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
@@ -130,8 +130,10 @@ def as_run(command: str) -> str:
 
 
 def shorten_studies(designs: Path) -> None:
-    """Two values of every sweep, ten slices, four perturbations; and a small twin of the paper's lens."""
-    save_design(scaled(load_design(designs / "paper_singlet.toml"), 0.02), designs / "small_twin.toml")
+    """Two values of every sweep, ten slices, four perturbations; and two twins of the paper's lens."""
+    lens = load_design(designs / "paper_singlet.toml")
+    save_design(scaled(lens, 0.02), designs / "small_twin.toml")
+    save_design(scaled(lens, 0.008), designs / "tiny_twin.toml")
     for path in designs.glob("*.toml"):
         study = tomllib.loads(path.read_text(encoding="utf-8"))
         if "trials" not in study:
