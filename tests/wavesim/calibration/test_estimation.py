@@ -10,16 +10,23 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.calibration.estimation import Calibrated, calibrate, eikonal_tiles, noise_misfit
+from wavesim.calibration.estimation import Calibrated, calibrate, noise_misfit
 from wavesim.camera.mounting import Mounting
 from wavesim.camera.recorded import Recorded
+from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.pictures.calibrations import calibration_figure
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 
 TRUE = Mounting(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0)
 RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
+
+
+def tiles(scene: Scene) -> Engine:
+    """One tile: the search makes an engine for every mounting."""
+    return engine_for(scene, "eikonal", error=0.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +55,7 @@ def bench() -> Bench:
             bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
     known = Field(grid, bars.astype(np.complex64), 0.532)
     blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = RecordingModel(eikonal_tiles(TRUE.scene(scene)), TRUE.illumination(light), blank, 1.0)
+    model = RecordingModel(tiles(TRUE.scene(scene)), TRUE.illumination(light), blank, 1.0)
     seen = [
         Recorded(plane.distance_mm, amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)
@@ -62,7 +69,7 @@ def found_values(found: Calibrated) -> np.ndarray:
 
 def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
     brighter = [Recorded(p.distance_mm, 3.0 * p.amplitude) for p in bench.recorded]
-    found = calibrate(bench.scene, bench.light, brighter, known=bench.known)
+    found = calibrate(bench.scene, bench.light, brighter, known=bench.known, make=tiles)
     assert found_values(found) == pytest.approx(TRUE.values_of(RIGID), rel=0.03)
     assert found.misfit < 0.05 * found.misfit_before
     assert found.stopped_because == "converged"
@@ -77,7 +84,8 @@ def test_an_unknown_object_tells_them_too(bench: Bench) -> None:
         "parameters": ("decenter_x_mm", "tilt_y_deg"),
         "scale": 1.0,
         "start": start,
-        "iterations": 6,
+        "iterations": 8,
+        "make": tiles,
     }
     found = calibrate(
         bench.scene, bench.light, bench.recorded, progress=lambda *told_now: told.append(told_now), **settings
@@ -96,11 +104,11 @@ def goes_on_where_it_was_cut_off(bench: Bench, whole: Calibrated, settings: dict
 
     def counted(scene: Scene) -> Any:
         made.append(scene)
-        return eikonal_tiles(scene)
+        return tiles(scene)
 
     cut = len(whole.trail) - 3
     again = calibrate(
-        bench.scene, bench.light, bench.recorded, tried=whole.trail[:cut], make=counted, **settings
+        bench.scene, bench.light, bench.recorded, tried=whole.trail[:cut], **settings | {"make": counted}
     )
     assert again.mounting == whole.mounting
     assert again.misfit == pytest.approx(whole.misfit, rel=1e-4)

@@ -35,7 +35,7 @@ class Bench:
         self.recorded = [Recorded(0.0, np.ones(exit_grid.shape)), Recorded(0.6, np.ones(exit_grid.shape))]
 
     def model(self, mounting: Mounting, active_width: float = 0.0) -> RecordingModel:
-        engine = engine_for(mounting.scene(self.scene), "eikonal", error=0.1)
+        engine = engine_for(mounting.scene(self.scene), "eikonal", error=0.3)
         planes = mounting.recorded(self.recorded)
         return RecordingModel(engine, mounting.illumination(self.light), planes, 1.0, active_width)
 

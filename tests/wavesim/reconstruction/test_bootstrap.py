@@ -18,7 +18,7 @@ from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 
-SEEDS = 16
+SEEDS = 10
 SETTINGS = {"kind": "amplitude", "tv_weight": "auto"}
 
 
@@ -27,7 +27,7 @@ def lit() -> tuple[Engine, Field]:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((64, 64), 4.2e-4, lens.object_z_mm)
     exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.1)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
     stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(np.complex64)
     return engine, Field(grid, stop, 0.532)
 
@@ -63,9 +63,9 @@ def test_it_is_the_scatter_of_independent_records(lit: tuple[Engine, Field]) -> 
     first = record(lit, 0)
     told: list[tuple[int, int]] = []
     told_by_one = uncertainty(
-        *lit, first, found(lit, first), repeats=8, progress=lambda *done: told.append(done), **SETTINGS
+        *lit, first, found(lit, first), repeats=6, progress=lambda *done: told.append(done), **SETTINGS
     )
-    assert told == [(k, 8) for k in range(1, 9)]
+    assert told == [(k, 6) for k in range(1, 7)]
     assert told_by_one.shape == inside.shape
     assert not np.any(told_by_one[~inside])
     ratio = np.sqrt(np.mean(told_by_one[inside] ** 2) / np.mean(scatter[inside] ** 2))

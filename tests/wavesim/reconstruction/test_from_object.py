@@ -36,7 +36,7 @@ def case() -> Case:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     object_grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
     exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-    engine = engine_for(Scene(lens, object_grid, exit_grid, 0.532), "eikonal", error=0.1)
+    engine = engine_for(Scene(lens, object_grid, exit_grid, 0.532), "eikonal", error=0.3)
     y, x = object_grid.y_mm[:, None], object_grid.x_mm
     stop = (np.hypot(y, x) < 0.024).astype(np.complex64)
     rng = np.random.default_rng(7)

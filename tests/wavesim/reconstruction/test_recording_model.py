@@ -20,7 +20,7 @@ def model_parts() -> tuple:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
     grid = Grid((60, 60), 4.2e-4, lens.object_z_mm)
     exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
-    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.1)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
     stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(complex)
     return engine, Field(grid, stop, 0.532)
 
