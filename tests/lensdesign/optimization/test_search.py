@@ -12,6 +12,7 @@ from places import DESIGNS
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.spread import largest_spread
 from lensdesign.errors import DesignError
+from lensdesign.optimization import search
 from lensdesign.optimization.problem import DesignProblem, Rays, sample_rays
 from lensdesign.optimization.search import finished_lens, optimize
 from lensdesign.optimization.specification import (
@@ -117,9 +118,12 @@ def test_results_pass_the_check(name):
 
 
 @pytest.mark.parametrize("algorithm", ["cobyla", "auglag-direct", "isres"])
-def test_other_algorithms_come_to_the_same_lens(smallest_spread, algorithm):
+def test_other_algorithms_come_to_the_same_lens(smallest_spread, algorithm, monkeypatch):
+    """Within some hundred evaluations; they may take thousands to see that they are there."""
+    minimize = search.minimize
+    monkeypatch.setattr(search, "minimize", lambda *a, **k: minimize(*a, **k | {"max_evaluations": 800}))
     specification = changed(
-        smallest_spread, optimize=Settings(start="plate", algorithm=algorithm, max_seconds=20.0)
+        smallest_spread, optimize=Settings(start="plate", algorithm=algorithm, max_seconds=300.0)
     )
     assert optimize(specification).goal_value == pytest.approx(4.5793, abs=2e-3)
 
