@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lensdesign.analysis.form_error import FormError
+from lensdesign.common.notebook import html_table
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class WorstRay:
     wavelength_um: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CheckReport:
     """What a lens does, against what it has to do.
 
@@ -143,6 +144,25 @@ class CheckReport:
     etendue_share: float
     wavelengths: tuple[WavelengthCheck, ...]
     figures: tuple[FormError, ...]
+
+    def __repr__(self) -> str:
+        met = "every constraint met" if self.feasible else f"not met: {len(self.violations)}"
+        return (
+            f"<CheckReport {self.title!r}: {met}, spread {self.max_spread_deg:.4f} of "
+            f"{self.spread_limit_deg:.4f} deg, resolution {self.resolution_um:.4g} um>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (c.name, f"{'' if c.met else 'not met: '}{c.value:.6g} {c.relation} {c.limit:.6g} {c.unit}")
+            for c in self.constraints
+        ]
+        rows += [
+            ("resolution", f"{self.resolution_um:.4g} um"),
+            ("effective, back focal length", f"{self.efl_mm:.4f}, {self.bfl_mm:.4f} mm"),
+            ("exit beam diameter", f"{self.exit_beam_diameter_mm:.3f} mm"),
+        ]
+        return html_table(self.title or "Check", rows)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; figures that are not finite become None."""

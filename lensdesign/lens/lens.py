@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.notebook import html_table
 from lensdesign.common.section import Positive, Section, as_path, tuples
+from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import refractive_index
+from lensdesign.lens.portrait import section_svg
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.solid import (
     glass_element,
+    glass_elements,
     glass_fronts,
     mechanical_semi_diameter_mm,
     refuse_impossible_edge,
@@ -242,3 +246,39 @@ class Lens(Section):
         surface = self.surfaces[index].replaced(**changes)
         surfaces = (*self.surfaces[:index], surface, *self.surfaces[index + 1 :])
         return self.replaced(surfaces=surfaces)
+
+    def __repr__(self) -> str:
+        media = ", ".join(str(s.material) for s in self.surfaces if s.material is not None)
+        return (
+            f"<Lens {self.title!r}: {len(self.surfaces)} surfaces, {media or 'no glass'}, "
+            f"field {self.object.field_diameter_mm:g} mm, NA {self.object.numerical_aperture:g}>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [(f"surface {number}", said) for number, said in enumerate(map(_in_words, self.surfaces), 1)]
+        pixels = " x ".join(map(str, self.sensor.pixels))
+        planes = ", ".join(f"{d:g}" for d in self.sensor.plane_distances_mm)
+        rows += [
+            ("wavelengths", f"{', '.join(f'{w:g}' for w in self.wavelengths_um)} um"),
+            (
+                "object",
+                f"field {self.object.field_diameter_mm:g} mm, NA {self.object.numerical_aperture:g}, "
+                f"{self.object.working_distance_mm:g} mm before surface 1",
+            ),
+            ("sensor", f"{pixels} pixels of {self.sensor.pixel_pitch_um:g} um, {planes} mm behind"),
+        ]
+        try:
+            picture = section_svg(glass_elements(self))
+        except InputError:  # no glass, or no size: nothing to draw
+            picture = ""
+        return html_table(self.title or "Lens", rows, picture)
+
+
+def _in_words(surface: Surface) -> str:
+    """A surface on one line: the values that it was given."""
+    given = surface.model_dump(exclude_defaults=True, exclude_none=True, exclude={"figure"})
+    values = [
+        key if value is True else f"{key} = {value:.7g}" if isinstance(value, float) else f"{key} = {value}"
+        for key, value in given.items()
+    ]
+    return ", ".join(values + (["with a measured figure"] if surface.figure is not None else [])) or "plane"

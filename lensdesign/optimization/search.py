@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
@@ -34,7 +35,7 @@ BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OptimizationResult:
     """What a search found.
 
@@ -71,6 +72,23 @@ class OptimizationResult:
     stopped_because: str
     starts: int
     starts_at_best: int
+
+    def __repr__(self) -> str:
+        met = "feasible" if self.feasible else f"not met: {len(self.violations)}"
+        return f"<OptimizationResult {self.goal} = {self.goal_value:.6g}, {met}, {self.lens!r}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, "plane" if v is None else f"{v:.8g}" if isinstance(v, float) else v)
+            for name, v in self.variables.items()
+        ]
+        rows += [
+            (self.goal, f"{self.goal_value:.6g}"),
+            ("binding", ", ".join(self.binding)),
+            *(("not met", sentence) for sentence in self.violations),
+            ("search", f"{self.algorithm}: {self.evaluations} evaluations in {self.seconds:.2f} s"),
+        ]
+        return html_table("Optimization", rows) + self.lens._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data, without the lens."""

@@ -122,7 +122,7 @@ class Engine(ABC):
     def key(self) -> str:
         """A digest of engine, scene and settings: equal for equal operators, in other processes too."""
         with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # figures in full, to the last digit
-            told = f"{self.name} {self.scene!r} {self.settings()!r}"
+            told = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
         return sha256(told.encode()).hexdigest()
 
     def predicted_error(self) -> float:

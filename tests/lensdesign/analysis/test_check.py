@@ -35,6 +35,13 @@ def test_a_design_file_will_do(paper_design: Path, report: CheckReport) -> None:
     assert check_design(paper_design) == check_design(str(paper_design)) == report
 
 
+def test_the_report_shows_itself(report: CheckReport) -> None:
+    assert repr(report).endswith("not met: 1, spread 4.8105 of 4.7682 deg, resolution 0.532 um>")
+    shown = report._repr_html_()
+    assert "not met: 4.8105 &lt;= 4.76821 deg" in shown
+    assert shown.count("<tr>") == len(report.constraints) + 3
+
+
 def test_figures_of_the_paper_lens(report: CheckReport) -> None:
     assert report.sbp_object == pytest.approx(1.96155e7, rel=5e-6)
     assert report.sbp_sensor == pytest.approx(3.02257e7, rel=5e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -108,3 +109,21 @@ def test_an_object_within_the_lens_is_refused() -> None:
     lens = make(bowl, Surface())
     with pytest.raises(DesignError, match=r"working_distance_mm = 8, but surface 1 comes 8\.589 mm towards"):
         lens.replaced(object=lens.object.replaced(working_distance_mm=8.0))
+
+
+def test_a_lens_shows_itself_shortly_at_the_prompt(paper_lens: Lens) -> None:
+    shown = repr(paper_lens.replaced(title="<b>\x1b"))
+    assert shown == "<Lens '<b>\\x1b': 2 surfaces, N-BK7, field 3 mm, NA 0.5>"
+
+
+def test_a_notebook_shows_a_table_and_the_section(paper_lens: Lens) -> None:
+    shown = paper_lens.replaced(title="<b>")._repr_html_()
+    assert "&lt;b&gt;" in shown
+    assert "radius_mm = -12, conic = -0.89862, semi_diameter_mm = 10" in shown
+    root = ElementTree.fromstring(shown[shown.index("<svg") :])
+    glass, axis = list(root)
+    corners = [[float(v) for v in p.split()] for p in glass.attrib["d"].strip("MZ").split("L")]
+    z, height = zip(*corners, strict=True)
+    assert (max(z) - min(z)) / (max(height) - min(height)) == pytest.approx(9.7 / 20.0, rel=5e-3)
+    assert axis.attrib["d"].startswith("M0 70")
+    assert "<svg" not in paper_lens.replaced(surfaces=(Surface(semi_diameter_mm=8.26),))._repr_html_()

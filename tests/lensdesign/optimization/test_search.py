@@ -89,6 +89,10 @@ def test_smallest_spread_from_a_plate(smallest_spread):
     assert found.feasible
     assert found.goal_value <= 4.585
     assert largest_spread(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
+    assert repr(found).startswith(
+        f"<OptimizationResult smallest spread = {found.goal_value:.6g}, feasible, <Lens"
+    )
+    assert f"{found.evaluations} evaluations in" in found._repr_html_()
 
 
 def test_smallest_spread_from_random_starts(smallest_spread):
