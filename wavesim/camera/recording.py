@@ -32,7 +32,17 @@ from wavesim.fields.passage import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.runtime.checkpoint import key_of
-from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
+from wavesim.runtime.memory import (
+    BASE_BYTES,
+    COMPLEX64,
+    COMPLEX128,
+    FLOAT32,
+    FLOAT64,
+    Need,
+    fixed,
+    in_files,
+    movable,
+)
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene
@@ -284,8 +294,8 @@ def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], reco
     if not isinstance(engine, Tiled):
         widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
         # The first plane's field, another one's, and free space between them.
-        return always + fixed(16 * widest * (1 if len(windows) == 1 else 4))
+        return always + fixed(COMPLEX128 * widest * (1 if len(windows) == 1 else 4))
     row = max(window.pixels[0] for window in windows) * OVERSAMPLING
-    band = fixed(4 * 8 * min(BAND_ROWS, down * OVERSAMPLING) * row)
-    light = movable(4 * pixels * OVERSAMPLING) + fixed(8 * pixels)
+    band = fixed(4 * COMPLEX64 * min(BAND_ROWS, down * OVERSAMPLING) * row)
+    light = movable(FLOAT32 * pixels * OVERSAMPLING) + fixed(FLOAT64 * pixels)
     return always + band + light + in_files(engine.sums_bytes * len(windows))

@@ -8,11 +8,8 @@ from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.reconstruction.from_field import retrieval_bytes
 from wavesim.reconstruction.from_object import Kind
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.runtime.memory import BASE_BYTES, Need, fixed, in_files, movable
+from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, FLOAT32, Need, fixed, in_files, movable
 from wavesim.scene.engine import Engine
-
-ITEM = 8
-"""Bytes of a complex sample."""
 
 LIT_BYTES = 1
 """For each sample of the object: whether there is light."""
@@ -35,7 +32,7 @@ def reconstruction_bytes(
     kind: Kind = "complex",
     active_width: float = 0.0,
     with_sigma: bool = True,
-    itemsize: int = ITEM,
+    itemsize: int = COMPLEX64,
 ) -> Need:
     """Memory that :func:`wavesim.reconstruct` takes, beside Python and its libraries (some 0.3 GB).
 
@@ -113,25 +110,26 @@ def run_need(
         Whether a true object is compared.
     """
     planes, source, behind = len(distances_mm), engine.scene.object_grid.size, engine.scene.exit_grid.size
-    true = movable(ITEM * source if truth else 0)
-    given = movable(ITEM * source) + movable(planes * ITEM * behind) + true
+    true = movable(COMPLEX64 * source if truth else 0)
+    given = movable(COMPLEX64 * source) + movable(planes * COMPLEX64 * behind) + true
     frames = fixed(frames_bytes)
-    reading = frames + (fixed(LIGHT_BYTES * source) | fixed((ITEM + READ_BYTES) * source if truth else 0))
+    lit, read = fixed(LIGHT_BYTES * source), fixed((COMPLEX64 + READ_BYTES) * source if truth else 0)
+    reading = frames + (lit | read)
     if method == "object":
         iterating = reconstruction_bytes(engine, distances_mm, kind=kind, active_width=active_width)
-        kept, found = ITEM * source * (1 if kind == "amplitude" else 2), ITEM * source
+        kept, found = COMPLEX64 * source * (1 if kind == "amplitude" else 2), COMPLEX64 * source
     else:
         iterating = _retrieving(engine, distances_mm)
-        kept, found = 2 * ITEM * behind, ITEM * behind
-    results = fixed(planes * ITEM // 2 * behind) + fixed(found) + fixed(ITEM * shown)
+        kept, found = 2 * COMPLEX64 * behind, COMPLEX64 * behind
+    results = fixed(planes * FLOAT32 * behind) + fixed(found) + fixed(COMPLEX64 * shown)
     results += (
-        fixed(engine.cost().peak_bytes + ITEM * (2 * shown + behind))
+        fixed(engine.cost().peak_bytes + COMPLEX64 * (2 * shown + behind))
         | fixed(max(JUDGED_BYTES, DRAWN_BYTES) * shown)
         | fixed(REFOCUSED_BYTES * min(carried, MOST_JUDGED**2))
         | fixed(CARRIED_BYTES * carried)
         | fixed(PLANE_BYTES * behind)
     )
-    passed = movable(3 * ITEM * shown if truth else 0)
+    passed = movable(3 * COMPLEX64 * shown if truth else 0)
     run = reading | frames + fixed(given.most_bytes) | iterating + true | results + given + passed
     # A new checkpoint is written before the earlier one goes.
     return fixed(BASE_BYTES) + run + in_files(2 * kept)
@@ -140,8 +138,8 @@ def run_need(
 def _retrieving(engine: Engine, distances_mm: Sequence[float]) -> Need:
     """What Appendix A takes."""
     source, behind = engine.scene.object_grid.size, engine.scene.exit_grid.size
-    starting = fixed(engine.cost().peak_bytes + 2 * ITEM * behind)
+    starting = fixed(engine.cost().peak_bytes + 2 * COMPLEX64 * behind)
     passing = fixed(retrieval_bytes(engine.scene.exit_grid.shape, distances_mm))
     # Recorded amplitudes are there twice, as they were recorded and as Appendix A takes them.
-    recorded = movable(len(distances_mm) * (ITEM + ITEM // 2) * behind)
-    return (starting | passing) + movable(ITEM * source) + recorded
+    recorded = movable(len(distances_mm) * (COMPLEX64 + FLOAT32) * behind)
+    return (starting | passing) + movable(COMPLEX64 * source) + recorded

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from lensdesign.errors import InputError
 
+COMPLEX64, COMPLEX128, FLOAT32, FLOAT64 = 8, 16, 4, 8
+"""Bytes of a sample."""
+
 BASE_BYTES = 400_000_000
 """Of the process itself, its libraries and compiled loops."""
 

@@ -52,6 +52,7 @@ from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.passage import Passage
 from wavesim.runtime.arrays import in_double
+from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
@@ -61,7 +62,6 @@ ComplexArray = NDArray[np.complex128]
 CompensationKind = Literal["vertical", "oblique"]
 
 MOST_SLICES = 50_000
-COMPLEX, REAL = 16, 8
 FIT_BYTES = {True: 500_000, False: 3_300_000}
 """Rays and the polynomials through them: on a line, on a plane."""
 
@@ -272,11 +272,11 @@ class AnnularSlices(Engine):
         if self.spacing != "equal":
             each += 2.0 * exponential_seconds(size)
         passing = count * each + 6.0 * len(samples) * exponential_seconds(size)
-        kept = (COMPLEX + REAL) * sum(samples) + (REAL + 1) * size * len(working.media)
-        waves = 5 * COMPLEX * size
-        setup_bytes = FIT_BYTES[working.grid.is_line] + 7 * REAL * size
-        setup_bytes += 4 * REAL * sum(samples) + 15 * REAL * max(samples)
-        peak = max(kept + waves, kept + into.peak_bytes + COMPLEX * size, kept + out.peak_bytes, setup_bytes)
+        kept = (COMPLEX128 + FLOAT64) * sum(samples) + (FLOAT64 + 1) * size * len(working.media)
+        wave = COMPLEX128 * size
+        setup_bytes = FIT_BYTES[working.grid.is_line] + 7 * FLOAT64 * size
+        setup_bytes += 4 * FLOAT64 * sum(samples) + 15 * FLOAT64 * max(samples)
+        peak = max(kept + max(5 * wave, into.peak_bytes + wave, out.peak_bytes), setup_bytes)
         setup = 0.006 + sum(40.0 * exponential_seconds(n) for n in samples) + 10.0 * pass_seconds(size)
         return Cost(into.seconds + passing + out.seconds, setup, int(peak))
 

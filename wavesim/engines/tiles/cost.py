@@ -13,6 +13,7 @@ from wavesim.engines.tiles.residual import FACTOR_ORDER
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
+from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
@@ -25,8 +26,6 @@ SPREAD_PASSES = 60
 
 SPREAD_OUT = {True: 1.0, False: 2.4}
 """What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
-
-COMPLEX = 16
 
 BASE_BYTES, LEAST_BYTES = 100_000, {True: 650_000, False: 18_000_000}
 """Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
@@ -74,7 +73,7 @@ def tiles_cost(
     beyond_seconds, beyond_bytes = 0.0, 0
     if plane.beyond is not None:
         beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
-    result = COMPLEX * math.prod(shape)
+    result = COMPLEX128 * math.prod(shape)
     return Cost(
         count * one + beyond_seconds,
         PROBE_SECONDS[scene.object_grid.is_line] + count * setup,
@@ -102,15 +101,15 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
 
 def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int) -> tuple[int, int]:
     """Kept by one tile, and held beside while it is made or used."""
-    kept = COMPLEX * rank * (size.modes + size.points) + size.window
+    kept = COMPLEX128 * rank * (size.modes + size.points) + size.window
     if size.taps:
-        kept += COMPLEX * size.window + size.coarse
-    making = (2 * COMPLEX * rank + 8 * (3 * dimensions + 3)) * size.points
+        kept += COMPLEX128 * size.window + size.coarse
+    making = (2 * COMPLEX128 * rank + FLOAT64 * (3 * dimensions + 3)) * size.points
     if dimensions == 1:
-        making = max(making, (5 * 8 + 3 * COMPLEX) * size.window)
-        terms = size.map_terms * 8
+        making = max(making, (5 * FLOAT64 + 3 * COMPLEX128) * size.window)
+        terms = size.map_terms * FLOAT64
         if low_rank:
-            terms = max(terms, (FACTOR_ORDER[True] + 1) * (8 + COMPLEX))
+            terms = max(terms, (FACTOR_ORDER[True] + 1) * (FLOAT64 + COMPLEX128))
         making += min(size.points, BLOCK) * terms
-    using = COMPLEX * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
+    using = COMPLEX128 * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
     return kept, max(making, using) + BASE_BYTES

@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 from wavesim.engines.whole_field.tiles import FieldSettings, SuperTile
+from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
-
-COMPLEX64 = 8
 
 MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 370.0, 135.0, 33.0
 """Complex products (of complex128) as which count: a tile's maps, for each sample of its grid; its Fourier
@@ -49,6 +48,6 @@ def two_level_cost(scene: Scene, settings: FieldSettings, groups: Sequence[Super
         rows = group.window[0].stop - group.window[0].start
         summing = (THREADS + 1) * coarse * COMPLEX64
         back = (rows * len(group.axes[1]) + coarse) * COMPLEX64
-        tile = THREADS * own * (9 * 8 + 2 * rank * COMPLEX64)
+        tile = THREADS * own * (9 * FLOAT64 + 2 * rank * COMPLEX64)
         largest = max(largest, max(summing, back) + tile)
     return Cost(seconds, SETUP_SECONDS, BASE_BYTES + largest)

@@ -21,7 +21,7 @@ from wavesim.engines.tiles.edge import edge_error, rim_share
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
-from wavesim.engines.whole_field.cost import COMPLEX64, two_level_cost
+from wavesim.engines.whole_field.cost import two_level_cost
 from wavesim.engines.whole_field.factors import field_factors
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
@@ -36,6 +36,7 @@ from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.maps import RayMapError, ray_map
 from wavesim.runtime.device import Device, Precision, device_named
+from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Neglected, Task, Tiled, Way
 from wavesim.scene.scene import Scene
@@ -218,7 +219,7 @@ class TwoLevelTiles(Tiled):
 
     @property
     def sums_bytes(self) -> int:
-        return sum(8 * math.prod(group.shape) for group in self.groups)
+        return sum(COMPLEX64 * math.prod(group.shape) for group in self.groups)
 
     def _forward(self, values: Any) -> Any:
         height, width = self.scene.exit_grid.shape

@@ -1,4 +1,4 @@
-"""Tiles of a whole field in two levels, against tiles in one level; the loops and maps they stand on."""
+"""Tiles of a whole field in two levels, against tiles in one level; the maps they stand on."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.whole_field.carried import Carried, ways_between
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.engines.whole_field.ray_maps import field_maps, field_region
 from wavesim.fields.field import Field, Grid, relative_error
-from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.scene import Scene
@@ -211,38 +209,3 @@ def test_corners_of_a_vignetted_stop_are_told(paper_lens: Lens) -> None:
         found.append(field_maps(scene, field_region(scene), 12.7, 0.09, 1e-4).edge_error_mm)
     assert found[0] < 1e-5
     assert 1e-4 < found[1] < 0.1
-
-
-def test_carried_loops_against_plain_numpy() -> None:
-    rng = np.random.default_rng(4)
-    fine = (np.linspace(-1.0, 1.0, 61), np.linspace(-0.7, 0.9, 53))
-    kernel = kernel_for(1e-3)
-    coarse = tuple(coarse_axis(a, 0.11, kernel) for a in fine)
-    smooth = tuple(np.linspace(a[0] - 0.2, a[-1] + 0.2, 30) for a in fine)
-
-    def turns(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return 1e4 + 30.0 * y[:, None] ** 3 - 12.0 * x**2 + 7.0 * y[:, None] * x
-
-    def edge(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (1.2 - y[:, None] ** 2 - x**2) * 2.0 - 0.7
-
-    carried = Carried(
-        ways_between((coarse[0], coarse[1]), (smooth[0], smooth[1]), (fine[0], fine[1]), kernel),
-        turns(smooth[0], smooth[1]),
-        edge(smooth[0], smooth[1]).astype(np.float32),
-        (slice(2, 63), slice(1, 54)),
-    )
-    shape = (len(coarse[0]), len(coarse[1]))
-    field = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
-    found = np.zeros((70, 60), np.complex64)
-    carried.add(field, found)
-    ways = [interpolation(c, f, kernel).matrix().toarray() for c, f in zip(coarse, fine, strict=True)]
-    e = np.clip(edge(*fine), 0.0, 1.0)
-    carrier = e * e * (3.0 - 2.0 * e) * np.exp(2j * np.pi * turns(*fine))
-    expected = np.zeros_like(found, dtype=complex)
-    expected[2:63, 1:54] = carrier * (ways[0] @ field @ ways[1].T)
-    assert found == pytest.approx(expected, abs=2e-5)
-    other = (rng.normal(size=found.shape) + 1j * rng.normal(size=found.shape)).astype(np.complex64)
-    wanted = ways[0].T @ (carrier.conj() * other[2:63, 1:54]) @ ways[1]
-    for threads in (1, 3):
-        assert carried.collect(other, threads) == pytest.approx(wanted, abs=1e-4)
