@@ -8,7 +8,8 @@ import time
 import numpy as np
 
 from benchmarks.timing import Row, print_table
-from wavesim import Grid, Recorded, retrieval_bytes, retrieve
+from wavesim import Grid, Recorded, retrieve
+from wavesim.reconstruction import retrieval_bytes
 
 SIDE, PITCH_MM, WAVELENGTH_UM = 6144, 3.2e-3, 0.532
 ITERATIONS, SECONDS = 8, 2.5
@@ -50,7 +51,7 @@ def iteration_seconds(distances_mm: tuple[float, ...]) -> tuple[list[float], lis
 
 
 def told_gb(distances_mm: tuple[float, ...]) -> float:
-    """As :func:`wavesim.retrieval_bytes` tells it."""
+    """As :func:`wavesim.reconstruction.retrieval_bytes` tells it."""
     return 1e-9 * retrieval_bytes((SIDE, SIDE), distances_mm, masked=False)
 
 

@@ -22,15 +22,12 @@ from wavesim import (
     SamplingWarning,
     Scene,
     engine_for,
-    estimate_intensity,
-    plane_seeds,
     propagate,
     reconstruct,
-    record,
     retrieve,
     usaf_chart,
-    usaf_elements_within,
 )
+from wavesim.camera import estimate_intensity, plane_seeds, record
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.evaluation.metrics import (
     as_passed,
@@ -39,6 +36,7 @@ from wavesim.evaluation.metrics import (
     smallest_resolved_element,
 )
 from wavesim.fields.coverage import rectangle, rectangle_coverage
+from wavesim.objects import usaf_elements_within
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
 STOP_MM = 0.98 * SIDE_MM

@@ -182,7 +182,8 @@ class Chain:
         InputError, SamplingError
             If no light arrives, or samples cannot hold it on its way.
         """
-        from wavesim import Field, FootprintWarning, SamplingWarning, SaturationWarning
+        from wavesim import Field, SamplingWarning
+        from wavesim.camera import FootprintWarning, SaturationWarning
         from wavesim.engines.choosing import engine_for
         from wavesim.fields.passage import propagate
 
@@ -203,7 +204,8 @@ class Chain:
         self, fields: Sequence[LightField], electrons: float | None, bits: int, noise: np.random.SeedSequence
     ) -> list[Recorded]:
         """What pixels tell of fields on the sensor."""
-        from wavesim import Electronics, Recorded, record
+        from wavesim import Electronics, Recorded
+        from wavesim.camera import record
         from wavesim.camera.frame_sets import recorded_planes
         from wavesim.camera.sensor import light_on_pixels
 

@@ -162,7 +162,8 @@ class ReconstructedContrast(Merit):
 
     def _score(self, chain: Chain, system: Realisation, planes: Sequence[Recorded], refocused: bool) -> float:
         """Contrast of the worse set of bars in what is reconstructed from one trial's planes."""
-        from wavesim import refocus, remove_shift
+        from wavesim import refocus
+        from wavesim.pupil import remove_shift
 
         seen = (refocus if refocused else remove_shift)(chain.sampler.pupil(**system.placement))
         found = chain.reconstructed(

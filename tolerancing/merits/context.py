@@ -136,7 +136,8 @@ class Context:
         compensated = compensated and bool(self.compensators)
 
         def registered() -> list[ReconstructionPupil]:
-            from wavesim import refocus, remove_shift
+            from wavesim import refocus
+            from wavesim.pupil import remove_shift
 
             register = refocus if refocused else remove_shift
             return [register(p).pupil for p in self.raw_pupils(batch, field_mm, wavelength, compensated)]

@@ -92,7 +92,7 @@ class LinePairContrast(PupilMerit):
         return worse(lambda axis: line_pair_contrast(pupil, self.line_width_um, axis, BARS), self.orientation)
 
     def _of_patch(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
-        from wavesim import chain_contrast
+        from wavesim.pupil import chain_contrast
 
         def contrast(axis: Axis) -> float:
             stream = np.random.SeedSequence(seed, spawn_key=(number, NOISE_STREAM, int(axis == "y")))

@@ -144,7 +144,7 @@ class SmallestResolvedLine(PupilMerit):
     kind_unit: ClassVar[str] = "um"
 
     def score(self, pupil: ReconstructionPupil) -> float:
-        from wavesim import smallest_resolved_line_width_um
+        from wavesim.pupil import smallest_resolved_line_width_um
 
         return -worse(
             lambda axis: -smallest_resolved_line_width_um(pupil, axis, self.contrast), self.orientation
@@ -159,7 +159,8 @@ class ImageShift(PupilMerit):
     def scores_at(
         self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
     ) -> Array:
-        from wavesim import refocus, remove_shift
+        from wavesim import refocus
+        from wavesim.pupil import remove_shift
 
         register = refocus if compensated and self.refocus else remove_shift
         pupils = context.raw_pupils(batch, point, self.wavelength_um, compensated)

@@ -150,7 +150,8 @@ def line_pair_picture(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation, refocused: bool
 ) -> tuple[float, Picture]:
     """Contrast and picture of a line pair along an axis, or along the worse of both."""
-    from wavesim import line_pair_contrast, line_pair_image
+    from wavesim import line_pair_contrast
+    from wavesim.pupil import line_pair_image
 
     axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
     contrast = {axis: line_pair_contrast(pupil, line_width_um, axis) for axis in axes}

@@ -24,7 +24,7 @@ from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import Coordinates, Series, refuse_twice
 
 if TYPE_CHECKING:
-    from wavesim import LineContrast
+    from wavesim.evaluation import LineContrast
 
 BARS = 5
 

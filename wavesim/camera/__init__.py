@@ -1,1 +1,5 @@
 """The sensor behind the lens: its pixels, exposures, frames and their files."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """What stands in front of the lens: charts, phantoms, pictures, and the light on them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -36,7 +36,7 @@ def line_pair_contrast(
     Parameters
     ----------
     pupil
-        A registered pupil (:func:`wavesim.refocus` or :func:`wavesim.remove_shift`).
+        A registered pupil (:func:`wavesim.refocus` or :func:`wavesim.pupil.remove_shift`).
     line_width_um
         Width of a bar and of a gap; the period is twice that.
     orientation

@@ -266,7 +266,7 @@ class ReturnedPatch:
         """How far the object shows displaced along an axis, by light that left it below a direction cosine.
 
         From the least-squares slope of the pupil's phase, weighted with the light's power; as
-        :func:`wavesim.line_pair_displacement_um`.
+        :func:`wavesim.pupil.line_pair_displacement_um`.
 
         Raises
         ------

@@ -1,1 +1,5 @@
 """What calculations run on: threads, memory, scratch files, array libraries, GPUs, checkpoints."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -89,7 +89,7 @@ def test_scene_holds_object_and_sensor_where_they_are(twin, chain):
 
 def test_sensor_turns_about_its_own_middle(chain):
     """The spot of a leaning beam widens with the angle at which it falls on the turned sensor."""
-    from wavesim import plane_wave
+    from wavesim.objects import plane_wave
 
     scene = chain.scene(system_of(chain.lens, "sensor", "decenter_x_mm", 0.004))
     grid = scene.exit_grid

@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from lensdesign.errors import InputError
-from wavesim import Frame, FrameSettings, field_layers, frame_layer, write_zoom_page
+from wavesim import Frame, FrameSettings, write_zoom_page
 from wavesim.objects.region import cut_out
+from wavesim.pictures import field_layers, frame_layer
 from wavesim.pictures.page import STEPS
 from wavesim.pictures.pyramid import TILE, halved
 

@@ -107,7 +107,8 @@ def _draw_row(
 
 
 def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) -> None:
-    from wavesim import line_pair_contrast, line_pair_image
+    from wavesim import line_pair_contrast
+    from wavesim.pupil import line_pair_image
 
     width = getattr(merit, "line_width_um", 0.75 * pupil.wavelength_um / pupil.grid.half_width)
     axes: tuple[Axis, ...] = ("x", "y")

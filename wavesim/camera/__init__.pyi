@@ -1,0 +1,40 @@
+from .exposures import Electronics, SaturationWarning, estimate_intensity, merged_intensity, plane_seeds
+from .frame_sets import read_frames, recorded_planes
+from .frames import Frame, FrameSettings, read_frame, write_frame
+from .imaging import Imaged, image
+from .mounting import Mounting, read_mounting
+from .recorded import Recorded, recorded_intensity
+from .recording import Recording, drop_parts, image_patch
+from .sensor import FootprintWarning, record, record_exposures, sensor_grid
+from .windows import DiversityWarning, diversity, exit_scene, sensor_window
+
+__all__ = [
+    "DiversityWarning",
+    "Electronics",
+    "FootprintWarning",
+    "Frame",
+    "FrameSettings",
+    "Imaged",
+    "Mounting",
+    "Recorded",
+    "Recording",
+    "SaturationWarning",
+    "diversity",
+    "drop_parts",
+    "estimate_intensity",
+    "exit_scene",
+    "image",
+    "image_patch",
+    "merged_intensity",
+    "plane_seeds",
+    "read_frame",
+    "read_frames",
+    "read_mounting",
+    "record",
+    "record_exposures",
+    "recorded_intensity",
+    "recorded_planes",
+    "sensor_grid",
+    "sensor_window",
+    "write_frame",
+]

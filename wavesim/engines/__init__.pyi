@@ -1,0 +1,21 @@
+from .choosing import Choice, Prediction, choose, engine_for, predict
+from .no_lens import NoLens
+from .slices.engine import AnnularSlices
+from .surfaces.grids import TotalReflectionWarning
+from .thin_lens import ThinLens
+from .tiles.engine import EikonalTiles
+from .wpm.engine import WavePropagation
+
+__all__ = [
+    "AnnularSlices",
+    "Choice",
+    "EikonalTiles",
+    "NoLens",
+    "Prediction",
+    "ThinLens",
+    "TotalReflectionWarning",
+    "WavePropagation",
+    "choose",
+    "engine_for",
+    "predict",
+]

@@ -1,0 +1,22 @@
+from .field import Field, Grid, correlation, relative_error
+from .files import read_field, write_field
+from .guards import SamplingWarning, check_propagation, critical_distance_mm, predicted_relative_error
+from .passage import Passage, propagate
+from .spectrum import SpectrumSupport, spectrum_support
+
+__all__ = [
+    "Field",
+    "Grid",
+    "Passage",
+    "SamplingWarning",
+    "SpectrumSupport",
+    "check_propagation",
+    "correlation",
+    "critical_distance_mm",
+    "predicted_relative_error",
+    "propagate",
+    "read_field",
+    "relative_error",
+    "spectrum_support",
+    "write_field",
+]

@@ -1,0 +1,6 @@
+from .registry import OracleCase, oracle_case
+
+__all__ = [
+    "OracleCase",
+    "oracle_case",
+]

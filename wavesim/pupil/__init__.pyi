@@ -1,0 +1,43 @@
+from .characteristic import PointCharacteristic, PupilSampler
+from .line_pairs import (
+    line_pair_contrast,
+    line_pair_displacement_um,
+    line_pair_image,
+    line_pair_profile,
+    smallest_resolved_line_width_um,
+)
+from .patch_chain import PatchChain, chain_contrast
+from .pupil import (
+    PupilGrid,
+    ReconstructionPupil,
+    Refocused,
+    mtf,
+    psf,
+    refocus,
+    remove_shift,
+    rms_waves,
+    strehl,
+)
+from .ray_aiming import RayAimError
+
+__all__ = [
+    "PatchChain",
+    "PointCharacteristic",
+    "PupilGrid",
+    "PupilSampler",
+    "RayAimError",
+    "ReconstructionPupil",
+    "Refocused",
+    "chain_contrast",
+    "line_pair_contrast",
+    "line_pair_displacement_um",
+    "line_pair_image",
+    "line_pair_profile",
+    "mtf",
+    "psf",
+    "refocus",
+    "remove_shift",
+    "rms_waves",
+    "smallest_resolved_line_width_um",
+    "strehl",
+]

@@ -1,0 +1,5 @@
+from .ray_bundles import FoldError
+
+__all__ = [
+    "FoldError",
+]

@@ -1,0 +1,7 @@
+from .memory import MemoryLimitError
+from .scratch import Scratch
+
+__all__ = [
+    "MemoryLimitError",
+    "Scratch",
+]
