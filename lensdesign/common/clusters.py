@@ -1,18 +1,24 @@
-"""The connection to a Dask cluster, and plain words where it cannot be used."""
+"""Work done by a Dask cluster, and plain words where it cannot be."""
 
 from __future__ import annotations
 
 import logging
+import os
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, TransferLensError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from distributed import Client
+
+Result = TypeVar("Result")
 
 CONNECT_SECONDS = 10.0
 """How long to wait for the scheduler, and for its first worker."""
@@ -29,8 +35,82 @@ def toolkit_version() -> str:
     return version("transferlens")
 
 
+class ClusterError(TransferLensError):
+    """Workers of a cluster died, or it went away; what was kept before stays."""
+
+
+class Cluster:
+    """A connection through which a cluster's workers, which may come and go, do tasks."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._executor = client.get_executor(retries=RETRIES, pure=False)
+        self._threads, self._asked = 0, -COUNT_SECONDS
+
+    def send(self, parcel: Any) -> Any:
+        """Keep something in the cluster, from where each worker that needs it fetches it once."""
+        # A task's result, unlike scattered data, is made again when the workers that hold it die.
+        return self._client.submit(_unchanged, parcel, pure=False)
+
+    def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
+        """Hand out a task; what was sent stands among its arguments."""
+        future: Future[Result] = self._executor.submit(work, *arguments)
+        return future
+
+    def threads(self) -> int:
+        """How many tasks the cluster can do at a time; it is asked now and then."""
+        if time.monotonic() - self._asked > COUNT_SECONDS:
+            self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+        return self._threads
+
+    def close(self) -> None:
+        """Hand out no more."""
+        self._executor.shutdown(wait=False)
+
+
+def result_of(future: Future[Result]) -> Result:
+    """What a task came to.
+
+    Raises
+    ------
+    ClusterError
+        If the scheduler is gone, or the task ended several workers.
+    """
+    from concurrent.futures import CancelledError
+
+    try:
+        return future.result()
+    except CancelledError as error:
+        raise ClusterError("the cluster's scheduler is gone") from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":
+            raise ClusterError(
+                "a task ended several workers of the cluster (out of memory, perhaps)"
+            ) from error
+        raise
+
+
+def worker_name() -> str:
+    """What messages call the worker that this process is."""
+    return f"worker on {socket.gethostname()} (process {os.getpid()})"
+
+
+def refuse_other_version(wanted: str) -> None:
+    """Refuse, in a worker, a toolkit of another version than the one that sent the task."""
+    if toolkit_version() != wanted:
+        raise InputError(
+            f"{worker_name()} has version {toolkit_version()} of the toolkit, this is {wanted}: install "
+            "the same version there"
+        )
+
+
+def _unchanged(parcel: Any) -> Any:
+    """Runs in a worker."""
+    return parcel
+
+
 @contextmanager
-def cluster_client(address: str) -> Iterator[Client]:
+def open_cluster(address: str) -> Iterator[Cluster]:
     """A connection to a cluster whose workers can do our work.
 
     Parameters
@@ -61,7 +141,11 @@ def cluster_client(address: str) -> Iterator[Client]:
             ) from error
         try:
             _check_workers(client, address)
-            yield client
+            cluster = Cluster(client)
+            try:
+                yield cluster
+            finally:
+                cluster.close()
         finally:
             client.close(timeout=5.0)
 
@@ -104,16 +188,3 @@ def _check_workers(client: Client, address: str) -> None:
 def _version_there() -> str:
     """Runs in a worker."""
     return version("transferlens")
-
-
-def thread_counter(client: Client) -> Callable[[], int]:
-    """Tells how many tasks the cluster can do at a time; asks it now and then."""
-    known, asked = 0, -COUNT_SECONDS
-
-    def count() -> int:
-        nonlocal known, asked
-        if time.monotonic() - asked > COUNT_SECONDS:
-            known, asked = sum(client.nthreads().values()), time.monotonic()
-        return known
-
-    return count

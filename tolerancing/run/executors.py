@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from lensdesign.common.clusters import RETRIES, cluster_client, thread_counter, toolkit_version
+from lensdesign.common.clusters import ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
 from tolerancing.run.threads import one_blas_thread
@@ -86,24 +86,19 @@ def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str
     Raises
     ------
     InputError
-        As of :func:`lensdesign.common.clusters.cluster_client`.
+        As of :func:`lensdesign.common.clusters.open_cluster`.
     """
-    from tolerancing.run.workers import StudyParcel, deliver, work_in_cluster
+    from tolerancing.run.workers import StudyParcel, work_in_cluster
 
-    with cluster_client(address) as client:
-        parcel = StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
-        # A task's result, unlike scattered data, is made again when the workers that hold it die.
-        sent = client.submit(deliver, parcel, pure=False)
-        executor = client.get_executor(retries=RETRIES, pure=False)
-        workers = thread_counter(client)
+    with open_cluster(address) as cluster:
+        sent = cluster.send(
+            StudyParcel(toolkit_version(), loaded.name, dict(loaded.files), loaded.fingerprint, levels)
+        )
 
         def batches(tasks: Iterable[Task]) -> Batches:
-            return in_flight(lambda task: executor.submit(work_in_cluster, sent, task), tasks, workers)
+            return in_flight(lambda task: cluster.submit(work_in_cluster, sent, task), tasks, cluster.threads)
 
-        try:
-            yield batches
-        finally:
-            executor.shutdown(wait=False)
+        yield batches
 
 
 def in_flight(
@@ -154,21 +149,14 @@ def result(future: Future[Results]) -> Results:
     RunError
         If its worker died, or whatever handed it out is gone.
     """
-    from concurrent.futures import CancelledError
     from concurrent.futures.process import BrokenProcessPool
 
     kept = "what was finished is in the store, and the same command goes on from there"
     try:
-        return future.result()
+        return result_of(future)
     except BrokenProcessPool as error:
         raise RunError(
             f"a worker process died (out of memory, perhaps); {kept}: fewer --workers need less memory"
         ) from error
-    except CancelledError as error:
-        raise RunError(f"the cluster's scheduler is gone; {kept}") from error
-    except Exception as error:
-        if type(error).__name__ == "KilledWorker":
-            raise RunError(
-                f"a task ended several workers of the cluster (out of memory, perhaps); {kept}"
-            ) from error
-        raise
+    except ClusterError as error:
+        raise RunError(f"{error}; {kept}") from error

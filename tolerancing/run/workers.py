@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from lensdesign.common.clusters import toolkit_version
+from lensdesign.common.clusters import refuse_other_version, worker_name
 from lensdesign.errors import InputError
 from tolerancing.run.tasks import Task, perform
 
@@ -78,11 +78,6 @@ _unpacking = threading.Lock()
 _by_thread = threading.local()
 
 
-def deliver(parcel: StudyParcel) -> StudyParcel:
-    """Keep a parcel in the cluster, from where each worker fetches it once."""
-    return parcel
-
-
 def work_in_cluster(parcel: StudyParcel, task: Task) -> Results:
     """Do a task in a worker of a cluster.
 
@@ -111,28 +106,12 @@ def _unpack(parcel: StudyParcel, key: str) -> LoadedStudy:
 
         from tolerancing.study.files import load_from_files
 
-        _check_version(parcel.toolkit_version)
+        refuse_other_version(parcel.toolkit_version)
         threadpool_limits(limits=1, user_api="blas")
         folder = TemporaryDirectory(prefix="tolerancing-")
         loaded = load_from_files(parcel.name, parcel.files, Path(folder.name))
         if loaded.fingerprint != parcel.fingerprint:
             folder.cleanup()
-            raise InputError(
-                f"worker on {_host()}: its glass data give other refractive indices than those here"
-            )
+            raise InputError(f"{worker_name()}: its glass data give other refractive indices than those here")
         _unpacked[key] = (replace(loaded, study=loaded.study.with_levels(parcel.levels)), folder)
     return _unpacked[key][0]
-
-
-def _check_version(wanted: str) -> None:
-    if toolkit_version() != wanted:
-        raise InputError(
-            f"worker on {_host()} has version {toolkit_version()} of the toolkit, this is {wanted}: install "
-            "the same version there"
-        )
-
-
-def _host() -> str:
-    import socket
-
-    return f"{socket.gethostname()} (process {os.getpid()})"

@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import Mounting
 from wavesim.camera.recording import Progress
-from wavesim.engines.whole_field.on_cluster import ClusterError, tiles_in
+from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_figures
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import transmission_of

@@ -13,7 +13,7 @@ import pytest
 from dask_cluster import Cluster
 from wavesim_command import frames_and_design, run_wavesim, write_frames
 
-from wavesim.engines.whole_field.on_cluster import ClusterError
+from lensdesign.common.clusters import ClusterError
 from wavesim.reconstruction import from_frames, resumable
 
 Run = Callable[..., tuple[object, str, str]]

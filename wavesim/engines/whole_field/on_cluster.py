@@ -13,21 +13,23 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.clusters import RETRIES, cluster_client, thread_counter, toolkit_version
-from lensdesign.errors import InputError, TransferLensError
+from lensdesign.common.clusters import (
+    Cluster,
+    open_cluster,
+    refuse_other_version,
+    result_of,
+    toolkit_version,
+)
+from lensdesign.errors import InputError
 from wavesim.engines.whole_field.engine import TwoLevelTiles
 from wavesim.scene.engine import Engine, Task, Way
 from wavesim.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Future
 
 TASKS_IN_FLIGHT = 2
 """Handed out at a time for each thread of the cluster."""
-
-
-class ClusterError(TransferLensError):
-    """Workers of a cluster died, or it went away; what was kept before stays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +56,8 @@ class ScenePacket:
 class TileCluster:
     """A connection through which engines have their super-tiles done."""
 
-    def __init__(self, client: Any, executor: Executor) -> None:
-        self._client, self._executor = client, executor
-        self._workers = thread_counter(client)
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
 
     def take(self, engine: Engine) -> None:
         """Have an engine's super-tiles done by the cluster from now on.
@@ -68,8 +69,7 @@ class TileCluster:
         """
         tiles = refuse_no_tiles(engine)
         packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
-        # A task's result, unlike scattered data, is made again when the workers that hold it die.
-        sent = self._client.submit(deliver, packet, pure=False)
+        sent = self._cluster.send(packet)
 
         def perform(way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
             return self._in_order(sent, way, tasks)
@@ -81,13 +81,13 @@ class TileCluster:
         waiting, pending = iter(tasks), deque[tuple[int, "Future[Any]"]]()
         try:
             while True:
-                room = TASKS_IN_FLIGHT * max(self._workers(), 1) - len(pending)
+                room = TASKS_IN_FLIGHT * max(self._cluster.threads(), 1) - len(pending)
                 for number, values in islice(waiting, max(room, 0)):
-                    pending.append((number, self._executor.submit(work, sent, way, number, values)))
+                    pending.append((number, self._cluster.submit(work, sent, way, number, values)))
                 if not pending:
                     return
                 number, future = pending.popleft()
-                yield number, _result(future)
+                yield number, result_of(future)
         finally:
             for _, future in pending:
                 future.cancel()
@@ -118,16 +118,12 @@ def tile_cluster(address: str) -> Iterator[TileCluster]:
     Raises
     ------
     InputError
-        As of :func:`lensdesign.common.clusters.cluster_client`.
+        As of :func:`lensdesign.common.clusters.open_cluster`.
     ClusterError
         While it is used, if the scheduler goes away or a task ends several workers.
     """
-    with cluster_client(address) as client:
-        executor = client.get_executor(retries=RETRIES, pure=False)
-        try:
-            yield TileCluster(client, executor)
-        finally:
-            executor.shutdown(wait=False)
+    with open_cluster(address) as cluster:
+        yield TileCluster(cluster)
 
 
 @contextmanager
@@ -151,11 +147,6 @@ def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
         yield take
 
 
-def deliver(packet: ScenePacket) -> ScenePacket:
-    """Keep a packet in the cluster, from where each worker fetches it once."""
-    return packet
-
-
 _engines: dict[str, TwoLevelTiles] = {}
 _making = threading.Lock()
 
@@ -170,27 +161,10 @@ def work(packet: ScenePacket, way: Way, number: int, values: Any) -> Any:
     """
     with _making:  # a worker's threads share one engine
         if packet.key not in _engines:
-            if toolkit_version() != packet.toolkit_version:
-                raise InputError(
-                    f"a worker has version {toolkit_version()} of the toolkit, this is "
-                    f"{packet.toolkit_version}: install the same version there"
-                )
+            refuse_other_version(packet.toolkit_version)
             _engines.clear()
             made = TwoLevelTiles(packet.scene, **packet.settings)
             made.groups  # noqa: B018
             _engines[packet.key] = made
         engine = _engines[packet.key]
     return engine.carry(way, number, values)
-
-
-def _result(future: Future[Any]) -> Any:
-    from concurrent.futures import CancelledError
-
-    try:
-        return future.result()
-    except CancelledError as error:
-        raise ClusterError("the cluster's scheduler is gone") from error
-    except Exception as error:
-        if type(error).__name__ == "KilledWorker":
-            raise ClusterError("a super-tile ended several workers (out of memory, perhaps)") from error
-        raise

@@ -12,11 +12,12 @@ import pytest
 from dask_cluster import Cluster
 
 from lensdesign import Lens, scaled
+from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.on_cluster import ClusterError, ScenePacket, tile_cluster, work
+from wavesim.engines.whole_field.on_cluster import ScenePacket, tile_cluster, work
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -83,7 +84,7 @@ def test_a_worker_does_what_is_done_here(scene: Scene, monkeypatch: pytest.Monke
     packet = pickle.loads(pickle.dumps(ScenePacket("1.0", scene, engine.settings(), "key")))
     monkeypatch.setattr(cluster_tiles, "_engines", {})
     part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)
-    with pytest.raises(InputError, match=r"a worker has version .*, this is 1\.0"):
+    with pytest.raises(InputError, match=r"worker on .* has version .*, this is 1\.0"):
         work(packet, "forward", 0, part)
     packet = replace(packet, toolkit_version=cluster_tiles.toolkit_version())
     done = work(packet, "forward", 0, part)
