@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.intersection import Figure
 from lensdesign.lens.surface import Surface
 
 Array = NDArray[np.float64]
@@ -32,8 +33,8 @@ COLUMNS = ("radial_height_mm", "sag_mm", "slope", "departure_mm", "best_fit_radi
 class SagTable:
     """Sag of one surface from its vertex to its clear semi-diameter.
 
-    A measured figure counts with its rotationally symmetric part, the mean over all directions at each
-    radial height.
+    A measured figure, and a shape that is none of revolution, count with their rotationally symmetric part,
+    the mean over all directions at each radial height.
 
     Attributes
     ----------
@@ -143,9 +144,14 @@ def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
     """Sag, slope, and mean square over all directions of what is not rotationally symmetric, in mm^2."""
     # Rounding must not carry the rim of a whole hemisphere beyond its edge.
     within = np.minimum(r, (1.0 - 1e-15) * surface.shape.edge_radius_mm)
-    sag, slope = surface.sag_mm(within), surface.slope(within)
-    figure = surface_figure(surface)
-    if figure is None:
+    shape, figure = surface.shape, surface_figure(surface)
+    uneven: list[Figure] = [] if figure is None else [figure.sag_and_slopes]
+    if shape.ROTATIONAL:
+        sag, slope = surface.sag_mm(within), surface.slope(within)
+    else:
+        sag, slope = np.zeros((2, len(r)))
+        uneven.append(shape.sag_and_slopes)
+    if not uneven:
         return sag, slope, np.zeros_like(r)
     angle = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
     x, y = np.cos(angle), np.sin(angle)
@@ -153,7 +159,8 @@ def _symmetric(surface: Surface, r: Array) -> tuple[Array, Array, Array]:
     # A table may be longer than what its directions leave room for.
     for start in range(0, len(r), BLOCK_ROWS):
         block = slice(start, start + BLOCK_ROWS)
-        error, by_x, by_y = figure.sag_and_slopes(r[block, None] * x, r[block, None] * y)
+        points = within[block, None] * x, within[block, None] * y
+        error, by_x, by_y = (sum(part) for part in zip(*(one(*points) for one in uneven), strict=True))
         z[block], square[block] = np.mean(error, axis=1), np.var(error, axis=1)
         dr[block] = np.mean(by_x * x + by_y * y, axis=1)
     return sag + z, slope + dr, square

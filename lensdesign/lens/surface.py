@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.lens.figure_source import FigureSource
 from lensdesign.lens.shapes.base import Shape, curvature_of
-from lensdesign.lens.shapes.registry import shape_class
+from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 
 
 class Surface(Section):
@@ -26,7 +26,10 @@ class Surface(Section):
     conic
         Conic constant.
     asphere
-        Coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
+        Of an even asphere: coefficients of r^4, r^6, ... in mm^-3, mm^-5, ...
+    shape_type
+        Name of the shape in :mod:`lensdesign.lens.shapes.registry`, `shape` in a file; None is an even
+        asphere where `asphere` is given, else a conic.
     thickness_mm
         To the next surface's vertex; the last surface has none.
     material
@@ -42,6 +45,7 @@ class Surface(Section):
     radius_mm: Finite | None = None
     conic: Finite = 0.0
     asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
+    shape_type: str | None = Field(None, alias="shape")
     thickness_mm: Positive | None = None
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
@@ -50,12 +54,32 @@ class Surface(Section):
 
     _lists = field_validator("asphere", mode="before")(tuples)
 
+    @field_validator("shape_type")
+    @classmethod
+    def _known(cls, value: str | None) -> str | None:
+        if value is not None and value not in SHAPES:
+            raise ValueError(f"shape = {value!r}: unknown; allowed: {', '.join(SHAPES)}")
+        return value
+
     @field_validator("radius_mm")
     @classmethod
-    def _radius(cls, value: float | None) -> float | None:
+    def _radius(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value == 0.0:
-            raise ValueError("a radius of 0 is no surface; leave radius_mm out for a plane")
+            raise ValueError(f"a radius of 0 is no surface; leave {info.field_name} out for a plane")
         return value
+
+    @model_validator(mode="after")
+    def _of_its_shape(self) -> Surface:
+        own = self.shape_class
+        for shape in shape_classes():
+            for key in shape.KEYS:
+                value = getattr(self, key)
+                if key not in own.KEYS and value != type(self).model_fields[key].default:
+                    raise ValueError(
+                        f"{key} = {value!r}: a surface of shape {own.NAME} has none; "
+                        f'write shape = "{shape.NAME}"'
+                    )
+        return self
 
     @model_validator(mode="after")
     def _within_edge(self) -> Surface:
@@ -89,7 +113,7 @@ class Surface(Section):
     @property
     def shape_class(self) -> type[Shape]:
         """The class of its shape."""
-        return shape_class("even asphere" if self.asphere else "conic")
+        return shape_class(self.shape_type or ("even asphere" if self.asphere else "conic"))
 
     @property
     def shape_keys(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, atomic_path
+from lensdesign.fabrication.step.freeform import freeform_solid, surface_error_mm
 from lensdesign.fabrication.step.occ import (
     ocp_errors,
     parts_of,
@@ -158,7 +159,7 @@ def _checked_solid(element: Element) -> Any:
     from OCP.BRepCheck import BRepCheck_Analyzer
 
     with ocp_errors(element.name):
-        solid = element_solid(element)
+        solid = (element_solid if element.rotational else freeform_solid)(element)
         if not BRepCheck_Analyzer(solid).IsValid():
             raise InputError("OCP finds its solid not valid")
     return solid
@@ -185,9 +186,11 @@ def _measured_body(element: Element, name: str, solid: Any) -> StepBody:
     if len(faces) != len(rim_corners(element)) + 1:
         raise InputError(f"{element.name} has {len(faces)} faces when read back")
     meridians = (element.front, element.back)
-    errors = [face_error_mm(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
+    measured = face_error_mm if element.rotational else freeform_error_mm
+    errors = [measured(face, m) for face, m in zip((faces[0], faces[-1]), meridians, strict=True)]
     for index, meridian, error in zip(element.surfaces, meridians, errors, strict=True):
-        allowed = CONIC_ERROR_MM if meridian.shape.kind in EXACT else ASPHERE_FILE_ERROR_MM
+        exact = element.rotational and meridian.shape.kind in EXACT
+        allowed = CONIC_ERROR_MM if exact else ASPHERE_FILE_ERROR_MM
         if not error <= allowed:
             raise InputError(
                 f"surface {index + 1} is {error:.3g} mm off when read back; allowed: {allowed:g} mm"
@@ -219,15 +222,23 @@ def face_error_mm(face: Any, meridian: SurfaceMeridian) -> float:
     meridian
         Of the surface that it should be.
     """
-    inside, boundary = _face_points(face), _boundary_points(face)
+    inside, boundary = _radial(_face_points(face)), _radial(_boundary_points(face))
     points = np.concatenate([inside[inside[:, 0] <= np.max(boundary[:, 0])], boundary])
     reach = abs(float(np.max(points[:, 0])) - meridian.end_mm)
     gap = float(np.linalg.norm(points - meridian.points(0.0), axis=1).min())
     return max(float(np.max(meridian.distances(points))), reach, gap)
 
 
+def freeform_error_mm(face: Any, meridian: SurfaceMeridian) -> float:
+    """As :func:`face_error_mm`, of a surface that is none of revolution."""
+    inside, boundary = _face_points(face), _boundary_points(face)
+    reach = abs(float(np.max(np.hypot(boundary[:, 0], boundary[:, 1]))) - meridian.end_mm)
+    gap = float(np.linalg.norm(inside - [0.0, 0.0, meridian.vertex_z_mm], axis=1).min())
+    return max(surface_error_mm(np.concatenate([inside, boundary]), meridian), reach, gap)
+
+
 def _face_points(face: Any) -> Array:
-    """Radial height and z over a face's range of parameters; of a plane, also beyond its boundary."""
+    """Points over a face's range of parameters; of a plane, also beyond its boundary."""
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.BRepTools import BRepTools
     from OCP.TopoDS import TopoDS
@@ -236,11 +247,11 @@ def _face_points(face: Any) -> Array:
     surface = BRepAdaptor_Surface(face)
     u0, u1, v0, v1 = BRepTools.UVBounds_s(face)
     around, along = np.linspace(u0, u1, ROUND + 1), np.linspace(v0, v1, ALONG)
-    return _radial([surface.Value(float(u), float(v)) for u in around for v in along])
+    return _xyz([surface.Value(float(u), float(v)) for u in around for v in along])
 
 
 def _boundary_points(face: Any) -> Array:
-    """Radial height and z along a face's edges, its seam among them."""
+    """Points along a face's edges, its seam among them."""
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Curve
     from OCP.TopAbs import TopAbs_ShapeEnum
@@ -253,12 +264,16 @@ def _boundary_points(face: Any) -> Array:
             curve = BRepAdaptor_Curve(edge)
             range_ = np.linspace(curve.FirstParameter(), curve.LastParameter(), ALONG)
             points += [curve.Value(float(t)) for t in range_]
-    return _radial(points)
+    return _xyz(points)
 
 
-def _radial(points: list[Any]) -> Array:
-    x, y, z = np.array([(p.X(), p.Y(), p.Z()) for p in points]).T
-    return np.stack([np.hypot(x, y), z], axis=-1)
+def _xyz(points: list[Any]) -> Array:
+    return np.array([(p.X(), p.Y(), p.Z()) for p in points])
+
+
+def _radial(points: Array) -> Array:
+    """Radial height and z."""
+    return np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
 
 
 def _volume_mm3(solid: Any) -> float:

@@ -221,6 +221,13 @@ def term_of(parameter: str) -> str:
     return radius.replace("radius", "curvature") if parameter.startswith("radius") else parameter
 
 
+def radius_of(curvature: float) -> float:
+    """The radius in mm from which :func:`curvature_of` has this very curvature, other than 0."""
+    near = 1.0 / curvature
+    candidates = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
+    return next((radius for radius in candidates if 1.0 / radius == curvature), near)
+
+
 def curvature_of(radius_mm: float | None) -> float:
     """1/radius in 1/mm; 0 for a plane."""
     return 0.0 if radius_mm is None else 1.0 / radius_mm

@@ -54,10 +54,7 @@ def surfaces(draw: st.DrawFn, name: str) -> Surface:
         value = draw(values_of(parameter))
         value = 1.0 / value if parameter.startswith("radius") else value
         values |= shape.changed_keys(values, term_of(parameter), value)
-    return Surface.model_validate({**values, **NAMED.get(name, {})})
-
-
-NAMED: dict[str, dict[str, str]] = {}
+    return Surface.model_validate({**values, "shape": name})
 
 
 def lens_of(lens: Lens, surface: Surface) -> Lens:
