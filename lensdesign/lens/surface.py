@@ -30,6 +30,8 @@ class Surface(Section):
     shape_type
         Name of the shape in :mod:`lensdesign.lens.shapes.registry`, `shape` in a file; None is an even
         asphere where `asphere` is given, else a conic.
+    radius_x_mm, conic_x
+        Of a biconic: radius and conic constant along x; `radius_mm` and `conic` are those along y.
     thickness_mm
         To the next surface's vertex; the last surface has none.
     material
@@ -46,6 +48,8 @@ class Surface(Section):
     conic: Finite = 0.0
     asphere: Annotated[tuple[Finite, ...], Field(max_length=20)] = ()
     shape_type: str | None = Field(None, alias="shape")
+    radius_x_mm: Finite | None = None
+    conic_x: Finite = 0.0
     thickness_mm: Positive | None = None
     material: str | Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
     semi_diameter_mm: Positive | None = None
@@ -61,7 +65,7 @@ class Surface(Section):
             raise ValueError(f"shape = {value!r}: unknown; allowed: {', '.join(SHAPES)}")
         return value
 
-    @field_validator("radius_mm")
+    @field_validator("radius_mm", "radius_x_mm")
     @classmethod
     def _radius(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value == 0.0:

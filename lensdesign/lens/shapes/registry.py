@@ -10,6 +10,7 @@ from lensdesign.lens.shapes.base import Shape, term_of
 SHAPES = {
     "conic": "lensdesign.lens.shapes.conic:Conic",
     "even asphere": "lensdesign.lens.shapes.even_asphere:EvenAsphere",
+    "biconic": "lensdesign.lens.shapes.biconic:Biconic",
 }
 """Class of each shape, by its name in design files. The first is the one that rays meet in closed form."""
 

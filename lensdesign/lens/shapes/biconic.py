@@ -1,0 +1,124 @@
+"""Biconic: a conic of its own along x and along y (Zemax OpticStudio's BICONICX)::
+
+    z = (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2))
+
+with curvatures c = 1/radius and conic constants k. Each section through the axis is a conic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from lensdesign.lens.shapes.base import Array, Point, Shape, curvature_of, radius_of
+from lensdesign.lens.shapes.conic import Conic
+
+
+class Biconic(Shape):
+    """Surface with two planes of symmetry, x = 0 and y = 0."""
+
+    NAME = "biconic"
+    KEYS: ClassVar[tuple[str, ...]] = ("radius_mm", "conic", "radius_x_mm", "conic_x")
+    TERMS: ClassVar[tuple[str, ...]] = ("curvature", "conic", "curvature_x", "conic_x")
+    PARAMETERS: ClassVar[tuple[str, ...]] = KEYS
+    ROTATIONAL = False
+
+    @classmethod
+    def of_keys(cls, values: Mapping[str, Any]) -> Self:
+        y, x = curvature_of(values["radius_mm"]), curvature_of(values["radius_x_mm"])
+        return cls(np.array([y, values["conic"], x, values["conic_x"]]))
+
+    @staticmethod
+    def height(terms: Any, x: Any, y: Any) -> Point:
+        cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
+        top = cx * x * x + cy * y * y
+        root = np.sqrt(1.0 - (1.0 + kx) * cx * cx * x * x - (1.0 + ky) * cy * cy * y * y)
+        over = 1.0 / (1.0 + root)
+        pull = top * over * over / root
+        return (
+            top * over,
+            (2.0 * over + (1.0 + kx) * cx * pull) * cx * x,
+            (2.0 * over + (1.0 + ky) * cy * pull) * cy * y,
+        )
+
+    @staticmethod
+    def bend(terms: Any, x: Any, y: Any) -> Point:
+        cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
+        qx, qy = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+        top = cx * x * x + cy * y * y
+        root = np.sqrt(1.0 - qx * x * x - qy * y * y)
+        over = 1.0 / (1.0 + root)
+        # With w = 1 - root^2, f(w) = 1 / (1 + root): the first and second derivatives by w.
+        first = 0.5 * over * over / root
+        second = 0.25 * over * over * (1.0 + 3.0 * root) * over / (root * root * root)
+        along_x, along_y = 2.0 * qx * x, 2.0 * qy * y
+        return (
+            2.0 * cx * over
+            + 4.0 * cx * x * first * along_x
+            + top * (second * along_x * along_x + 2.0 * first * qx),
+            2.0 * first * (cx * x * along_y + cy * y * along_x) + top * second * along_x * along_y,
+            2.0 * cy * over
+            + 4.0 * cy * y * first * along_y
+            + top * (second * along_y * along_y + 2.0 * first * qy),
+        )
+
+    @staticmethod
+    def by_term(terms: Any, j: int, x: Any, y: Any) -> Point:
+        cy, ky, cx, kx = terms[0], terms[1], terms[2], terms[3]
+        qx, qy = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+        top = cx * x * x + cy * y * y
+        root = np.sqrt(1.0 - qx * x * x - qy * y * y)
+        over = 1.0 / (1.0 + root)
+        first = 0.5 * over * over / root
+        second = 0.25 * over * over * (1.0 + 3.0 * root) * over / (root * root * root)
+        # How the term changes the numerator and w: a u^2 and b u^2 with u = y for the first two, else x.
+        if j == 0:
+            a, b, of_x, of_y = 1.0, 2.0 * (1.0 + ky) * cy, 0.0, 1.0
+        elif j == 1:
+            a, b, of_x, of_y = 0.0, cy * cy, 0.0, 1.0
+        elif j == 2:
+            a, b, of_x, of_y = 1.0, 2.0 * (1.0 + kx) * cx, 1.0, 0.0
+        else:
+            a, b, of_x, of_y = 0.0, cx * cx, 1.0, 0.0
+        u2 = of_x * x * x + of_y * y * y
+        along_x, along_y = 2.0 * qx * x, 2.0 * qy * y
+        mixed = a * u2 * first + top * second * b * u2
+        both = a * over + top * first * b
+        cross = 2.0 * first * b * u2
+        return (
+            u2 * both,
+            mixed * along_x + 2.0 * of_x * x * both + cross * cx * x,
+            mixed * along_y + 2.0 * of_y * y * both + cross * cy * y,
+        )
+
+    @staticmethod
+    def start(terms: Any) -> tuple[Any, Any]:
+        # A paraboloid, which ends nowhere, between the two sections.
+        return 0.5 * (terms[0] + terms[2]), 0.0 * terms[1] - 1.0
+
+    def ends(self) -> Array:
+        y, x = ((1.0 + self.terms[..., i + 1]) * self.terms[..., i] ** 2 for i in (0, 2))
+        return np.stack([y, x], axis=-1)
+
+    @property
+    def kind(self) -> str:
+        return "biconic"
+
+    def section(self, azimuth_rad: float) -> Conic:
+        x2, y2 = math.cos(azimuth_rad) ** 2, math.sin(azimuth_rad) ** 2
+        (qy, qx), (cy, cx) = self.ends(), self.terms[::2]
+        c = cx * x2 + cy * y2
+        return Conic(np.array([c, (qx * x2 + qy * y2) / (c * c) - 1.0 if c else 0.0]))
+
+    def zemax(self) -> tuple[str, dict[int, float]]:
+        radius = radius_of(float(self.terms[2])) if self.terms[2] else 0.0
+        return "BICONICX", {1: radius, 2: float(self.terms[3])}
+
+    @classmethod
+    def keys_of_zemax(cls, kind: str, values: Mapping[int, float]) -> dict[str, Any] | None:
+        if kind != "BICONICX":
+            return None
+        return {"shape": cls.NAME, "radius_x_mm": values.get(1) or None, "conic_x": values.get(2, 0.0)}
