@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from lensdesign import load_design, save_design, scaled
@@ -57,3 +60,9 @@ def frames_and_design(folder: Path) -> tuple[object, ...]:
     """Arguments that name what :func:`write_frames` wrote, for the engine it took."""
     frames = folder / "frame_1.tif", folder / "frame_2.tif"
     return (*frames, "--design", folder / "twin.toml", "--patch-mm", PATCH_MM, "--error", 0.3)
+
+
+def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Figures and fields of a reconstruction."""
+    with np.load(folder / "reconstruction.npz") as stored:
+        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)

@@ -12,20 +12,11 @@ from wavesim_command import (
     PLANES_MM,
     frames_and_design,
     run_wavesim,
-    write_frames,
 )
 
 from wavesim.camera.frames import Frame, read_frame, write_frame
 from wavesim.reconstruction import from_object as reconstruction
 from wavesim.reconstruction import recording_model, resumable, retrieval_steps
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small twin, two frames of a chart through it, and the chart."""
-    folder = tmp_path_factory.mktemp("data")
-    write_frames(folder)
-    return folder
 
 
 def run(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,36 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from dask_cluster import Cluster
-from wavesim_command import frames_and_design, run_wavesim, write_frames
+from wavesim_command import written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.reconstruction import from_frames, resumable
 
 Run = Callable[..., tuple[object, str, str]]
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small twin, two frames of a chart through it, and the chart."""
-    folder = tmp_path_factory.mktemp("data")
-    write_frames(folder)
-    return folder
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
-    """The command on the twin's frames."""
-
-    def command(*arguments: object) -> tuple[object, str, str]:
-        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
-
-    return command
-
-
-def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Figures and fields."""
-    with np.load(folder / "reconstruction.npz") as stored:
-        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)
 
 
 def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from wavesim_command import frames_and_design, run_wavesim, write_frames
+from wavesim_command import written
 
 from lensdesign.errors import InputError
 from wavesim.cli.view import _field
@@ -19,30 +18,6 @@ Run = Callable[..., tuple[object, str, str]]
 
 REGION = "0.0083,0.0085,0.012,0.016"
 """Holds the two elements of the chart."""
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small twin, two frames of a chart through it, and the chart."""
-    folder = tmp_path_factory.mktemp("data")
-    write_frames(folder)
-    return folder
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
-    """The command on the twin's frames."""
-
-    def command(*arguments: object) -> tuple[object, str, str]:
-        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
-
-    return command
-
-
-def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Figures and fields."""
-    with np.load(folder / "reconstruction.npz") as stored:
-        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)
 
 
 def part_like(whole: dict[str, Any], part: dict[str, Any]) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wavesim_command import frames_and_design, run_wavesim, write_frames
+from wavesim_command import written
 
 from wavesim.cli import runs
 from wavesim.reconstruction import frames_case
@@ -19,30 +19,6 @@ from wavesim.runtime.memory import Need
 from wavesim.runtime.scratch import Scratch
 
 Run = Callable[..., tuple[object, str, str]]
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small twin, two frames of a chart through it, and the chart."""
-    folder = tmp_path_factory.mktemp("data")
-    write_frames(folder)
-    return folder
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path) -> Run:
-    """The command on the twin's frames."""
-
-    def command(*arguments: object) -> tuple[object, str, str]:
-        return run_wavesim(monkeypatch, capsys, "reconstruct", *frames_and_design(data), *arguments)
-
-    return command
-
-
-def written(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Figures and fields."""
-    with np.load(folder / "reconstruction.npz") as stored:
-        return json.loads((folder / "reconstruction.json").read_text()), dict(stored)
 
 
 def test_a_limit_of_memory_is_told_kept_by_files_and_refused_where_too_low(
