@@ -19,17 +19,17 @@ from lensdesign import (
     SurfacePerturbation,
     check_design,
     lens_drawing,
-    lens_mesh,
     load_design,
     read_zmx,
-    sag_table,
     save_design,
     trace,
     write_seq,
     write_step,
     write_zmx,
 )
+from lensdesign.analysis.sag_tables import sag_table
 from lensdesign.errors import DesignError
+from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.solid import closed_elements
 from lensdesign.pictures.layout import layout_figure
 from lensdesign.pictures.scene import scene_parts
