@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.cli import exchange as cli_exchange
 from lensdesign.cli import making as cli_making
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
+from lensdesign.cli.making import Design, Json
 from lensdesign.common.console import make_app, message_console, print_json, run_app
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
@@ -34,10 +34,6 @@ class PictureFormat(StrEnum):
 
     PNG = "png"
     SVG = "svg"
-
-
-Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
 def main() -> None:
@@ -121,7 +117,7 @@ def draw(
     _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
 
 
-app.command("import")(cli_exchange.import_file)
+app.command("import")(cli_making.import_file)
 app.command()(cli_making.export)
 app.command()(cli_making.scene)
 app.command()(cli_making.drawing)

@@ -1,15 +1,24 @@
-"""Commands for the shop and the model: meshes, scenes, drawings, sag tables."""
+"""Commands that make files of a lens, for shops, viewers and other programs, and the one that reads those."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.text import visible
 from lensdesign.errors import InputError
+from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_lens
+from lensdesign.files.formats import LENS_FORMATS, read_lens_file
+
+if TYPE_CHECKING:
+    from lensdesign.files.draft import Imported
+    from lensdesign.lens.poses import Pose
+
+LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
 
 Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -19,10 +28,7 @@ def export(
     design: Design,
     file: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE",
-            help="Mesh (.stl, .ply, .obj, .glb, .3mf), exact solid (.step, .stp) or lens file (.zmx, .seq).",
-        ),
+        typer.Argument(metavar="FILE", help=f"{export_kinds()}.".capitalize()),
     ],
     chord_error_um: Annotated[
         float, typer.Option(help="Largest distance between mesh and true surface, on the optical surfaces.")
@@ -37,75 +43,14 @@ def export(
     Surfaces have their nominal shape unless --measured is given, which only meshes take; a note names those
     whose figure is left out.
     """
-    from lensdesign.cli.exchange import FORMATS, write_exchange
-    from lensdesign.fabrication.step.export import STEP_SUFFIXES
+    from lensdesign.files.design import load_design
 
-    if file.suffix.lower() in FORMATS:
-        write_exchange(design, file, as_json)
-    elif file.suffix.lower() in STEP_SUFFIXES:
-        _write_step(design, file, measured, as_json)
+    options = ExportOptions(chord_error_um, measured, report=lambda note: typer.echo(note, err=True))
+    made = export_lens(load_design(design), file, options)
+    if as_json:
+        print_json(made.figures)
     else:
-        _write_mesh(design, file, chord_error_um, measured, as_json)
-
-
-def _write_mesh(design: Path, file: Path, chord_error_um: float, measured: bool, as_json: bool) -> None:
-    from lensdesign.fabrication.mesh.mesh import write_mesh
-    from lensdesign.files.design import load_design
-
-    lens = load_design(design)
-    mesh = write_mesh(
-        lens,
-        file,
-        chord_error_um,
-        report=lambda note: typer.echo(note, err=True),
-        measured=measured,
-    )
-    left_out = [] if measured else [i for i, s in enumerate(lens.surfaces, start=1) if s.figure]
-    figures = {
-        "file": str(file),
-        "triangles": mesh.triangles,
-        "chord_error_um": mesh.chord_error_um,
-        "edge_error_um": mesh.edge_error_um,
-        "volume_mm3": mesh.volume_mm3,
-        "exact_volume_mm3": mesh.exact_volume_mm3,
-        "surfaces_without_their_figure": left_out,
-    }
-    if as_json:
-        print_json(figures)
-        return
-    typer.echo(
-        f"wrote {file}: {mesh.triangles} triangles, within {figures['chord_error_um']:.3g} um of the true "
-        f"surface, volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
-    )
-
-
-def _write_step(design: Path, file: Path, measured: bool, as_json: bool) -> None:
-    from lensdesign.fabrication.step.export import write_step
-    from lensdesign.files.design import load_design
-
-    if measured:
-        raise InputError(
-            f"cannot write {file} with --measured: solids have nominal surfaces; a mesh takes it"
-        )
-    lens = load_design(design)
-    found = write_step(lens, file, report=lambda note: typer.echo(note, err=True))
-    if as_json:
-        print_json(
-            {
-                "file": str(file),
-                "bytes": found.bytes,
-                "solids": [asdict(body) for body in found.bodies],
-                "surfaces_without_their_figure": [
-                    i for i, s in enumerate(lens.surfaces, start=1) if s.figure
-                ],
-            }
-        )
-        return
-    typer.echo(
-        f"wrote {file}: {found.solids} {'solid' if found.solids == 1 else 'solids'}, read back within "
-        f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm^3 "
-        f"(exact {found.exact_volume_mm3:.9g} mm^3)"
-    )
+        typer.echo(f"wrote {file}: {made.sentence}")
 
 
 def scene(
@@ -180,3 +125,61 @@ def sag(
         f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from the best-fit sphere "
         f"of {table.best_fit_radius_mm:.6g} mm"
     )
+
+
+def import_file(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{LENS_FILES}.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
+    lossy: Annotated[bool, typer.Option("--lossy", help="Leave out what a design cannot hold.")] = False,
+    working_distance_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
+    field_diameter_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
+    numerical_aperture: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
+    pixel_pitch_um: Annotated[float | None, typer.Option(help="Of the sensor.")] = None,
+    pixels: Annotated[tuple[int, int] | None, typer.Option(help="Of the sensor, across x and y.")] = None,
+    plane_distance_mm: Annotated[
+        list[float] | None, typer.Option(help="Of a sensor plane from the exit vertex; several times.")
+    ] = None,
+    glass_catalog: Annotated[list[Path] | None, typer.Option(help="AGF file; several times.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Read another program's lens file into a design.
+
+    What the file holds and a design cannot is listed and refused, or left out with --lossy.
+    """
+    from lensdesign.files.design import save_design
+    from lensdesign.files.draft import LossyImportError, Supplement
+
+    supplement = Supplement(
+        working_distance_mm=working_distance_mm,
+        field_diameter_mm=field_diameter_mm,
+        numerical_aperture=numerical_aperture,
+        pixel_pitch_um=pixel_pitch_um,
+        pixels=pixels,
+        plane_distances_mm=tuple(plane_distance_mm) if plane_distance_mm else None,
+        glass_catalogs=tuple(glass_catalog or ()),
+    )
+    found = read_lens_file(file, supplement, lossy)
+    moved = _moved(found.pose)
+    if moved and not lossy:
+        raise LossyImportError(str(file), [f"the lens stands at {moved}: a design stands on its axis"])
+    save_design(found.lens, output)
+    _tell(found, output, moved, as_json)
+
+
+def _moved(pose: Pose) -> str:
+    """What of a pose is not nominal, in words."""
+    names = [f.name for f in fields(pose) if f.name != "pivot_z_mm"]
+    values = {name: float(getattr(pose, name)) for name in names}
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items() if value)
+
+
+def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
+    dropped = [*found.dropped, *([f"pose: {moved}"] if moved else [])]
+    if as_json:
+        print_json({"design": str(output), "dropped": dropped, "remarks": list(found.remarks)})
+        return
+    for entry in dropped:
+        typer.echo(f"left out: {visible(entry)}", err=True)
+    for remark in found.remarks:
+        typer.echo(f"note: {visible(remark)}", err=True)
+    typer.echo(f"wrote {output}: {len(found.lens.surfaces)} surfaces")

@@ -1,5 +1,6 @@
 from .drawing.sheets import DrawingOptions, lens_drawing, write_drawing
 from .drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from .exports import Exported, ExportOptions, export_lens
 from .mesh.mesh import lens_mesh, write_mesh
 from .mesh.reading import TriangleMesh, read_mesh
 from .mesh.verification import MeshReport, verify_mesh
@@ -8,10 +9,13 @@ from .step.export import StepReport, write_step
 __all__ = [
     "DrawingOptions",
     "DrawingTolerances",
+    "ExportOptions",
+    "Exported",
     "MeshReport",
     "StepReport",
     "SurfaceTolerances",
     "TriangleMesh",
+    "export_lens",
     "lens_drawing",
     "lens_mesh",
     "read_mesh",

@@ -10,7 +10,6 @@ import io
 import zipfile
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import quoteattr
 
 if TYPE_CHECKING:
     import trimesh
@@ -106,6 +105,8 @@ def _glb(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
 
 
 def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
+    from xml.sax.saxutils import quoteattr
+
     names = list(dict.fromkeys(glasses))
     color = "".join(f"{part:02X}" for part in GLASS_RGBA)
     lines = [

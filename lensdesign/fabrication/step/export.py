@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.step.freeform import freeform_solid, surface_error_mm
 from lensdesign.fabrication.step.occ import (
+    STEP_SUFFIXES,
     ocp_errors,
     parts_of,
     read_solids,
@@ -29,8 +30,6 @@ from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
 
 Array = NDArray[np.float64]
-
-STEP_SUFFIXES = (".step", ".stp")
 
 CONIC_ERROR_MM = 1e-9
 """Largest distance allowed between a plane, sphere or conic of the file and the exact surface."""

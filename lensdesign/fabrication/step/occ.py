@@ -13,6 +13,8 @@ from lensdesign.errors import InputError
 
 NO_OCP = "STEP files need OCP, release 8 or later: pip install 'transferlens[cad]'"
 
+STEP_SUFFIXES = (".step", ".stp")
+
 TIME_STAMP = "1970-01-01T00:00:00"
 """Always the same, so that the same lens gives the same file."""
 
