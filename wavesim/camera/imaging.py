@@ -27,7 +27,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, Target, lit, lit_patch, make_target
-from wavesim.runtime.memory import Memory, memory_limit, room_for_arrays
+from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -150,7 +150,7 @@ def image(
 
         engine = make(exit_scene(lens, patch, windows[0], planes[0], pose, OVERSAMPLING))
         memory = Memory(imaging_need(engine, sensor, windows, recording), limit)
-        scratch = scratch_in(folder, room_for_arrays(memory.need, limit, "this picture"))
+        scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
         if before is not None:
             before(memory)
         if progress is not None:

@@ -28,7 +28,7 @@ from wavesim.objects.region import region_grid, widened
 from wavesim.objects.usaf import UsafElement
 from wavesim.reconstruction.memory import run_need
 from wavesim.runtime.checkpoint import Checkpoint
-from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, Need, memory_limit, room_for_arrays
+from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, Need, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -199,7 +199,7 @@ def _carried(scene: Scene, settings: ReconstructionSettings, shown: Grid) -> Gri
 
 def _room(memory: Memory, settings: ReconstructionSettings) -> float:
     try:
-        return room_for_arrays(memory.need, memory.limit_bytes, "the reconstruction")
+        return memory.room_for_arrays("the reconstruction")
     except MemoryLimitError as error:
         if settings.focus_mm is None or settings.region_mm is not None:
             raise

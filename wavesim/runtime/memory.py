@@ -115,42 +115,6 @@ def _machine_bytes() -> int:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def room_for_arrays(need: Need, limit_bytes: float, what: str) -> float:
-    """Bytes of movable arrays that may lie in memory.
-
-    Parameters
-    ----------
-    need
-        Of the run.
-    limit_bytes
-        That the run may take.
-    what
-        The run, for messages.
-
-    Raises
-    ------
-    MemoryLimitError
-        If it takes more even with all that can be moved in files.
-    """
-    if need.least_bytes > limit_bytes:
-        enough = math.ceil(1e-8 * need.least_bytes) / 10.0
-        raise MemoryLimitError(
-            f"{what} needs {1e-9 * need.least_bytes:.3g} GB of memory at least, and may take "
-            f"{1e-9 * limit_bytes:.3g} GB: take --memory-gb {enough:g} or more, a smaller --patch-mm, or "
-            "coarser samples (--object-pitch-um)"
-        )
-    return math.inf if need.most_bytes <= limit_bytes else limit_bytes - need.least_bytes
-
-
-def estimate_line(need: Need, limit_bytes: float, folder: Path) -> str:
-    """What is told before a run."""
-    moved = need.most_bytes > limit_bytes
-    taken = min(need.most_bytes, limit_bytes)
-    files = need.file_bytes + (need.most_bytes - limit_bytes if moved else 0.0)
-    line = f"memory: about {1e-9 * taken:.2g} GB of {1e-9 * limit_bytes:.3g} GB allowed"
-    return line + (f", {1e-9 * files:.2g} GB in files under {folder}" if files >= 1e7 else "")
-
-
 @dataclass(frozen=True)
 class Memory:
     """What a run will take, and what it may."""
@@ -158,9 +122,29 @@ class Memory:
     need: Need
     limit_bytes: float
 
+    def room_for_arrays(self, what: str) -> float:
+        """Bytes of movable arrays that may lie in memory; `what` names the run in messages.
+
+        Raises
+        ------
+        MemoryLimitError
+            If it takes more than it may even with all that can be moved in files.
+        """
+        least, limit = self.need.least_bytes, self.limit_bytes
+        if least > limit:
+            raise MemoryLimitError(
+                f"{what} needs {1e-9 * least:.3g} GB of memory at least, and may take {1e-9 * limit:.3g} GB: "
+                f"take --memory-gb {math.ceil(1e-8 * least) / 10.0:g} or more, a smaller --patch-mm, or "
+                "coarser samples (--object-pitch-um)"
+            )
+        return math.inf if self.need.most_bytes <= limit else limit - least
+
     def line(self, folder: Path) -> str:
         """Told before the run."""
-        return estimate_line(self.need, self.limit_bytes, folder)
+        told = self.as_dict()
+        taken, allowed, files = (1e-9 * told[f"{name}_bytes"] for name in ("predicted", "limit", "file"))
+        line = f"memory: about {taken:.2g} GB of {allowed:.3g} GB allowed"
+        return line + (f", {files:.2g} GB in files under {folder}" if files >= 0.01 else "")
 
     def as_dict(self) -> dict[str, float]:
         """Ready for JSON."""

@@ -10,12 +10,11 @@ import pytest
 from lensdesign.errors import InputError
 from wavesim.runtime import memory
 from wavesim.runtime.memory import (
+    Memory,
     MemoryLimitError,
     Need,
     available_bytes,
-    estimate_line,
     memory_limit,
-    room_for_arrays,
 )
 
 NEED = Need(most_bytes=9_000_000_000, least_bytes=3_000_000_000, file_bytes=1_000_000_000)
@@ -43,18 +42,16 @@ def test_a_container_has_what_it_was_given(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_arrays_are_moved_where_they_must_be() -> None:
-    assert room_for_arrays(NEED, 10e9, "it") == math.inf
-    assert room_for_arrays(NEED, 5e9, "it") == 2e9
+    assert Memory(NEED, 10e9).room_for_arrays("it") == math.inf
+    assert Memory(NEED, 5e9).room_for_arrays("it") == 2e9
     with pytest.raises(MemoryLimitError, match=r"it needs 3 GB .* may take 2\.5 GB: take --memory-gb 3"):
-        room_for_arrays(NEED, 2.5e9, "it")
+        Memory(NEED, 2.5e9).room_for_arrays("it")
 
 
 def test_the_estimate_names_memory_and_files() -> None:
     place = Path("results")
-    assert estimate_line(NEED, 20e9, place) == (
+    assert Memory(NEED, 20e9).line(place) == (
         "memory: about 9 GB of 20 GB allowed, 1 GB in files under results"
     )
-    assert (
-        estimate_line(NEED, 5e9, place) == "memory: about 5 GB of 5 GB allowed, 5 GB in files under results"
-    )
-    assert estimate_line(Need(10_000_000, 10_000_000), 5e9, place) == "memory: about 0.01 GB of 5 GB allowed"
+    assert Memory(NEED, 5e9).line(place) == "memory: about 5 GB of 5 GB allowed, 5 GB in files under results"
+    assert Memory(Need(10_000_000, 10_000_000), 5e9).line(place) == "memory: about 0.01 GB of 5 GB allowed"
