@@ -19,24 +19,18 @@ from wavesim import (
     Engine,
     Field,
     Grid,
+    Recorded,
     SamplingWarning,
     Scene,
     engine_for,
     propagate,
     reconstruct,
     retrieve,
-    usaf_chart,
 )
-from wavesim.camera import estimate_intensity, plane_seeds, record
-from wavesim.camera.recorded import Recorded, recorded_intensity
-from wavesim.evaluation.metrics import (
-    as_passed,
-    element_contrasts,
-    object_correlation,
-    smallest_resolved_element,
-)
+from wavesim.camera import plane_seeds, record, recorded_planes
+from wavesim.evaluation import as_passed, element_contrasts, object_correlation, smallest_resolved_element
 from wavesim.fields.coverage import rectangle, rectangle_coverage
-from wavesim.objects import usaf_elements_within
+from wavesim.objects import usaf_chart, usaf_elements_within
 
 SIDE_MM, PITCH_MM, PIXELS, PIXEL_MM = 0.38, 0.4256e-3, 864, 3.2e-3
 STOP_MM = 0.98 * SIDE_MM
@@ -110,15 +104,14 @@ def points(case: Case) -> list[Recorded]:
 
 def frames(case: Case, seed: int = 1) -> list[Recorded]:
     """Amplitudes estimated from a camera's frames, each exposed for itself, and their standard deviations."""
-    made = []
     share = BRIGHTEST_ELECTRONS / CAMERA.full_well_electrons
-    for distance, field, one in zip(PLANES_MM, case.fields, plane_seeds(seed, len(PLANES_MM)), strict=True):
-        frame = record(field, SENSOR, distance, CAMERA, one, brightest_share=share)
-        plane = recorded_intensity(distance - PLANES_MM[0], *estimate_intensity(frame))
-        assert plane.sigma is not None
-        amplitude, sigma = (v.astype(np.float32) for v in (plane.amplitude, plane.sigma))
-        made.append(replace(plane, amplitude=amplitude, sigma=sigma))
-    return made
+    planes = zip(PLANES_MM, case.fields, plane_seeds(seed, len(PLANES_MM)), strict=True)
+    return recorded_planes(
+        [
+            record(field, SENSOR, distance, CAMERA, one, brightest_share=share)
+            for distance, field, one in planes
+        ]
+    )
 
 
 def from_points() -> list[Row]:

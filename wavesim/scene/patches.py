@@ -29,7 +29,7 @@ def patch_scene(
     plane_distance_mm: float = 2.0,
     wavelength_um: float | None = None,
     meridional: bool = False,
-    object_pitch_mm: float | None = None,
+    object_pitch_um: float | None = None,
 ) -> Scene:
     """A square patch of the object, or its meridional line, and the footprint of the whole field behind.
 
@@ -47,7 +47,7 @@ def patch_scene(
         The design's first one if left out.
     meridional
         A line in place of a plane.
-    object_pitch_mm
+    object_pitch_um
         Of the object grid; left out, what holds light of the design's numerical aperture.
 
     Raises
@@ -57,9 +57,9 @@ def patch_scene(
     """
     wavelength = wavelength_of(lens, wavelength_um)
     _refuse(lens, patch_mm, field_mm)
-    pitch = object_pitch_mm
-    if pitch is None:
-        pitch = OBJECT_FINENESS * 0.5e-3 * wavelength / lens.object.numerical_aperture
+    if object_pitch_um is None:
+        object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
+    pitch = 1e-3 * object_pitch_um
     count = scipy.fft.next_fast_len(max(1, math.ceil(patch_mm / pitch)))
     dimensions = 1 if meridional else 2
     return Scene(
