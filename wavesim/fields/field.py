@@ -105,6 +105,10 @@ class Grid:
         """The same samples in another plane."""
         return replace(self, z_mm=z_mm)
 
+    def towards(self, to: Grid | float) -> Grid:
+        """Another grid, or the same samples so many mm along the axis."""
+        return to if isinstance(to, Grid) else self.at(self.z_mm + to)
+
     def samples_among(self, wider: Grid) -> tuple[slice, slice] | None:
         """Where the samples of this plane lie among those of a wider one; None if not all are among them."""
         if (wider.z_mm, wider.pitch_mm) != (self.z_mm, self.pitch_mm):

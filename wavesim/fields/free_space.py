@@ -63,7 +63,6 @@ class SameSamples:
         field = Field(self.source, values, self.wavelength_um, self.index)
         check_propagation(
             field,
-            self.distance_mm,
             self.target,
             pad=self.pad,
             band_limit=self.band_limit,

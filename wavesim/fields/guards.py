@@ -89,12 +89,7 @@ def critical_distance_mm(
 
 
 def measure_propagation(
-    field: Field,
-    distance_mm: float,
-    grid: Grid | None = None,
-    *,
-    pad: Pad = "auto",
-    band_limit: bool = True,
+    field: Field, to: Grid | float, *, pad: Pad = "auto", band_limit: bool = True
 ) -> PropagationCheck:
     """What a propagation would get wrong, without doing it.
 
@@ -102,14 +97,11 @@ def measure_propagation(
     ----------
     field
         What is to be carried.
-    distance_mm
-        How far; negative to carry it back.
-    grid
-        Where to; the same samples in the other plane if left out.
-    pad, band_limit
-        As of :class:`wavesim.fields.passage.Passage`.
+    to, pad, band_limit
+        As of :func:`wavesim.propagate`.
     """
-    target = grid or field.grid
+    target = field.grid.towards(to)
+    distance_mm = target.z_mm - field.grid.z_mm
     xp = array_module(field.values)
     power = abs(fftn(field.values)) ** 2
     total = float(xp.sum(power))
@@ -171,8 +163,7 @@ def _extent_mm(field: Field, axis: int) -> tuple[float, float]:
 
 def check_propagation(
     field: Field,
-    distance_mm: float,
-    grid: Grid | None = None,
+    to: Grid | float,
     *,
     pad: Pad = "auto",
     band_limit: bool = True,
@@ -182,7 +173,7 @@ def check_propagation(
 
     Parameters
     ----------
-    field, distance_mm, grid, pad, band_limit
+    field, to, pad, band_limit
         As of :func:`measure_propagation`.
     coarse_output
         Whether an output pitch too coarse for the field that falls there is asked for.
@@ -202,8 +193,9 @@ def check_propagation(
     SamplingWarning
         If more than `WARNED` of it would be.
     """
-    found = measure_propagation(field, distance_mm, grid, pad=pad, band_limit=band_limit)
-    source, target = field.grid, grid or field.grid
+    found = measure_propagation(field, to, pad=pad, band_limit=band_limit)
+    source, target = field.grid, field.grid.towards(to)
+    distance_mm = target.z_mm - source.z_mm
     nyquist = 0.5 / source.pitch_mm
     tell(
         found.edge,

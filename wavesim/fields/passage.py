@@ -145,7 +145,7 @@ def propagate(
         If a small part of the energy is lost, in the sampling or, where only a distance is given, because it
         leaves the window.
     """
-    grid = to if isinstance(to, Grid) else field.grid.at(field.grid.z_mm + to)
+    grid = field.grid.towards(to)
     passage = Passage(
         field.grid, grid, field.wavelength_um, field.index, source_tilt_rad, target_tilt_rad, pad, band_limit
     )

@@ -101,7 +101,7 @@ class OtherSamples:
         counts = [f.count for f in self.frequencies]
         refuse_huge(counts, f"{abs(self.distance_mm):.4g} mm from {places}")
         field = Field(self.source, values, self.wavelength_um, self.index)
-        check_propagation(field, self.distance_mm, self.target, coarse_output=coarse_output)
+        check_propagation(field, self.target, coarse_output=coarse_output)
 
     def forward(self, values: Any) -> Any:
         return self._carried(values, self.inputs, self.outputs, self.source.cell, back=False)
