@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from lensdesign.errors import InputError
-from lensdesign.files.draft import MOST_SURFACES, Draft, number, shown
+from lensdesign.files.draft import MOST_SURFACES, Draft, heights_of, lose_vignetting, number, shown
 from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS
 
 PRIVATE = "TRANSFERLENS_"
@@ -288,18 +288,6 @@ def _reference(reader: FileReader, values: list[str], where: str) -> None:
     reader.reference = int(value) if 0.0 < value < 1e3 else 0
 
 
-def _heights(axis: str) -> Callable[[FileReader, list[str], str], None]:
-    def take(reader: FileReader, values: list[str], where: str) -> None:
-        reader.heights[axis] = [number(v, where) for v in values]
-
-    return take
-
-
-def _vignetting(reader: FileReader, values: list[str], where: str) -> None:
-    if any(number(v, where) for v in values):
-        reader.draft.lose("vignetting factors")
-
-
 def _temperature(reader: FileReader, values: list[str], where: str) -> None:
     if any(number(v, where) not in (20.0, 22.0) for v in values):
         reader.draft.lose(f"temperature of {shown(' '.join(values))} degrees C")
@@ -325,9 +313,9 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "FNO": _aperture_kind("working_f_number"),
     "WL": _wavelengths,
     "REF": _reference,
-    "XOB": _heights("XOB"),
-    "YOB": _heights("YOB"),
-    **dict.fromkeys(("VUX", "VLX", "VUY", "VLY"), _vignetting),
+    "XOB": heights_of("XOB"),
+    "YOB": heights_of("YOB"),
+    **dict.fromkeys(("VUX", "VLX", "VUY", "VLY"), lose_vignetting),
     "TEM": _temperature,
     "PRE": _pressure,
     "PRV": _private,

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -210,6 +210,28 @@ def number(text: str, where: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {shown(text)} stands where a finite number must")
     return value
+
+
+class Reader(Protocol):
+    """What reads the lines of one file."""
+
+    draft: Draft
+    heights: dict[str, list[float]]
+
+
+def heights_of(axis: str) -> Callable[[Reader, list[str], str], None]:
+    """What takes the field heights along one axis."""
+
+    def take(reader: Reader, values: list[str], where: str) -> None:
+        reader.heights[axis] = [number(v, where) for v in values]
+
+    return take
+
+
+def lose_vignetting(reader: Reader, values: list[str], where: str) -> None:
+    """Vignetting factors are lost where they are not 0."""
+    if any(number(v, where) for v in values):
+        reader.draft.lose("vignetting factors")
 
 
 def shown(text: str) -> str:

@@ -9,7 +9,7 @@ from decimal import Context, Decimal
 from typing import Any
 
 from lensdesign.errors import InputError
-from lensdesign.files.draft import MOST_SURFACES, Draft, number, shown
+from lensdesign.files.draft import MOST_SURFACES, Draft, heights_of, lose_vignetting, number, shown
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import shape_classes
 
@@ -232,18 +232,6 @@ def _field_type(reader: FileReader, values: list[str], where: str) -> None:
         reader.field_count, reader.wave_count = integer_at(values, 2, where), integer_at(values, 3, where)
 
 
-def _fields(axis: str) -> Callable[[FileReader, list[str], str], None]:
-    def take(reader: FileReader, values: list[str], where: str) -> None:
-        reader.heights[axis] = [number(v, where) for v in values]
-
-    return take
-
-
-def _vignetting(reader: FileReader, values: list[str], where: str) -> None:
-    if any(number(v, where) for v in values):
-        reader.draft.lose("vignetting factors")
-
-
 def _wave(reader: FileReader, values: list[str], where: str) -> None:
     reader.waves[integer_at(values, 0, where)] = value_at(values, 1, where)
 
@@ -281,11 +269,11 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "OBNA": _object_aperture,
     "FLOA": _floating,
     "FTYP": _field_type,
-    "XFLN": _fields("x"),
-    "YFLN": _fields("y"),
-    "XFLD": _fields("x"),
-    "YFLD": _fields("y"),
-    **dict.fromkeys(("VDXN", "VDYN", "VCXN", "VCYN", "VANN"), _vignetting),
+    "XFLN": heights_of("x"),
+    "YFLN": heights_of("y"),
+    "XFLD": heights_of("x"),
+    "YFLD": heights_of("y"),
+    **dict.fromkeys(("VDXN", "VDYN", "VCXN", "VCYN", "VANN"), lose_vignetting),
     "WAVM": _wave,
     "WAVL": _waves,
     "PWAV": _primary,
