@@ -395,10 +395,10 @@ def test_formulas_in_cells(text: str, cell: str) -> None:
 
 
 def test_formulas_in_the_tables_of_a_comparison(tmp_path: Path) -> None:
-    from wavesim.evaluation.engines import write_csv
+    from wavesim.pictures.result_files import write_csv
 
     write_csv(
-        tmp_path / "a.csv", [{"scene": "=HYPERLINK(1)", "error": -0.5}, {"scene": "fine", "error": 1.0}]
+        [{"scene": "=HYPERLINK(1)", "error": -0.5}, {"scene": "fine", "error": 1.0}], tmp_path / "a.csv"
     )
     with (tmp_path / "a.csv").open(newline="") as file:
         assert list(csv.reader(file)) == [["scene", "error"], ["'=HYPERLINK(1)", "-0.5"], ["fine", "1.0"]]

@@ -37,8 +37,9 @@ def compare(
 
     from lensdesign.lens.scaling import scaled
     from wavesim.evaluation.engines import compare as measure
-    from wavesim.evaluation.engines import exact_case, lens_case, variants, write_csv
+    from wavesim.evaluation.engines import exact_case, lens_case, variants
     from wavesim.pictures.comparisons import comparison_figure
+    from wavesim.pictures.result_files import write_csv
 
     lens = scaled(load_design(design), scale)
     if output.exists() and not output.is_dir():
@@ -62,7 +63,7 @@ def compare(
             bar.update(task, completed=done, total=total, description=what[:72])
 
         rows = measure(cases, variants(), show, most_seconds)
-        write_csv(output / "comparison.csv", [vars(row) for row in rows])
+        write_csv([vars(row) for row in rows], output / "comparison.csv")
         _save(comparison_figure(rows, "Error against cost"), output / "comparison.png")
         written = [output / "comparison.png", output / "comparison.csv"]
         if maps:
@@ -78,9 +79,9 @@ def compare(
 
 def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     from lensdesign.lens.scaling import scaled
-    from wavesim.evaluation.engines import write_csv
     from wavesim.evaluation.failures import failure_maps, map_rows
     from wavesim.pictures.comparisons import failure_figure
+    from wavesim.pictures.result_files import write_csv
 
     twin = scaled(lens, MAP_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
     bar.update(task, total=None, description="failure maps")
@@ -89,7 +90,7 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
         bar.update(task, description=f"failure maps: {one.method}")
         found.append(one)
         path = output / f"failure_{one.name}.csv"
-        write_csv(path, map_rows(one))
+        write_csv(map_rows(one), path)
         written.append(path)
     picture = output / "failure_maps.png"
     _save(failure_figure(found, "Where methods fail, and where their guards speak"), picture)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -108,7 +107,7 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     from wavesim.fields.files import write_field
     from wavesim.pictures.frames import curves_figure, object_figure, residual_figure, save
     from wavesim.pictures.pyramid import write_pyramid
-    from wavesim.pictures.result_files import new_results, write_json
+    from wavesim.pictures.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     x_mm, y_mm = transmission.grid.centre_mm
@@ -126,24 +125,19 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
         write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
         save(object_figure(transmission, found.inside, title), folder / "reconstruction.png")
         save(residual_figure(found.residual_maps, amplitudes, distances, pixel_um), folder / "residuals.png")
-        _write_csv(zip(steps, found.curve, strict=True), ("iteration", what), folder / "convergence.csv")
+        rows = [{"iteration": step, what: value} for step, value in zip(steps, found.curve, strict=True)]
+        write_csv(rows, folder / "convergence.csv")
         if what == "CC (A6)":
             curves = {"1 - CC (A6)": (steps, np.maximum(1.0 - np.asarray(found.curve), 1e-9), "iteration")}
         if found.focus is not None:
             curve = (1e3 * found.focus.distances_mm, found.focus.svfg)
             curves["SVFG"] = (*curve, "distance (um)")
-            _write_csv(zip(*curve, strict=True), ("distance_um", "svfg"), folder / "svfg.csv")
+            rows = [{"distance_um": at, "svfg": value} for at, value in zip(*curve, strict=True)]
+            write_csv(rows, folder / "svfg.csv")
         save(curves_figure(curves, title), folder / "curves.png")
         names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
         write_json(summary | {"files": names}, folder / "reconstruction.json")
     return names
-
-
-def _write_csv(rows: Iterable[Sequence[float]], header: Sequence[str], path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([getattr(value, "item", lambda v=value: v)() for value in row] for row in rows)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

@@ -6,16 +6,13 @@ steps stands for the truth. Nothing is fitted.
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lensdesign.common.text import safe_cell
-from lensdesign.errors import InputError, SamplingError, atomic_path
+from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import ENGINES, engine_class
@@ -207,17 +204,6 @@ def with_front(rows: list[Measured]) -> list[Measured]:
 def exact_case(radius_mm: float) -> OracleCase:
     """The dielectric cylinder."""
     return oracle_case("cylinder", radius_mm=radius_mm)
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A table with the first row's keys as its columns; no text in it is a formula to a spreadsheet."""
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(
-            {key: safe_cell(value) if isinstance(value, str) else value for key, value in row.items()}
-            for row in rows
-        )
 
 
 def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:

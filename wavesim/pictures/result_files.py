@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from lensdesign.errors import InputError
+from lensdesign.common.text import safe_cell
+from lensdesign.errors import InputError, atomic_path
 
 
 @contextmanager
@@ -68,3 +70,14 @@ def refuse_no_folder(folder: Path) -> None:
 def write_json(data: Mapping[str, Any], path: Path) -> None:
     """Write one JSON object."""
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """A table with the first row's keys as its columns; no text in it is a formula to a spreadsheet."""
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(
+            {key: safe_cell(value) if isinstance(value, str) else value for key, value in row.items()}
+            for row in rows
+        )

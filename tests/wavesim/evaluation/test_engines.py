@@ -21,7 +21,6 @@ from wavesim.evaluation.engines import (
     random_field,
     variants,
     with_front,
-    write_csv,
 )
 from wavesim.evaluation.failures import (
     REFUSED,
@@ -39,6 +38,7 @@ from wavesim.fields.field import Grid
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.registry import oracle_case
 from wavesim.pictures.comparisons import comparison_figure, failure_figure
+from wavesim.pictures.result_files import write_csv
 
 TWIN = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
 
@@ -79,7 +79,7 @@ def test_measured_beside_predicted(tmp_path: Path) -> None:
     assert best.fastest
     assert all(r.seconds > 0 for r in rows if np.isfinite(r.relative_error))
     assert all(r.said for r in rows if np.isnan(r.relative_error))
-    write_csv(tmp_path / "rows.csv", [vars(r) for r in rows])
+    write_csv([vars(r) for r in rows], tmp_path / "rows.csv")
     with (tmp_path / "rows.csv").open() as file:
         back = list(csv.DictReader(file))
     assert [float(b["relative_error"]) for b in back] == pytest.approx(
