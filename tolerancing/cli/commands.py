@@ -12,6 +12,7 @@ from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from tolerancing.cli import tolerances as cli_tolerances
+from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath
 
 if TYPE_CHECKING:
@@ -172,39 +173,23 @@ app.command()(cli_tolerances.budget)
 
 
 def _print_trial(trial: SingleTrial) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
     study, again = trial.study, trial.again
-    console = Console()
-    title = f"trial {trial.number} of {study.title or study.design}"
-    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("perturbation")
-    table.add_column("deviation", justify="right")
-    table.add_column("in std. dev.", justify="right")
+    deviations = []
     for perturbation, value in zip(study.perturbations, again.values[0], strict=True):
         shape = perturbation.distribution
         share = (value - shape.centre) / shape.standard_deviation
-        table.add_row(perturbation.column, f"{value:+.5g} {perturbation.unit}".strip(), f"{share:+.2f}")
-    console.print(table)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("merit")
-    table.add_column("limit")
-    for heading in ("stored", "again", ""):
-        table.add_column(heading, justify="right")
+        own = f"{value:+.5g} {perturbation.unit}".strip()
+        deviations.append((perturbation.column, own, f"{share:+.2f}"))
+    title = f"trial {trial.number} of {study.title or study.design}"
+    print_table(title, ["perturbation"], ["deviation", "in std. dev."], deviations)
+    scores = []
     for k, merit in enumerate(study.merits):
         stored = "-" if trial.stored is None else f"{trial.stored.scores[0, k]:.6g}"
-        good = bool(merit.passed(again.scores[0, k]))
-        table.add_row(
-            merit.column, _limit(merit), stored, f"{again.scores[0, k]:.6g}", "good" if good else "bad"
-        )
-    for name, value in zip(study.extra_columns, again.extras[0], strict=True):
-        table.add_row(name, "", "", f"{value:.6g}", "")
-    for name, value in trial.dear.items():
-        table.add_row(name, "", "", f"{value:.6g}", "")
-    console.print(table)
+        verdict = "good" if merit.passed(again.scores[0, k]) else "bad"
+        scores.append((merit.column, _limit(merit), stored, f"{again.scores[0, k]:.6g}", verdict))
+    others = [*zip(study.extra_columns, again.extras[0], strict=True), *trial.dear.items()]
+    scores += [(name, "", "", f"{value:.6g}", "") for name, value in others]
+    print_table("", ["merit", "limit"], ["stored", "again", ""], scores)
     if again.messages[0]:
         print(visible(again.messages[0]))
     if trial.same is None:
@@ -214,29 +199,24 @@ def _print_trial(trial: SingleTrial) -> None:
 
 
 def _print_summary(summary: Summary) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
     planned = summary.record.planned_trials
-    title = f"{summary.study.title or summary.study.design}: {summary.trials} of {planned} trials"
-    table = Table(title=escape(visible(title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("merit")
-    table.add_column("limit")
-    for heading in ("nominal", "median", "yield", "95 % interval"):
-        table.add_column(heading, justify="right")
-    for merit in summary.merits:
-        table.add_row(
-            merit.merit.column,
-            _limit(merit.merit),
-            _number(merit.nominal),
-            _number(merit.percentiles.get(50)),
-            *_yield_cells(merit.good),
+    rows = [
+        (
+            row.merit.column,
+            _limit(row.merit),
+            _number(row.nominal),
+            _number(row.percentiles.get(50)),
+            *_yield_cells(row.good),
         )
-    table.add_section()
-    table.add_row("all limits", "", "", "", *_yield_cells(summary.good))
-    Console().print(table)
+        for row in summary.merits
+    ]
+    print_table(
+        f"{summary.study.title or summary.study.design}: {summary.trials} of {planned} trials",
+        ["merit", "limit"],
+        ["nominal", "median", "yield", "95 % interval"],
+        rows,
+        ("all limits", "", "", "", *_yield_cells(summary.good)),
+    )
     if summary.failed:
         print(f"{summary.failed} trials could not be scored and count as bad")
     if not summary.complete:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,11 +10,13 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.errors import InputError
+from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
     from tolerancing.analysis.budgets import StudyBudget
     from tolerancing.analysis.limits import StudyLimits
     from tolerancing.analysis.parabolas import Sensitivity
+    from tolerancing.perturbations.parameters import Perturbation
     from tolerancing.study.study import Study
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
@@ -136,19 +139,18 @@ def _weights(items: list[str]) -> dict[str, float]:
 
 def _print_sensitivity(study: Study, found: Sensitivity, k: int) -> None:
     merit = study.merits[k]
-    table = _table(f"{merit.label}: nominal {found.nominal[k]:.4g}, {merit.limit_text}")
-    for heading in ("tolerance T", "at -T", "at +T", "std. dev."):
-        table.add_column(heading, justify="right")
-    for i in found.ranking(study.merits)[k]:
-        perturbation = study.perturbations[i]
-        table.add_row(
-            perturbation.column,
-            f"{perturbation.distribution.largest:.4g} {perturbation.unit}".strip(),
+    rows = [
+        (
+            study.perturbations[i].column,
+            _tolerance(study.perturbations[i]),
             f"{found.change[i, 0, k]:+.4f}",
             f"{found.change[i, -1, k]:+.4f}",
             f"{found.standard_deviation[i, k]:.4f}",
         )
-    _print(table)
+        for i in found.ranking(study.merits)[k]
+    ]
+    title = f"{merit.label}: nominal {found.nominal[k]:.4g}, {merit.limit_text}"
+    _print_table(title, ["tolerance T", "at -T", "at +T", "std. dev."], rows)
 
 
 def _print_limits(found: StudyLimits, change: float | None) -> None:
@@ -156,17 +158,17 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
     for label, own in found.limits.items():
         (merit,) = (m for m in study.merits if m.label == label)
         asked = merit.limit_text if change is None else f"worse by {change:g} {merit.unit}".strip()
-        table = _table(f"{label}: how far each may go by itself ({asked})")
-        for heading in ("tolerance", "down to", "up to"):
-            table.add_column(heading, justify="right")
-        for perturbation, limit in zip(study.perturbations, own, strict=True):
-            table.add_row(
+        rows = [
+            (
                 perturbation.column,
-                f"{perturbation.distribution.largest:.4g} {perturbation.unit}".strip(),
+                _tolerance(perturbation),
                 "never" if limit.below is None else f"{-limit.below:.4g}",
                 "never" if limit.above is None else f"{limit.above:+.4g}",
             )
-        _print(table)
+            for perturbation, limit in zip(study.perturbations, own, strict=True)
+        ]
+        title = f"{label}: how far each may go by itself ({asked})"
+        _print_table(title, ["tolerance", "down to", "up to"], rows)
 
 
 def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
@@ -184,18 +186,12 @@ def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
 
 
 def _print_budget(study: Study, found: StudyBudget, required: float) -> None:
-    table = _table(f"loosest tolerances for a yield of {100.0 * required:g} %")
-    for heading in ("was", "scale", "tolerance"):
-        table.add_column(heading, justify="right")
-    for perturbation, scale in zip(study.perturbations, found.budget.scales, strict=True):
-        largest, unit = perturbation.distribution.largest, perturbation.unit
-        table.add_row(
-            perturbation.column,
-            f"{largest:.4g} {unit}".strip(),
-            f"{scale:.3f}",
-            f"{scale * largest:.4g} {unit}".strip(),
-        )
-    _print(table)
+    rows = [
+        (p.column, _tolerance(p), f"{scale:.3f}", _tolerance(p, scale))
+        for p, scale in zip(study.perturbations, found.budget.scales.tolist(), strict=True)
+    ]
+    title = f"loosest tolerances for a yield of {100.0 * required:g} %"
+    _print_table(title, ["was", "scale", "tolerance"], rows)
     good = found.verified
     print(
         f"{good.total} fresh trials: {100.0 * good.share:.1f} % good ({100.0 * good.low:.1f} - "
@@ -204,16 +200,9 @@ def _print_budget(study: Study, found: StudyBudget, required: float) -> None:
     )
 
 
-def _table(title: str) -> Any:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("perturbation", no_wrap=True)
-    return table
+def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:
+    return f"{scale * perturbation.distribution.largest:.4g} {perturbation.unit}".strip()
 
 
-def _print(table: Any) -> None:
-    from rich.console import Console
-
-    Console().print(table)
+def _print_table(title: str, numbers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    print_table(title, ["perturbation"], numbers, rows, no_wrap=True)

@@ -90,13 +90,24 @@ def _random(seed: int, trials: NDArray[np.int64], columns: int, planned: int) ->
     return np.maximum(result, SMALLEST, out=result)
 
 
-def _latin_hypercube(seed: int, trials: NDArray[np.int64], columns: int, planned: int) -> Array:
+def _from_blocks(
+    draw: Callable[[int, int, int, int], Array],
+    seed: int,
+    trials: NDArray[np.int64],
+    columns: int,
+    size: int,
+) -> Array:
+    """Rows of trials out of blocks of `size` trials that are drawn as a whole."""
     result = np.empty((len(trials), columns))
-    block = trials // planned
+    block = trials // size
     for number in np.unique(block):
         here = block == number
-        result[here] = _hypercube(seed, int(number), columns, planned)[trials[here] - number * planned]
+        result[here] = draw(seed, int(number), columns, size)[trials[here] - number * size]
     return result
+
+
+def _latin_hypercube(seed: int, trials: NDArray[np.int64], columns: int, planned: int) -> Array:
+    return _from_blocks(_hypercube, seed, trials, columns, planned)
 
 
 @lru_cache(maxsize=1)
@@ -117,13 +128,8 @@ def _sobol(seed: int, trials: NDArray[np.int64], columns: int, planned: int) -> 
             f"draws = 'sobol': {columns} columns; allowed: up to {MOST_SOBOL_COLUMNS}, of which direction "
             "numbers are known; draw at random or from Latin hypercubes"
         )
-    result = np.empty((len(trials), columns))
     size = 2 ** max((SOBOL_BLOCK_VALUES // max(columns, 1)).bit_length() - 1, 0)
-    block = trials // size
-    for number in np.unique(block):
-        here = block == number
-        result[here] = _sobol_block(seed, int(number), columns, size)[trials[here] - number * size]
-    return result
+    return _from_blocks(_sobol_block, seed, trials, columns, size)
 
 
 @lru_cache(maxsize=2)
