@@ -5,7 +5,7 @@ from .analysis.summary import Summary, summarize
 from .analysis.trial import SingleTrial, single_trial
 from .analysis.yields import Yield
 from .merits.base import Merit
-from .perturbations.batch import PerturbationBatch, Realisation
+from .perturbations.batch import PerturbationBatch
 from .perturbations.distributions import Distribution
 from .perturbations.parameters import Perturbation
 from .report.figures.one_trial import write_trial_figure
@@ -25,7 +25,6 @@ __all__ = [
     "Merit",
     "Perturbation",
     "PerturbationBatch",
-    "Realisation",
     "RunError",
     "RunOutcome",
     "SingleTrial",

@@ -4,7 +4,6 @@ from .camera.exposures import Electronics
 from .camera.frame_sets import read_frames
 from .camera.frames import Frame, FrameSettings, write_frame
 from .camera.imaging import Imaged, image
-from .camera.mounting import Mounting
 from .camera.recorded import Recorded
 from .engines.choosing import choose, engine_for
 from .evaluation.resolving import resolve
@@ -25,6 +24,7 @@ from .reconstruction.from_object import reconstruct
 from .reconstruction.refocusing import refocus_field
 from .scene.engine import Engine
 from .scene.patches import patch_scene
+from .scene.placement import Placement
 from .scene.scene import Scene
 from .scene.settings import ImageSettings, ReconstructionSettings
 
@@ -39,8 +39,8 @@ __all__ = [
     "Grid",
     "ImageSettings",
     "Imaged",
-    "Mounting",
     "PatchChain",
+    "Placement",
     "PupilSampler",
     "ReconstructionPupil",
     "ReconstructionSettings",

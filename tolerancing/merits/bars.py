@@ -16,7 +16,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from tolerancing.merits.line_pairs import BARS
 from tolerancing.merits.pupil import Axis
-from tolerancing.perturbations.batch import Realisation
+from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
     from wavesim import Engine, PupilSampler, Recorded, Scene
@@ -137,32 +137,30 @@ class Chain:
         scene = replace(scene, object_grid=grid.at(grid.z_mm + refocus_mm))
         return engine_for(scene, "eikonal", error=TILE_ERROR)
 
-    def scene(self, system: Realisation) -> Scene:
+    def scene(self, system: Placement) -> Scene:
         """Between the object and the sensor's first plane, both where they really are."""
         from wavesim import Scene
         from wavesim.camera.sensor import sensor_grid
         from wavesim.camera.windows import OVERSAMPLING
+        from wavesim.scene.scene import placed_scene
 
-        # The realisation's changes of index hold those that its wavelength brings.
+        # The placement's changes of index hold those that its wavelength brings.
         indices = self.lens.indices(self.patch.wavelength_um)[1:].tolist()
         surfaces = tuple(
             surface if surface.material is None else surface.replaced(material=index)
             for surface, index in zip(self.lens.surfaces, indices, strict=True)
         )
-        x, y, z = system.object_shift_mm
         first_z = self.lens.exit_vertex_z_mm + self.planes_mm[0] + system.plane_distances_mm[0]
-        grid = self.patch.grid
-        return Scene(
+        nominal = Scene(
             self.lens.replaced(surfaces=surfaces),
-            replace(grid, z_mm=grid.z_mm + z, centre_mm=(x, y)),
+            self.patch.grid,
             replace(sensor_grid(self.sensor, first_z, OVERSAMPLING), centre_mm=system.sensor_shift_mm[:2]),
-            system.wavelength_um,
-            system.pose,
-            system.surface_perturbations,
+            self.patch.wavelength_um,
         )
+        return placed_scene(nominal, system)
 
     def recorded(
-        self, system: Realisation, electrons: float | None, bits: int, noise: np.random.SeedSequence
+        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
     ) -> list[Recorded]:
         """Amplitudes of one perturbed system, at the distances at which its planes ought to be.
 

@@ -26,7 +26,8 @@ from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
 from tolerancing.merits.line_pairs import NOISE_STREAM
 from tolerancing.merits.pupil import Axis, Orientation
-from tolerancing.perturbations.batch import PerturbationBatch, Realisation
+from tolerancing.perturbations.batch import PerturbationBatch
+from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
     from wavesim import Recorded
@@ -134,7 +135,7 @@ class ReconstructedContrast(Merit):
         self.check(context.lens)
         key = (self.line_width_um, self.orientation, self.ground, self.patch_mm, self.wavelength_um)
         chain = context.kept(("chain", *key), lambda: self._chain(context.lens))
-        systems = context.realisations(batch, self.wavelength_um)
+        systems = context.placements(batch, self.wavelength_um)
         numbers = batch.numbers or (0,) * len(batch)
         scores = []
         for system, number in zip(systems, numbers, strict=True):
@@ -160,12 +161,12 @@ class ReconstructedContrast(Merit):
             sets = ((self.orientation, (0.0, 0.0)),)
         return Chain(lens, patch, sets, width_um, self.ground)
 
-    def _score(self, chain: Chain, system: Realisation, planes: Sequence[Recorded], refocused: bool) -> float:
+    def _score(self, chain: Chain, system: Placement, planes: Sequence[Recorded], refocused: bool) -> float:
         """Contrast of the worse set of bars in what is reconstructed from one trial's planes."""
         from wavesim import refocus
         from wavesim.pupil import remove_shift
 
-        seen = (refocus if refocused else remove_shift)(chain.sampler.pupil(**system.placement))
+        seen = (refocus if refocused else remove_shift)(chain.sampler.pupil(system))
         found = chain.reconstructed(
             planes, seen.refocus_um, self.method, self.iterations or ITERATIONS[self.method]
         )

@@ -19,8 +19,9 @@ from pydantic import model_validator
 from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from tolerancing.perturbations.batch import PerturbationBatch, Realisation
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import IRREGULARITIES, PerturbedParameter
+from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
@@ -87,14 +88,14 @@ def model_pupil(
 ) -> ReconstructionPupil:
     """Reconstruction pupil between a model with compensators at some values and the nominal lens."""
     wavelength = sampler.grid.wavelength_um
-    return sampler.pupil(**_model(sampler.lens, compensators, values, pivot_z_mm, wavelength).placement)
+    return sampler.pupil(_model(sampler.lens, compensators, values, pivot_z_mm, wavelength))
 
 
 def _model(
     lens: Lens, compensators: tuple[Compensator, ...], values: Array, pivot_z_mm: float, wavelength_um: float
-) -> Realisation:
+) -> Placement:
     batch = PerturbationBatch(compensators, np.asarray(values, float)[None], pivot_z_mm)
-    (model,) = batch.realisations(lens, wavelength_um)
+    (model,) = batch.placements(lens, wavelength_um)
     return model
 
 
@@ -113,7 +114,7 @@ def less_model_patch(
         return patch
     wavelength = patch.patch.wavelength_um
     system = _model(chain.lens, compensators, values, pivot_z_mm, wavelength)
-    pupil, model = patch.pupil, chain.perturbed(**system.placement).pupil
+    pupil, model = patch.pupil, chain.perturbed(system).pupil
     left = replace(pupil, opd_mm=pupil.opd_mm - model.opd_mm, valid=pupil.valid & model.valid)
     return replace(patch, pupil=left)
 

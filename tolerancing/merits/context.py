@@ -10,8 +10,9 @@ from pydantic import Field
 
 from lensdesign.common.section import Positive, Section
 from lensdesign.lens.lens import Lens
-from tolerancing.perturbations.batch import PerturbationBatch, Realisation, batch_of
+from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.parameters import PerturbedParameter
+from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
     import numpy as np
@@ -116,12 +117,10 @@ class Context:
 
         return self._once(batch, ("rays", field_points_mm, wavelength), work)
 
-    def realisations(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Realisation]:
+    def placements(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Placement]:
         """The perturbed systems of a batch."""
         wavelength = self.wavelength_um(wavelength_um)
-        return self._once(
-            batch, ("realisations", wavelength), lambda: batch.realisations(self.lens, wavelength)
-        )
+        return self._once(batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength))
 
     def pupils(
         self,
@@ -156,7 +155,7 @@ class Context:
 
         def raw() -> list[ReconstructionPupil]:
             sampler = self.sampler(field_mm, wavelength)
-            return [sampler.pupil(**one.placement) for one in self.realisations(batch, wavelength)]
+            return [sampler.pupil(one) for one in self.placements(batch, wavelength)]
 
         pupils = self._once(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):
@@ -177,7 +176,7 @@ class Context:
         """A patch carried through each trial's lens and back through the nominal one or the adapted model."""
 
         def work() -> list[PerturbedPatch]:
-            return [chain.perturbed(**one.placement) for one in self.realisations(batch, wavelength_um)]
+            return [chain.perturbed(one) for one in self.placements(batch, wavelength_um)]
 
         patches = self._once(batch, ("patches", chain), work)
         if not (compensated and self.compensators):

@@ -16,7 +16,8 @@ from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
-from tolerancing.perturbations.batch import PerturbationBatch, Realisation
+from tolerancing.perturbations.batch import PerturbationBatch
+from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
     from tolerancing.merits.arrival import Arrival
@@ -31,7 +32,7 @@ class Trial:
     ----------
     lens : Lens
         The nominal lens.
-    realisation : Realisation
+    placement : Placement
         Pose, surface perturbations, shifts of object and sensor, wavelength.
     deltas : dict of str to float
         Deviations from nominal by the perturbations' columns, in their units.
@@ -40,7 +41,7 @@ class Trial:
     """
 
     lens: Lens
-    realisation: Realisation
+    placement: Placement
     deltas: dict[str, float]
     number: int | None
     _context: Context
@@ -102,7 +103,7 @@ class PythonMerit(Merit):
 
     def scores(self, context: Context, batch: PerturbationBatch) -> NDArray[np.float64]:
         function = function_of(self._source, self.function)
-        systems = context.realisations(batch, self.wavelength_um)
+        systems = context.placements(batch, self.wavelength_um)
         return np.array(
             [
                 _number(function(self._trial(context, one, system)), self.function)
@@ -110,11 +111,11 @@ class PythonMerit(Merit):
             ]
         )
 
-    def _trial(self, context: Context, one: PerturbationBatch, system: Realisation) -> Trial:
+    def _trial(self, context: Context, one: PerturbationBatch, system: Placement) -> Trial:
         columns = [p.column for p in one.parameters]
         return Trial(
             lens=context.lens,
-            realisation=system,
+            placement=system,
             deltas=dict(zip(columns, one.values[0].tolist(), strict=True)),
             number=one.numbers[0] if one.numbers else None,
             _context=context,

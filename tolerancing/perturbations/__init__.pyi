@@ -1,4 +1,4 @@
-from .batch import PerturbationBatch, Realisation, batch_of
+from .batch import PerturbationBatch, batch_of
 from .dependence import Correlation, Dependence
 from .distributions import DISTRIBUTIONS, Distribution
 from .draws import DRAWS, probabilities
@@ -16,7 +16,6 @@ __all__ = [
     "Perturbation",
     "PerturbationBatch",
     "PerturbedParameter",
-    "Realisation",
     "batch_of",
     "perturbation_from_table",
     "probabilities",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from tolerancing.perturbations.parameters import IRREGULARITIES, LENS_PARAMETERS, PerturbedParameter
+from wavesim.scene.placement import Placement
 
 Array = NDArray[np.float64]
 
@@ -20,46 +21,6 @@ D_LINE_UM = 0.5875618
 
 ACROSS = ("decenter_x_mm", "decenter_y_mm")
 TILTS = ("tilt_x_deg", "tilt_y_deg")
-
-
-@dataclass(frozen=True)
-class Realisation:
-    """One perturbed system.
-
-    Attributes
-    ----------
-    pose, surface_perturbations
-        The lens, as in :func:`lensdesign.trace`; indices are those at `wavelength_um`, less the nominal ones
-        at the design's wavelength.
-    object_shift_mm, sensor_shift_mm : tuple of float
-        How far object and sensor stand from where they should (x, y, z).
-    plane_distances_mm : tuple of float
-        How much farther from the lens than it should be each plane is in which the sensor records.
-    sensor_tilt_deg : tuple of float
-        Of the sensor about x, then about the y axis that turned with it, about the middle of its plane.
-    wavelength_um : float
-        Of the light.
-    """
-
-    pose: Pose
-    surface_perturbations: dict[int, SurfacePerturbation]
-    object_shift_mm: tuple[float, float, float]
-    sensor_shift_mm: tuple[float, float, float]
-    plane_distances_mm: tuple[float, ...]
-    sensor_tilt_deg: tuple[float, float]
-    wavelength_um: float
-
-    @property
-    def placement(self) -> dict[str, Any]:
-        """Arguments of :meth:`wavesim.PupilSampler.pupil` and :meth:`wavesim.PatchChain.perturbed`."""
-        return {
-            "pose": self.pose,
-            "surface_perturbations": self.surface_perturbations,
-            "object_shift_mm": self.object_shift_mm,
-            "sensor_shift_mm": self.sensor_shift_mm,
-            "sensor_tilt_deg": self.sensor_tilt_deg,
-            "wavelength_um": self.wavelength_um,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +146,11 @@ class PerturbationBatch:
         """Whether object or sensor are perturbed."""
         return any(p.target in ("object", "sensor") for p in self.parameters)
 
-    def realisations(self, lens: Lens, wavelength_um: float) -> list[Realisation]:
-        """The perturbed systems, trial by trial."""
-        return [one._realisation(lens, wavelength_um) for one in self.single_trials()]
+    def placements(self, lens: Lens, wavelength_um: float) -> list[Placement]:
+        """The perturbed systems, trial by trial, each with its wavelength."""
+        return [one._placement(lens, wavelength_um) for one in self.single_trials()]
 
-    def _realisation(self, lens: Lens, wavelength_um: float) -> Realisation:
+    def _placement(self, lens: Lens, wavelength_um: float) -> Placement:
         def single(part: Any, kind: type) -> Any:
             values = {name: getattr(part, name) for name in part.__dataclass_fields__ if name != "figure"}
             numbers = {name: float(np.ravel(value)[0]) for name, value in values.items()}
@@ -198,7 +159,7 @@ class PerturbationBatch:
 
         planes = len(lens.sensor.plane_distances_mm)
         surfaces = self.surface_perturbations(lens, wavelength_um)
-        return Realisation(
+        return Placement(
             pose=single(self.poses(), Pose),
             surface_perturbations={i: single(p, SurfacePerturbation) for i, p in surfaces.items()},
             object_shift_mm=tuple(self.object_shift_mm()[0].tolist()),

@@ -27,21 +27,29 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum, interpolated_minimum
-from wavesim.camera.mounting import DECENTERS, TILTS, Mounting, refuse_parameters
+from wavesim.camera.mounting import (
+    DECENTERS,
+    TILTS,
+    light_on,
+    planes_at,
+    refuse_parameters,
+    values_of,
+    with_values,
+)
 from wavesim.camera.recorded import Recorded, weights_of
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_object import Kind, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
 Make = Callable[[Scene], Engine]
-Progress = Callable[[str, int, Mounting, float], None]
+Progress = Callable[[str, int, Placement, float], None]
 
-NOMINAL = Mounting()
 RIGID = (*DECENTERS, *TILTS)
 
 COARSE_BLUR_PIXELS = 8.0
@@ -67,14 +75,14 @@ class Calibrated:
 
     Attributes
     ----------
-    mounting : Mounting
+    mounting : Placement
         The lens as mounted.
     parameters : tuple of str
         Those that were sought.
     misfit_before, misfit : float
         Relative L2 difference of amplitudes at the start and with the mounting found, each with the best
         object.
-    trail : tuple of (Mounting, float)
+    trail : tuple of (Placement, float)
         Mountings tried in the fine search, and their misfits.
     at_reach : tuple of str
         Parameters that ended at the border of what was searched.
@@ -84,11 +92,11 @@ class Calibrated:
         What the stated noise alone would leave (:func:`noise_misfit`).
     """
 
-    mounting: Mounting
+    mounting: Placement
     parameters: tuple[str, ...]
     misfit_before: float
     misfit: float
-    trail: tuple[tuple[Mounting, float], ...]
+    trail: tuple[tuple[Placement, float], ...]
     at_reach: tuple[str, ...]
     stopped_because: str
     misfit_of_noise: float | None
@@ -111,10 +119,10 @@ def calibrate(
     iterations: int = 8,
     scale: float | None = None,
     active_width: float = 0.0,
-    start: Mounting = NOMINAL,
+    start: Placement = NOMINAL,
     make: Make = eikonal_tiles,
     most_mountings: int = 80,
-    tried: Sequence[tuple[Mounting, float]] = (),
+    tried: Sequence[tuple[Placement, float]] = (),
     progress: Progress | None = None,
 ) -> Calibrated:
     """Find how the lens is mounted.
@@ -218,7 +226,7 @@ class _Seen:
     active_width: float
     make: Make
 
-    def shadows(self, mounting: Mounting, names: Sequence[str]) -> Response:
+    def shadows(self, mounting: Placement, names: Sequence[str]) -> Response:
         """Blurred: the light without an object, or with the known one."""
         model = self._model(mounting)
         return mounting_response(
@@ -230,7 +238,7 @@ class _Seen:
             fits_scale=self.scale is None,
         )
 
-    def frames(self, mounting: Mounting, names: Sequence[str]) -> Response:
+    def frames(self, mounting: Placement, names: Sequence[str]) -> Response:
         """As they are: the object that fits the mounting best, or the known one."""
         model = self._model(mounting)
         transmission = self._known(model)
@@ -248,11 +256,11 @@ class _Seen:
             transmission, model.scale = found.transmission.values, found.scale
         return mounting_response(model, transmission, mounting, names, fits_scale=self.scale is None)
 
-    def _model(self, mounting: Mounting) -> RecordingModel:
+    def _model(self, mounting: Placement) -> RecordingModel:
         return RecordingModel(
-            self.make(mounting.scene(self.scene)),
-            mounting.illumination(self.illumination),
-            mounting.recorded(self.recorded),
+            self.make(placed_scene(self.scene, mounting)),
+            light_on(self.illumination, mounting),
+            planes_at(self.recorded, mounting),
             self.scale,
             self.active_width,
         )
@@ -269,18 +277,18 @@ class _Trail:
     def __init__(
         self,
         name: str,
-        respond: Callable[[Mounting, Sequence[str]], Response],
-        start: Mounting,
+        respond: Callable[[Placement, Sequence[str]], Response],
+        start: Placement,
         parameters: tuple[str, ...],
         progress: Progress | None,
-        before: Sequence[tuple[Mounting, float]] = (),
+        before: Sequence[tuple[Placement, float]] = (),
     ) -> None:
         self.name, self.respond, self.start = name, respond, start
         self.parameters, self.progress, self.before = parameters, progress, before
-        self.tried: list[tuple[Mounting, float]] = []
+        self.tried: list[tuple[Placement, float]] = []
 
-    def mounting(self, point: Array) -> Mounting:
-        return self.start.with_values(self.parameters, list(point))
+    def mounting(self, point: Array) -> Placement:
+        return with_values(self.start, self.parameters, list(point))
 
     def linear_search(self, reach: Array, most: int) -> Minimum:
         """By the responses' own derivatives, which are those of the whole model."""
@@ -290,11 +298,11 @@ class _Trail:
             self._tell(point, response.misfit)
             return response.residual, response.changes
 
-        return GaussNewton(model, self.start.values_of(self.parameters), reach).run(LEAST_GAIN, most)
+        return GaussNewton(model, values_of(self.start, self.parameters), reach).run(LEAST_GAIN, most)
 
     def search(self, reach: Array, most: int) -> Minimum:
         """Without derivatives, but for those at the start that leave the object as it is."""
-        start = self.start.values_of(self.parameters)
+        start = values_of(self.start, self.parameters)
         first = self.respond(self.start, self.parameters)
 
         def misfit(point: Array) -> float:
@@ -313,7 +321,7 @@ class _Trail:
         if len(self.tried) >= len(self.before):
             return None
         mounting, size = self.before[len(self.tried)]
-        away = np.abs(mounting.values_of(self.parameters) - point) / reach
+        away = np.abs(values_of(mounting, self.parameters) - point) / reach
         return size if np.max(away) < SAME_POINT else None
 
     def _tell(self, point: Array, misfit: float) -> None:

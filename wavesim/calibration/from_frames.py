@@ -8,11 +8,17 @@ from typing import Any
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import Pose
 from wavesim.calibration.estimation import RIGID, Calibrated, calibrate
 from wavesim.camera.frame_sets import recorded_planes
 from wavesim.camera.framed import framed_patch, key_of_frames
 from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import Mounting, parameter_names, refuse_parameters
+from wavesim.camera.mounting import (
+    parameter_names,
+    refuse_parameters,
+    values_of,
+    with_values,
+)
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_error
 from wavesim.engines.choosing import engine_for
@@ -20,6 +26,7 @@ from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.engine import Engine
+from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
@@ -118,26 +125,26 @@ class _Search:
     ) -> None:
         self._names, self._checkpoint, self._most = names, checkpoint, settings.most_mountings
         self._progress = progress or (lambda what, done, count: None)
-        self.start = Mounting(pivot_z_mm=settings.pivot_z_mm)
-        self.trail: list[tuple[Mounting, float]] = []
+        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
+        self.trail: list[tuple[Placement, float]] = []
         self.tried = self._kept()
         self._progress("the light without an object", 0, self._most)
 
-    def _kept(self) -> list[tuple[Mounting, float]]:
+    def _kept(self) -> list[tuple[Placement, float]]:
         """Mountings that an earlier run has tried, and their misfits."""
         kept = None if self._checkpoint is None else self._checkpoint.load()
         if kept is None:
             return []
         rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
-        return [(self.start.with_values(self._names, values), misfit) for values, misfit in rows]
+        return [(with_values(self.start, self._names, values), misfit) for values, misfit in rows]
 
-    def show(self, search: str, number: int, mounting: Mounting, misfit: float) -> None:
+    def show(self, search: str, number: int, mounting: Placement, misfit: float) -> None:
         self._progress(f"{search} search: misfit {misfit:.4f}", number, self._most)
         if search != "fine":
             return
         self.trail.append((mounting, misfit))
         if self._checkpoint is not None and len(self.trail) > len(self.tried):
-            values = [mounting.values_of(self._names) for mounting, _ in self.trail]
+            values = [values_of(mounting, self._names) for mounting, _ in self.trail]
             self._checkpoint.keep(values=values, misfits=[size for _, size in self.trail])
 
 

@@ -9,14 +9,15 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.lens.poses import rotation_matrix
-from wavesim.camera.mounting import DECENTERS, TILTS, Mounting
+from wavesim.camera.mounting import DECENTERS, TILTS
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.scene.placement import Placement
 
 ComplexArray = NDArray[np.complexfloating]
 
 
-def motion(field: Field, mounting: Mounting, parameter: str) -> ComplexArray:
+def motion(field: Field, mounting: Placement, parameter: str) -> ComplexArray:
     """Change of a field for a unit of a rigid parameter if its sources moved with the lens.
 
     The generator of the motion: for a shift along x, -d/dx; for a rotation w about a point c,
@@ -36,16 +37,16 @@ def motion(field: Field, mounting: Mounting, parameter: str) -> ComplexArray:
         return -along_x
     if parameter == DECENTERS[1]:
         return -along_y
-    grid = field.grid
-    tilt = np.deg2rad([mounting.tilt_x_deg])
+    grid, pose = field.grid, mounting.pose
+    tilt = np.deg2rad(np.atleast_1d(pose.tilt_x_deg))
     axis = (
         np.array([1.0, 0.0, 0.0])
         if parameter == TILTS[0]
         else rotation_matrix(tilt, np.zeros(1))[0] @ np.array([0.0, 1.0, 0.0])
     )
-    x = grid.x_mm[None, :] - mounting.decenter_x_mm
-    y = grid.y_mm[:, None] - mounting.decenter_y_mm
-    z = grid.z_mm - mounting.pivot_z_mm
+    x = grid.x_mm[None, :] - pose.decenter_x_mm
+    y = grid.y_mm[:, None] - pose.decenter_y_mm
+    z = grid.z_mm - pose.pivot_z_mm
     moved_x, moved_y, moved_z = (
         axis[1] * z - axis[2] * y,
         axis[2] * x - axis[0] * z,

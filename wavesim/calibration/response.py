@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wavesim.calibration.motion import gradient, motion
-from wavesim.camera.mounting import WORKING_DISTANCE, Mounting, plane_of
+from wavesim.camera.mounting import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.reconstruction.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.placement import Placement
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -59,7 +60,7 @@ class Response:
 def mounting_response(
     model: RecordingModel,
     transmission: ComplexArray,
-    mounting: Mounting,
+    mounting: Placement,
     parameters: Sequence[str],
     *,
     blur_pixels: float = 0.0,
@@ -128,7 +129,7 @@ def _response(recorded: RealArray, seen: RealArray, changes: RealArray, scale: f
 
 
 def _change_behind(
-    model: RecordingModel, lit: Field, behind: Field, mounting: Mounting, name: str
+    model: RecordingModel, lit: Field, behind: Field, mounting: Placement, name: str
 ) -> ComplexArray:
     """Change of the field on the exit grid for a unit of a parameter of lens or object."""
     if name == WORKING_DISTANCE:

@@ -2,7 +2,7 @@ from .exposures import Electronics, SaturationWarning, estimate_intensity, merge
 from .frame_sets import read_frames, recorded_planes
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
-from .mounting import Mounting, read_mounting
+from .mounting import mounting_table, read_mounting
 from .recorded import Recorded, recorded_intensity
 from .recording import Recording, drop_parts, image_patch
 from .sensor import FootprintWarning, record, record_exposures, sensor_grid
@@ -15,7 +15,6 @@ __all__ = [
     "Frame",
     "FrameSettings",
     "Imaged",
-    "Mounting",
     "Recorded",
     "Recording",
     "SaturationWarning",
@@ -26,6 +25,7 @@ __all__ = [
     "image",
     "image_patch",
     "merged_intensity",
+    "mounting_table",
     "plane_seeds",
     "read_frame",
     "read_frames",

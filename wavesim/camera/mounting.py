@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import Placement
 
 DECENTERS = ("decenter_x_mm", "decenter_y_mm")
 TILTS = ("tilt_x_deg", "tilt_y_deg")
@@ -27,18 +28,8 @@ WORKING_DISTANCE = "working_distance_mm"
 PLANE_DISTANCE = "plane_distance_{}_mm"
 
 
-class Mounting(Section):
-    """Deltas from the design; object and sensor stand where the design has them unless said otherwise.
-
-    Attributes
-    ----------
-    decenter_x_mm, decenter_y_mm, tilt_x_deg, tilt_y_deg, pivot_z_mm
-        Of the lens, as of :class:`lensdesign.Pose`.
-    working_distance_mm
-        How much farther from the lens the object is.
-    plane_distances_mm
-        How much farther from the lens each recorded plane is; planes beyond the list are where they say.
-    """
+class _Table(Section):
+    """A mounting as files have it; `working_distance_mm` is how much farther from the lens the object is."""
 
     decenter_x_mm: Finite = 0.0
     decenter_y_mm: Finite = 0.0
@@ -50,57 +41,18 @@ class Mounting(Section):
 
     _lists = field_validator("plane_distances_mm", mode="before")(tuples)
 
-    @property
-    def pose(self) -> Pose:
-        """Of the lens."""
-        return Pose(
-            decenter_x_mm=self.decenter_x_mm,
-            decenter_y_mm=self.decenter_y_mm,
-            tilt_x_deg=self.tilt_x_deg,
-            tilt_y_deg=self.tilt_y_deg,
-            pivot_z_mm=self.pivot_z_mm,
-        )
 
-    def scene(self, nominal: Scene) -> Scene:
-        """The scene with the lens and the object where they are."""
-        grid = nominal.object_grid
-        return replace(nominal, pose=self.pose, object_grid=grid.at(grid.z_mm - self.working_distance_mm))
-
-    def illumination(self, nominal: Field) -> Field:
-        """The light on the object where it is; the object takes its light with it."""
-        grid = nominal.grid.at(nominal.grid.z_mm - self.working_distance_mm)
-        return Field(grid, nominal.values, nominal.wavelength_um, nominal.index)
-
-    def recorded(self, nominal: Sequence[Recorded]) -> list[Recorded]:
-        """The planes where they are."""
-        deltas = (*self.plane_distances_mm, *[0.0] * len(nominal))
-        return [replace(p, distance_mm=p.distance_mm + d) for p, d in zip(nominal, deltas, strict=False)]
-
-    def values_of(self, parameters: Sequence[str]) -> NDArray[np.float64]:
-        """Values by the names of :func:`parameter_names`."""
-        return np.array([self._value_of(name) for name in parameters])
-
-    def _value_of(self, name: str) -> float:
-        plane = plane_of(name)
-        if plane is None:
-            return float(getattr(self, name))
-        return self.plane_distances_mm[plane] if plane < len(self.plane_distances_mm) else 0.0
-
-    def with_values(self, parameters: Sequence[str], values: Sequence[float]) -> Mounting:
-        """The same but for values by the names of :func:`parameter_names`."""
-        changed = self.model_dump()
-        planes = [plane_of(name) for name in parameters]
-        distances = list(self.plane_distances_mm)
-        distances += [0.0] * (max((p + 1 for p in planes if p is not None), default=0) - len(distances))
-        for name, plane, value in zip(parameters, planes, values, strict=True):
-            if plane is None:
-                changed[name] = float(value)
-            else:
-                distances[plane] = float(value)
-        return Mounting(**changed | {"plane_distances_mm": tuple(distances)})
+def mounting_table(mounting: Placement) -> dict[str, Any]:
+    """A mounting as :func:`read_mounting` takes it, ready for JSON."""
+    table = _Table(
+        **{name: getattr(mounting.pose, name) for name in (*DECENTERS, *TILTS, "pivot_z_mm")},
+        working_distance_mm=0.0 - mounting.object_shift_mm[2],
+        plane_distances_mm=mounting.plane_distances_mm,
+    )
+    return table.model_dump(mode="json")
 
 
-def read_mounting(path: str | os.PathLike[str]) -> Mounting:
+def read_mounting(path: str | os.PathLike[str]) -> Placement:
     """The mounting that `wavesim calibrate` has found.
 
     Raises
@@ -116,7 +68,53 @@ def read_mounting(path: str | os.PathLike[str]) -> Mounting:
     mounting = data.get("mounting") if isinstance(data, dict) else None
     if not isinstance(mounting, dict):
         raise InputError(f"{path}: holds no mounting; must be the calibration.json of `wavesim calibrate`")
-    return validate(Mounting, mounting, Path(path))
+    table = validate(_Table, mounting, Path(path)).model_dump()
+    planes, farther = table.pop("plane_distances_mm"), table.pop(WORKING_DISTANCE)
+    return Placement(Pose(**table), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distances_mm=planes)
+
+
+def light_on(nominal: Field, mounting: Placement) -> Field:
+    """The light on the object where it is; the object takes its light with it."""
+    grid = nominal.grid.at(nominal.grid.z_mm + mounting.object_shift_mm[2])
+    return Field(grid, nominal.values, nominal.wavelength_um, nominal.index)
+
+
+def planes_at(nominal: Sequence[Recorded], mounting: Placement) -> list[Recorded]:
+    """The recorded planes where they are."""
+    deltas = (*mounting.plane_distances_mm, *[0.0] * len(nominal))
+    return [replace(p, distance_mm=p.distance_mm + d) for p, d in zip(nominal, deltas, strict=False)]
+
+
+def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.float64]:
+    """Values by the names of :func:`parameter_names`."""
+
+    def value(name: str) -> float:
+        plane = plane_of(name)
+        if name == WORKING_DISTANCE:
+            return 0.0 - mounting.object_shift_mm[2]
+        if plane is None:
+            return float(getattr(mounting.pose, name))
+        return mounting.plane_distances_mm[plane] if plane < len(mounting.plane_distances_mm) else 0.0
+
+    return np.array([value(name) for name in parameters])
+
+
+def with_values(mounting: Placement, parameters: Sequence[str], values: Sequence[float]) -> Placement:
+    """The same but for values by the names of :func:`parameter_names`."""
+    given = dict(zip(parameters, map(float, values), strict=True))
+    x, y, z = mounting.object_shift_mm
+    planes = {plane_of(name): value for name, value in given.items()}
+    count = max((n + 1 for n in planes if n is not None), default=0)
+    before = values_of(mounting, [PLANE_DISTANCE.format(n + 1) for n in range(count)]).tolist()
+    return replace(
+        mounting,
+        pose=replace(mounting.pose, **{n: v for n, v in given.items() if n in (*DECENTERS, *TILTS)}),
+        object_shift_mm=(x, y, 0.0 - given.get(WORKING_DISTANCE, 0.0 - z)),
+        plane_distances_mm=(
+            *(planes.get(n, own) for n, own in enumerate(before)),
+            *mounting.plane_distances_mm[count:],
+        ),
+    )
 
 
 def parameter_names(planes: int) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.files.design import load_design
+from wavesim.camera.mounting import mounting_table, values_of
 from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
 from wavesim.cli.runs import progress, versions
 from wavesim.scene.settings import CalibrationSettings, FrameSetSettings
@@ -52,7 +53,7 @@ def calibrate(
     summary = {
         "frames": [str(path) for path in frames],
         "planes_mm": [plane.distance_mm for plane in planes_of_frames(pictures)],
-        "mounting": found.mounting.model_dump(mode="json"),
+        "mounting": mounting_table(found.mounting),
         "parameters": list(found.parameters),
         "misfit_before": found.misfit_before,
         "misfit": found.misfit,
@@ -89,7 +90,7 @@ def _print(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
     table = Table(box=None, pad_edge=False)
     table.add_column("lens as mounted, from the design")
     table.add_column("found", justify="right")
-    for name, value in zip(found.parameters, found.mounting.values_of(found.parameters), strict=True):
+    for name, value in zip(found.parameters, values_of(found.mounting, found.parameters), strict=True):
         border = "  (at the border of the search)" if name in found.at_reach else ""
         table.add_row(name, f"{value:.5f}{border}")
     console.print(table)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wavesim.calibration.estimation import Calibrated
-from wavesim.camera.mounting import TILTS
+from wavesim.camera.mounting import TILTS, values_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,9 +27,9 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    values = np.array([mounting.values_of(found.parameters) for mounting, _ in found.trail])
+    values = np.array([values_of(mounting, found.parameters) for mounting, _ in found.trail])
     misfits = np.array([misfit for _, misfit in found.trail])
-    final = found.mounting.values_of(found.parameters)
+    final = values_of(found.mounting, found.parameters)
     steps = np.arange(1, len(misfits) + 1)
     rows = 1 + (len(found.parameters) + 1) // 2
     figure = Figure(figsize=(8.0, 2.0 * rows), layout="constrained")

@@ -8,7 +8,7 @@ a = sqrt(|dp/ds| cos(t_obj) / (n cos(t_out))) by conservation of energy along th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.poses import Pose
 from lensdesign.tracing.bundles import launch
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
-from wavesim.pupil.ray_aiming import AimingMap, reach_for, shift_vector, shoot
+from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
+from wavesim.scene.placement import NOMINAL, Placement, placed
 
 Array = NDArray[np.float64]
 
@@ -254,15 +255,7 @@ class PupilSampler:
         self.grid = self.nominal.grid
         self._map = self.nominal.aiming_map()
 
-    def pupil(
-        self,
-        pose: Pose = Pose(),
-        surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
-        object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-        sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
-        wavelength_um: float | None = None,
-    ) -> ReconstructionPupil:
+    def pupil(self, placement: Placement | Pose = NOMINAL) -> ReconstructionPupil:
         """Reconstruction pupil dV(p) = V'(c, s(p)) - V(c, s(p)) of one perturbed lens.
 
         The perturbed ray that reaches s(p) is found by a quasi-Newton iteration with the nominal
@@ -270,18 +263,9 @@ class PupilSampler:
 
         Parameters
         ----------
-        pose, surface_perturbations
-            One perturbed lens, as in :func:`lensdesign.tracing.rays.trace`; no arrays of trials.
-        object_shift_mm, sensor_shift_mm
-            How far object and sensor are shifted (x, y, z). To shift both is to shift the lens the
-            other way.
-        sensor_tilt_deg
-            Right-handed rotation of the sensor about x, then about the y axis that turned with it, about the
-            middle of its plane.
-        wavelength_um
-            Of the light, where it is not what the nominal lens is taken at: what counts is the path in waves,
-            V'/wavelength' - V/wavelength, here as a length at the nominal wavelength. Indices stay those
-            at the nominal one; change them by `surface_perturbations`.
+        placement
+            Lens, object, sensor and light; or the pose of the lens alone. Of another wavelength, what counts
+            is the path in waves, V'/wavelength' - V/wavelength, here as a length at the nominal wavelength.
 
         Raises
         ------
@@ -290,14 +274,10 @@ class PupilSampler:
         RayAimError
             If aiming does not converge.
         """
-        wavelength = self.grid.wavelength_um
-        system = compile_system(self.lens, wavelength, pose, surface_perturbations)
+        place, wavelength = placed(placement), self.grid.wavelength_um
+        system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
             raise InputError(f"a pupil is that of one lens: the perturbation holds {system.trials} trials")
-        shifts = (
-            shift_vector(object_shift_mm, "object_shift_mm"),
-            shift_vector(sensor_shift_mm, "sensor_shift_mm"),
-        )
-        aimed = self._map.aim(system, *shifts, sensor_tilt_deg)
-        scale = 1.0 if wavelength_um is None else wavelength / wavelength_um
+        aimed = self._map.aim(system, place)
+        scale = wavelength / (place.wavelength_um or wavelength)
         return ReconstructionPupil(self.grid, scale * aimed.path_mm - self.nominal.path_mm, aimed.arrived)

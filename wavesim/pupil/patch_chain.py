@@ -19,7 +19,7 @@ lens, the weight cos(t_obj) / (n cos(t_out)) is left inside the stop.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,15 +28,15 @@ from numpy.typing import ArrayLike
 
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation
+from lensdesign.lens.poses import Pose
 from lensdesign.tracing.compiled import compile_system
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.characteristic import point_characteristic
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
 from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch
 from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil
-from wavesim.pupil.ray_aiming import shift_vector
 from wavesim.scene.engine import Neglected
+from wavesim.scene.placement import NOMINAL, Placement, placed
 
 WINDOW = {True: 6.0, False: 3.0}
 """Period of what comes back, in widths of the patch, on a line and in the plane. The pupil's phase is held up
@@ -139,25 +139,13 @@ class PatchChain:
         """
         return self.patch.bars(line_width_um, orientation, bars)
 
-    def perturbed(
-        self,
-        pose: Pose = Pose(),
-        surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
-        object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-        sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
-        wavelength_um: float | None = None,
-    ) -> PerturbedPatch:
+    def perturbed(self, placement: Placement | Pose = NOMINAL) -> PerturbedPatch:
         """The chain through one perturbed lens, its rays traced.
 
         Parameters
         ----------
-        pose, surface_perturbations
-            One perturbed lens, as in :func:`lensdesign.trace`; no arrays of trials.
-        object_shift_mm, sensor_shift_mm
-            How far object and sensor are shifted (x, y, z).
-        sensor_tilt_deg, wavelength_um
-            As in :meth:`wavesim.PupilSampler.pupil`.
+        placement
+            As of :meth:`wavesim.PupilSampler.pupil`.
 
         Raises
         ------
@@ -168,34 +156,25 @@ class PatchChain:
         FoldError
             If the perturbed rays fold on the plane.
         """
-        base = self.rays.base
-        system = compile_system(self.lens, base.grid.wavelength_um, pose, surface_perturbations)
+        base, place = self.rays.base, placed(placement)
+        wavelength = base.grid.wavelength_um
+        system = compile_system(self.lens, wavelength, place.pose, place.surface_perturbations)
         if system.trials is not None:
             raise InputError(f"a trial is that of one lens: the perturbation holds {system.trials} trials")
-        object_shift = shift_vector(object_shift_mm, "object_shift_mm")
-        sensor_shift = shift_vector(sensor_shift_mm, "sensor_shift_mm")
-        aimed = self.rays.aimed(system, object_shift, sensor_shift, sensor_tilt_deg)
-        if wavelength_um is not None:
+        aimed = self.rays.aimed(system, place)
+        if place.wavelength_um is not None:
             # What counts is path and direction in waves.
-            ratio = base.grid.wavelength_um / wavelength_um
+            ratio = wavelength / place.wavelength_um
             aimed = replace(aimed, path_mm=ratio * aimed.path_mm, cosines=ratio * aimed.cosines)
         pupil = ReconstructionPupil(base.grid, aimed.path_mm - base.path_mm, aimed.valid)
         return PerturbedPatch(self.patch, self.rays, aimed, pupil, 1e-3 * self.lens.sensor.pixel_pitch_um)
 
-    def carried(
-        self,
-        object_values: ArrayLike,
-        pose: Pose = Pose(),
-        surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
-        object_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-        sensor_shift_mm: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> ComplexArray:
+    def carried(self, object_values: ArrayLike, placement: Placement | Pose = NOMINAL) -> ComplexArray:
         """What the nominal lens brings back on the patch, neither shifted nor refocused.
 
         Raises as :meth:`perturbed` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
         """
-        trial = self.perturbed(pose, surface_perturbations, object_shift_mm, sensor_shift_mm)
-        return trial.returned(object_values).values
+        return self.perturbed(placement).returned(object_values).values
 
     def neglected(self, displacement_um: float = 0.0) -> tuple[Neglected, ...]:
         """What is left out, with estimates of the returned field's relative error.

@@ -21,6 +21,7 @@ from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from wavesim.pupil.characteristic import PointCharacteristic, point_characteristic
 from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
 from wavesim.rays.ray_bundles import FoldError
+from wavesim.scene.placement import Placement
 
 Array = NDArray[np.float64]
 
@@ -120,13 +121,7 @@ class NominalRays:
         """What `bend_per_mm` differs from its mean over the stop by, shape (n, d, d)."""
         return np.asarray(self.bend_per_mm - self.bend_per_mm.mean(axis=0))
 
-    def aimed(
-        self,
-        system: CompiledSystem,
-        object_shift_mm: Array,
-        sensor_shift_mm: Array,
-        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
-    ) -> AimedRays:
+    def aimed(self, system: CompiledSystem, placement: Placement) -> AimedRays:
         """Perturbed rays to the sensor's points, by a quasi-Newton iteration with the nominal Jacobian.
 
         What a tilted sensor does to the amplitude is left out.
@@ -140,10 +135,10 @@ class NominalRays:
         InputError
             If on a line the rays leave its plane, or none arrives.
         """
-        found = self.map.aim(system, object_shift_mm, sensor_shift_mm, sensor_tilt_deg)
+        found = self.map.aim(system, placement)
         self._refuse_skew(found)
-        point = self.base.object_point_mm + object_shift_mm
-        return self._with_amplitude(system, point, self.base.plane_z_mm + float(sensor_shift_mm[2]), found)
+        point = self.base.object_point_mm + placement.object_shift_mm
+        return self._with_amplitude(system, point, self.base.plane_z_mm + placement.sensor_shift_mm[2], found)
 
     def _with_amplitude(
         self, system: CompiledSystem, point: Array, plane_z_mm: float, found: Aimed

@@ -12,6 +12,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.rays import RayTrace, trace_compiled
+from wavesim.scene.placement import Placement
 
 Array = NDArray[np.float64]
 
@@ -78,34 +79,26 @@ class AimingMap:
     plane_z_mm: float
     reach_mm: float
 
-    def aim(
-        self,
-        system: CompiledSystem,
-        object_shift_mm: Array,
-        sensor_shift_mm: Array,
-        sensor_tilt_deg: Sequence[float] = (0.0, 0.0),
-    ) -> Aimed:
+    def aim(self, system: CompiledSystem, placement: Placement) -> Aimed:
         """Aim rays through a perturbed lens.
 
         Parameters
         ----------
         system
             The perturbed lens.
-        object_shift_mm, sensor_shift_mm
-            How far object and sensor are shifted (x, y, z).
-        sensor_tilt_deg
-            Rotation of the sensor about x and y, about the middle of its plane.
+        placement
+            Of object and sensor.
 
         Raises
         ------
         RayAimError
             If aiming does not converge.
-        InputError
-            If the tilt is not two finite numbers.
         """
-        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + float(sensor_shift_mm[2])
-        point, own = self.object_point_mm + object_shift_mm, tilted_points(self.points_mm, sensor_tilt_deg)
-        targets, depth = own[:2] + sensor_shift_mm[:2, None], own[2]
+        shift = np.asarray(placement.sensor_shift_mm)
+        inverse, plane_z = self.inverse_per_mm, self.plane_z_mm + placement.sensor_shift_mm[2]
+        point = self.object_point_mm + placement.object_shift_mm
+        own = tilted_points(self.points_mm, placement.sensor_tilt_deg)
+        targets, depth = own[:2] + shift[:2, None], own[2]
         flat, cosines = not np.any(depth), self.cosines
         index = float(system.index[0, -1])
         for step in range(AIM_STEPS):
@@ -169,25 +162,9 @@ def tilted_points(points_mm: Array, tilt_deg: Sequence[float]) -> Array:
     -------
     ndarray, shape (3, n)
         From the middle of the sensor's plane.
-
-    Raises
-    ------
-    InputError
-        If the tilt is not two finite numbers.
     """
-    tilt = np.asarray(tilt_deg, float)
-    if tilt.shape != (2,) or not np.all(np.isfinite(tilt)):
-        raise InputError(f"sensor_tilt_deg = {tilt_deg!r}: must be two finite numbers, about x and y")
     flat = np.vstack([points_mm, np.zeros((1, points_mm.shape[1]))])
-    if not np.any(tilt):
+    if not any(tilt_deg):
         return flat
-    (rotation,) = rotation_matrix(*np.deg2rad(tilt[:, None]))
+    (rotation,) = rotation_matrix(*np.deg2rad(np.asarray(tilt_deg, float)[:, None]))
     return np.asarray(rotation @ flat)
-
-
-def shift_vector(values: Sequence[float], name: str) -> Array:
-    """A shift (x, y, z) as an array; an InputError that names it where it is not three finite numbers."""
-    shift = np.asarray(values, float)
-    if shift.shape != (3,) or not np.all(np.isfinite(shift)):
-        raise InputError(f"{name} = {values!r}: must be three finite numbers, x, y and z")
-    return shift

@@ -17,7 +17,7 @@ from lensdesign.lens.poses import Pose
 from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.camera.framed import framed_patch, key_of_frames
 from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import Mounting
+from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded
 from wavesim.camera.windows import exit_scene, imaging_error
 from wavesim.engines.choosing import engine_for
@@ -31,7 +31,8 @@ from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, Need, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
 from wavesim.scene.engine import Engine
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 
 CHECKPOINT = "checkpoint.npz"
@@ -75,7 +76,7 @@ def frames_case(
     frames: Sequence[Frame],
     settings: ReconstructionSettings,
     truth: Field | Path | None,
-    mounting: Mounting | None,
+    mounting: Placement | None,
     folder: Path | None,
 ) -> FramesCase:
     """Read all that a run needs, and refuse what cannot be done."""
@@ -95,8 +96,8 @@ def frames_case(
     scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
     recorded = recorded_planes(frames)
     if mounting is not None:
-        scene, light = mounting.scene(scene), mounting.illumination(light)
-        recorded = mounting.recorded(recorded)
+        scene, light = placed_scene(scene, mounting), light_on(light, mounting)
+        recorded = planes_at(recorded, mounting)
     engine = _engine(
         scene, settings, 2 * settings.most_iterations if settings.method == "object" else 2, limit
     )

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import Mounting
 from wavesim.camera.recording import Progress
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_figures
@@ -24,6 +23,7 @@ from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import reconstruct_resumably, retrieve_resumably
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
 
 Take = Callable[[Engine], Engine]
@@ -38,7 +38,7 @@ def reconstruct_frames(
     settings: ReconstructionSettings | None = None,
     *,
     truth: Field | Path | None = None,
-    calibration: Mounting | None = None,
+    calibration: Placement | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     before: Callable[[Memory], None] | None = None,

@@ -1,6 +1,7 @@
-from .engine import Cost, Engine, Neglected
+from .engine import Cost, Engine, Neglected, Tiled
 from .patches import patch_scene
-from .scene import Scene
+from .placement import Placement
+from .scene import Scene, placed_scene
 from .settings import (
     CalibrationSettings,
     FrameSetSettings,
@@ -16,8 +17,11 @@ __all__ = [
     "FrameSetSettings",
     "ImageSettings",
     "Neglected",
+    "Placement",
     "ReconstructionSettings",
     "Scene",
     "SettingError",
+    "Tiled",
     "patch_scene",
+    "placed_scene",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,6 +15,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from wavesim.fields.field import Grid
+from wavesim.scene.placement import Placement
 
 Coating = Literal["ideal", "bare"]
 
@@ -79,6 +80,20 @@ class Scene:
     def wavenumber_per_mm(self) -> float:
         """2 pi over the vacuum wavelength."""
         return 2e3 * np.pi / self.wavelength_um
+
+
+def placed_scene(nominal: Scene, placement: Placement) -> Scene:
+    """The scene with lens, object and light as they are; the exit grid stays where it is."""
+    x, y, z = placement.object_shift_mm
+    grid = nominal.object_grid
+    centre = grid.centre_mm[0] + x, grid.centre_mm[1] + y
+    return replace(
+        nominal,
+        object_grid=replace(grid, z_mm=grid.z_mm + z, centre_mm=centre),
+        wavelength_um=placement.wavelength_um or nominal.wavelength_um,
+        pose=placement.pose,
+        surface_perturbations=placement.surface_perturbations,
+    )
 
 
 def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:

@@ -68,7 +68,7 @@ def test_noise_takes_contrast_and_belongs_to_the_trial(context, quiet):
 def system_of(lens, target, parameter, value):
     one = PerturbedParameter(target=target, parameter=parameter)
     batch = PerturbationBatch((one,), np.array([[value]]))
-    return batch.realisations(lens, lens.wavelengths_um[0])[0]
+    return batch.placements(lens, lens.wavelengths_um[0])[0]
 
 
 def test_dispersion_counts_once(twin, chain):

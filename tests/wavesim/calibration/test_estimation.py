@@ -10,17 +10,19 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
+from lensdesign.lens.poses import Pose
 from wavesim.calibration.estimation import Calibrated, calibrate, noise_misfit
-from wavesim.camera.mounting import Mounting
+from wavesim.camera.mounting import light_on, values_of, with_values
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.pictures.calibrations import calibration_figure
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene, placed_scene
 
-TRUE = Mounting(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0)
+TRUE = Placement(Pose(decenter_x_mm=2.5e-3, decenter_y_mm=-1e-3, tilt_x_deg=-1.0, tilt_y_deg=2.0))
 RIGID = ("decenter_x_mm", "decenter_y_mm", "tilt_x_deg", "tilt_y_deg")
 
 
@@ -55,7 +57,7 @@ def bench() -> Bench:
             bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
     known = Field(grid, bars.astype(np.complex64), 0.532)
     blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
-    model = RecordingModel(tiles(TRUE.scene(scene)), TRUE.illumination(light), blank, 1.0)
+    model = RecordingModel(tiles(placed_scene(scene, TRUE)), light_on(light, TRUE), blank, 1.0)
     seen = [
         Recorded(plane.distance_mm, amplitude.astype(np.float32))
         for plane, amplitude in zip(blank, model.amplitudes(known.values), strict=True)
@@ -64,13 +66,13 @@ def bench() -> Bench:
 
 
 def found_values(found: Calibrated) -> np.ndarray:
-    return found.mounting.values_of(RIGID)
+    return values_of(found.mounting, RIGID)
 
 
 def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
     brighter = [Recorded(p.distance_mm, 3.0 * p.amplitude) for p in bench.recorded]
     found = calibrate(bench.scene, bench.light, brighter, known=bench.known, make=tiles)
-    assert found_values(found) == pytest.approx(TRUE.values_of(RIGID), rel=0.03)
+    assert found_values(found) == pytest.approx(values_of(TRUE, RIGID), rel=0.03)
     assert found.misfit < 0.05 * found.misfit_before
     assert found.stopped_because == "converged"
     assert found.at_reach == ()
@@ -78,8 +80,8 @@ def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
 
 def test_an_unknown_object_tells_them_too(bench: Bench) -> None:
     """Two of the four, to be quick; the others are known."""
-    start = TRUE.with_values(["decenter_x_mm", "tilt_y_deg"], [0.0, 0.0])
-    told: list[tuple[str, int, Mounting, float]] = []
+    start = with_values(TRUE, ["decenter_x_mm", "tilt_y_deg"], [0.0, 0.0])
+    told: list[tuple[str, int, Placement, float]] = []
     settings: dict[str, Any] = {
         "parameters": ("decenter_x_mm", "tilt_y_deg"),
         "scale": 1.0,
@@ -90,7 +92,7 @@ def test_an_unknown_object_tells_them_too(bench: Bench) -> None:
     found = calibrate(
         bench.scene, bench.light, bench.recorded, progress=lambda *told_now: told.append(told_now), **settings
     )
-    assert found_values(found) == pytest.approx(TRUE.values_of(RIGID), rel=0.1)
+    assert found_values(found) == pytest.approx(values_of(TRUE, RIGID), rel=0.1)
     assert found.misfit < 0.2 * found.misfit_before
     assert {name for name, *_ in told} == {"coarse", "fine"}
     assert [(m, s) for name, _, m, s in told if name == "fine"] == list(found.trail)

@@ -7,9 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from lensdesign.lens.poses import Pose
 from wavesim.calibration.motion import motion
-from wavesim.camera.mounting import Mounting
+from wavesim.camera.mounting import values_of, with_values
 from wavesim.fields.field import Field, Grid
+from wavesim.scene.placement import Placement
 
 
 def plane_wave(grid: Grid, direction: np.ndarray) -> np.ndarray:
@@ -30,12 +32,12 @@ def test_a_plane_wave_moves_as_its_sources_do(parameter: str) -> None:
     """The field at a point is what it was where that point came from."""
     grid = Grid((64, 64), 0.6e-3, 0.4)
     direction = periodic_direction(grid, 9, -5)
-    mounting = Mounting(pivot_z_mm=0.15, decenter_x_mm=0.004)
+    mounting = Placement(Pose(pivot_z_mm=0.15, decenter_x_mm=0.004))
     found = motion(Field(grid, plane_wave(grid, direction), 0.532), mounting, parameter)
 
     def moved(amount: float) -> np.ndarray:
-        rotation, shift = mounting.with_values(
-            [parameter], mounting.values_of([parameter]) + amount
+        rotation, shift = with_values(
+            mounting, [parameter], values_of(mounting, [parameter]) + amount
         ).pose.transform()
         start_rotation, start_shift = mounting.pose.transform()
         r = np.stack(np.broadcast_arrays(grid.x_mm[None, :], grid.y_mm[:, None], grid.z_mm), axis=-1)

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
+from lensdesign.lens.poses import Pose
 from wavesim.calibration.response import mounting_response
-from wavesim.camera.mounting import Mounting, parameter_names
+from wavesim.camera.mounting import light_on, parameter_names, planes_at, values_of, with_values
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene, placed_scene
 
 NAMES = parameter_names(2)
 STEPS = dict.fromkeys(NAMES, 5e-5) | {"tilt_x_deg": 0.01, "tilt_y_deg": 0.01, "working_distance_mm": 2e-4}
-HERE = Mounting(decenter_x_mm=1e-3, tilt_y_deg=0.2, plane_distances_mm=(1e-3, 0.0))
+HERE = Placement(Pose(decenter_x_mm=1e-3, tilt_y_deg=0.2), plane_distances_mm=(1e-3, 0.0))
 
 
 class Bench:
@@ -34,12 +36,12 @@ class Bench:
         self.transmission = np.broadcast_to(bars, grid.shape).astype(np.complex64)
         self.recorded = [Recorded(0.0, np.ones(exit_grid.shape)), Recorded(0.6, np.ones(exit_grid.shape))]
 
-    def model(self, mounting: Mounting, active_width: float = 0.0) -> RecordingModel:
-        engine = engine_for(mounting.scene(self.scene), "eikonal", error=0.3)
-        planes = mounting.recorded(self.recorded)
-        return RecordingModel(engine, mounting.illumination(self.light), planes, 1.0, active_width)
+    def model(self, mounting: Placement, active_width: float = 0.0) -> RecordingModel:
+        engine = engine_for(placed_scene(self.scene, mounting), "eikonal", error=0.3)
+        planes = planes_at(self.recorded, mounting)
+        return RecordingModel(engine, light_on(self.light, mounting), planes, 1.0, active_width)
 
-    def response(self, mounting: Mounting, active_width: float = 0.0, **settings: float) -> np.ndarray:
+    def response(self, mounting: Placement, active_width: float = 0.0, **settings: float) -> np.ndarray:
         model = self.model(mounting, active_width)
         return mounting_response(model, self.transmission, mounting, (), **settings).residual
 
@@ -56,9 +58,9 @@ def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, a
         bench.model(HERE, active_width), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
     )
     for name, change in zip(NAMES, found.changes, strict=True):
-        value, step = HERE.values_of([name])[0], STEPS[name]
+        value, step = values_of(HERE, [name])[0], STEPS[name]
         up, down = (
-            bench.response(HERE.with_values([name], [value + s]), active_width, blur_pixels=blur_pixels)
+            bench.response(with_values(HERE, [name], [value + s]), active_width, blur_pixels=blur_pixels)
             for s in (step, -step)
         )
         numeric = (down - up) / (2.0 * step)  # the residual falls as the model grows
@@ -86,6 +88,6 @@ def test_unknown_pixels_do_not_count(bench: Bench) -> None:
         sigma[100:110, 100:110] = np.inf
         amplitude[100:110, 100:110] = 1e3
         spoilt.append(Recorded(plane.distance_mm, amplitude, sigma))
-    masked = RecordingModel(model.engine, model.illumination, HERE.recorded(spoilt), 1.0, 0.0)
+    masked = RecordingModel(model.engine, model.illumination, planes_at(spoilt, HERE), 1.0, 0.0)
     after = mounting_response(masked, bench.transmission, HERE, NAMES[:1], blur_pixels=2.0)
     assert after.misfit == pytest.approx(before.misfit, rel=0.02)
