@@ -7,7 +7,7 @@ READY := .venv/ready
 OUT := demo_output
 PACKAGES := lensdesign wavesim tolerancing
 
-.PHONY: demo gallery test test-lowest docs benchmarks lock clean
+.PHONY: demo gallery test style types tests test-lowest docs benchmarks lock clean
 
 demo: $(READY)
 	@mkdir -p $(OUT)
@@ -53,11 +53,19 @@ gallery: $(READY)
 	  $(BIN)/lensdesign drawing $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens/drawing.pdf; \
 	done
 
-test: $(READY)
+test: style
+	$(MAKE) --no-print-directory --jobs=2 types tests
+
+style: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(READY)
 	$(BIN)/mypy $(PACKAGES)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+# A file's tests go to one worker, which makes what they share once.
+tests: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed: make PYTHON=..."'
@@ -71,7 +79,7 @@ test-lowest: $(READY)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv venv --quiet --clear .venv-lowest
 	$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct --editable '.[dev]'
-	.venv-lowest/bin/python -m pytest -n auto
+	.venv-lowest/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # The variable silences what the theme says of its own future.
 docs: $(READY)

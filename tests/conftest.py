@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from places import DESIGNS, GOLDEN
+from places import DESIGNS, GOLDEN, ROOT
 
 from lensdesign import Lens, load_design
 
@@ -19,6 +19,36 @@ settings.register_profile(
 settings.load_profile("transferlens")
 
 HUNG_SECONDS = 600
+
+# Files that take longest: they come first, so that no worker is left with one when the others are done.
+LONG = (
+    "test_documented_commands.py",
+    "wavesim/engines/whole_field/test_engine.py",
+    "test_notebooks.py",
+    "wavesim/cli/",
+    "wavesim/camera/test_recording.py",
+    "wavesim/evaluation/test_engines.py",
+    "wavesim/calibration/",
+    "wavesim/engines/whole_field/",
+    "wavesim/reconstruction/",
+    "test_documentation.py",
+    "test_site.py",
+    "lensdesign/optimization/test_search.py",
+    "tolerancing/cli/",
+    "tolerancing/run/",
+    "tolerancing/merits/test_chain.py",
+    "wavesim/",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first; otherwise in the order of the folders."""
+
+    def place(item: pytest.Item) -> int:
+        path = item.path.relative_to(ROOT / "tests").as_posix()
+        return next((i for i, long in enumerate(LONG) if path.startswith(long)), len(LONG))
+
+    items.sort(key=place)
 
 
 @pytest.fixture(autouse=True)
