@@ -1,0 +1,158 @@
+"""How the three packages are built: rooms and their order, no circles, small modules, tests beside them."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+PACKAGES = ("lensdesign", "wavesim", "tolerancing")
+MOST_ENTRIES, MOST_LINES = 15, 400
+
+# A room imports only what stands before it; rooms on one line import nothing from each other.
+ORDER = {
+    "lensdesign": (
+        "errors",
+        "common",
+        "lens",
+        "files",
+        "tracing",
+        "analysis optimization",
+        "fabrication",
+        "pictures",
+        "cli",
+    ),
+    "wavesim": (
+        "runtime",
+        "fields",
+        "scene",
+        "objects rays oracles",
+        "pupil",
+        "engines",
+        "camera evaluation",
+        "reconstruction",
+        "calibration",
+        "pictures",
+        "cli",
+    ),
+    "tolerancing": (
+        "perturbations",
+        "merits",
+        "study",
+        "store",
+        "analysis",
+        "report run",
+        "cli",
+    ),
+}
+LEVEL = {
+    f"{package}.{room}": level
+    for package, levels in ORDER.items()
+    for level, rooms in enumerate(levels)
+    for room in rooms.split()
+}
+# Tests of how the parts behave together, and of what is done to all of them.
+ELSEWHERE = ("attack", "support")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Every module by its name; a package goes by its folder's."""
+    found = {}
+    for path in sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """What each module imports, anywhere in it: at its head, in functions, for types alone."""
+    return {name: _imported(name, path) - {name} for name, path in modules().items()}
+
+
+def _imported(name: str, path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if alias.name in modules()}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{name}: imports are absolute"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found |= {inner if inner in modules() else str(node.module)} & modules().keys()
+    return found
+
+
+def room_of(module: str) -> str:
+    return ".".join(module.split(".")[:2])
+
+
+def test_rooms_are_those_of_the_order() -> None:
+    rooms = {room_of(name) for name in modules() if "." in name} - {f"{p}.__main__" for p in PACKAGES}
+    assert rooms == set(LEVEL)
+
+
+def test_packages_and_rooms_import_only_what_stands_before_them() -> None:
+    wrong = []
+    for name, others in imports().items():
+        package = name.split(".")[0]
+        for other in others:
+            theirs, (here, there) = other.split(".")[0], (room_of(name), room_of(other))
+            if theirs != package:
+                upward = PACKAGES.index(theirs) > PACKAGES.index(package)
+            else:
+                upward = here != there and LEVEL.get(there, -1) >= LEVEL.get(here, len(LEVEL))
+            if upward:
+                wrong.append(f"{name} imports {other}")
+    assert wrong == []
+
+
+def test_no_import_goes_in_a_circle() -> None:
+    try:
+        TopologicalSorter(imports()).prepare()
+    except CycleError as found:
+        pytest.fail(" -> ".join(reversed(found.args[1])))
+
+
+def test_folders_are_small() -> None:
+    for folder in {path.parent for path in modules().values()}:
+        names = {p.name for p in folder.iterdir() if p.suffix != ".pyi"} - {"__init__.py", "__pycache__"}
+        assert len(names) <= MOST_ENTRIES, f"{folder.relative_to(ROOT)}: {sorted(names)}"
+
+
+def test_modules_are_short() -> None:
+    for name, path in modules().items():
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, name
+
+
+def test_no_module_takes_the_name_of_what_its_room_hands_on() -> None:
+    """Importing the module would put it in the place of the function."""
+    for name, path in modules().items():
+        face = path.with_suffix(".pyi")
+        if path.name != "__init__.py" or not face.exists():
+            continue
+        handed = {
+            alias.asname or alias.name
+            for node in ast.walk(ast.parse(face.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        own = {p.stem if p.is_file() else p.name for p in path.parent.iterdir()}
+        assert handed & own == set(), name
+
+
+def test_tests_stand_where_their_modules_do() -> None:
+    """`test_x.py`, or `test_x_of_something.py`, tests the module x of the folder of the same name."""
+    tests = ROOT / "tests"
+    for path in tests.rglob("test_*.py"):
+        folder = path.parent.relative_to(tests)
+        if folder == Path() or folder.parts[0] in ELSEWHERE:
+            continue
+        words = path.stem.removeprefix("test_").split("_")
+        named = ["_".join(words[:count]) for count in range(1, len(words) + 1)]
+        assert any((ROOT / folder / f"{name}.py").exists() for name in named), path.relative_to(ROOT)
