@@ -187,13 +187,13 @@ def _light_on_sensor(traced: list[_Traced]) -> list[Constraint]:
     return [
         _constraint(
             f"footprint radius at {f.plane_distance_mm:g} mm",
-            f.radius_mm,
+            _reach_mm(f),
             "<=",
             f.sensor_half_side_mm,
             "mm",
-            f.radius_mm <= f.sensor_half_side_mm * (1.0 + ROUNDING),
+            _reach_mm(f) <= f.sensor_half_side_mm * (1.0 + ROUNDING),
             f"footprint: {f.plane_distance_mm:g} mm behind the exit vertex light reaches "
-            f"{f.radius_mm:.4f} mm from the axis, beyond the sensor's half side of "
+            f"{_reach_mm(f):.4f} mm from the axis, beyond the sensor's half side of "
             f"{f.sensor_half_side_mm:.4f} mm by {-f.margin_mm:.4f} mm",
         )
         for f in widest
@@ -259,3 +259,9 @@ def _sine(angle_deg: float) -> float:
 def _percent(share: float) -> str:
     """A small share in words: one decimal, or one digit where that would show nothing."""
     return f"{100.0 * share:.1f} %" if share >= 1e-3 else f"{100.0 * share:.1g} %"
+
+
+def _reach_mm(found: Footprint) -> float:
+    """What is held against half the sensor's shorter side: of a longer side, less what that is longer by."""
+    all_round = found.sensor_half_side_mm - found.radius_mm
+    return found.radius_mm if found.margin_mm == all_round else found.sensor_half_side_mm - found.margin_mm

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,11 +84,13 @@ class Footprint:
     field_mm, pupil
         Object point and stop point of that ray.
     sensor_half_side_mm
-        Half of the sensor's shorter side; the field is round, so this is what the radius has to fit.
+        Half of the sensor's shorter side; the field is round, so this is what the radius has to fit. Where a
+        surface is none of revolution, light has to fit the sensor side by side.
     inside
         Whether all light lands on the sensor.
     margin_mm
-        `sensor_half_side_mm` - `radius_mm`.
+        `sensor_half_side_mm` - `radius_mm`; where a surface is none of revolution, the smaller margin of both
+        sides.
     throughput
         Smallest throughput over the field.
     """
@@ -188,14 +191,23 @@ def footprint(
     found = extremes(lens, system, _radius, _heights(lens, None), plane_z_mm, symmetric=symmetric)
     _refuse_dark(found, lens, wavelength_um)
     half_side = 0.5 * min(lens.sensor.size_mm)
+    margin = half_side - found.value
+    if not all(surface.shape.ROTATIONAL for surface in lens.surfaces):
+        sides = (
+            extremes(
+                lens, system, partial(_off, axis), _heights(lens, None), plane_z_mm, symmetric=False
+            ).value
+            for axis in (0, 1)
+        )
+        margin = min(0.5 * size - side for size, side in zip(lens.sensor.size_mm, sides, strict=True))
     return Footprint(
         plane_distance_mm=plane_distance_mm,
         radius_mm=found.value,
         field_mm=found.field_mm,
         pupil=found.pupil,
         sensor_half_side_mm=half_side,
-        inside=found.value <= half_side,
-        margin_mm=half_side - found.value,
+        inside=margin >= 0.0,
+        margin_mm=margin,
         throughput=throughput(lens, wavelength_um, None, pose, surface_perturbations).throughput,
     )
 
@@ -293,6 +305,11 @@ def _angle(rays: RayTrace) -> Array:
 
 def _radius(rays: RayTrace) -> Array:
     return np.hypot(rays.position[..., 0], rays.position[..., 1])
+
+
+def _off(axis: int, rays: RayTrace) -> Array:
+    """Distance from the axis along x or y."""
+    return np.abs(rays.position[..., axis])
 
 
 def _wavelength(lens: Lens, wavelength_um: float | None) -> float:

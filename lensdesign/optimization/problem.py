@@ -37,6 +37,15 @@ class Rays:
         kept = both[np.sort(first)]
         return Rays(kept[:, :2], kept[:, 2:])
 
+    def all_round(self) -> Rays:
+        """These rays with their mirror images at x = 0, in eight azimuths: for what has no symmetry."""
+        mirrored = Rays(self.fields_mm * [-1.0, 1.0], self.pupil * [-1.0, 1.0])
+        both, result = self.with_rays(mirrored), self
+        for azimuth in 0.25 * math.pi * np.arange(8):
+            turn = np.array([[math.cos(azimuth), math.sin(azimuth)], [-math.sin(azimuth), math.cos(azimuth)]])
+            result = result.with_rays(Rays(both.fields_mm @ turn, both.pupil @ turn))
+        return result
+
     def take(self, which: NDArray[np.int64]) -> Rays:
         """Some of the rays."""
         return Rays(self.fields_mm[which], self.pupil[which])
@@ -47,7 +56,7 @@ def sample_rays(
 ) -> Rays:
     """Field heights along y, each with a meridional fan and rays over half of the stop beside it.
 
-    The other half, and fields along other azimuths, are the same by symmetry.
+    The other half, and fields along other azimuths, are the same by symmetry where the lens has it.
 
     Parameters
     ----------
@@ -92,6 +101,12 @@ class DesignProblem:
         limits = np.array([v.limits() for v in self.ranges]).reshape(-1, 2)
         self.lower, self.width = limits[:, 0], limits[:, 1] - limits[:, 0]
         self.planes = np.array(base.sensor.plane_distances_mm)
+        self.rotational = all(surface.shape.ROTATIONAL for surface in base.surfaces)
+
+    def sample_rays(self, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()) -> Rays:
+        """As :func:`sample_rays`, all round where a surface is none of revolution."""
+        rays = sample_rays(self.base.half_field_mm, fields, fan, skew, heights)
+        return rays if self.rotational else rays.all_round()
 
     @cached_property
     def compiled(self) -> tuple[CompiledSystem, ...]:

@@ -124,6 +124,8 @@ def constraint_rows(specification: Specification, state: State, final: bool = Fa
                 name = _named(f"footprint on sensor plane {i + 1}", wavelength, lens)
                 squares = _squares(trace.plane_points[:, i], trace.plane_points_by[:, i])
                 rows.append(_limited(name, squares, limit**2, trace))
+        if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+            rows += _rectangle_rows(specification, wavelength, trace)
         rows += _throughput_rows(specification, state, wavelength, trace)
     return rows + _glass_rows(specification, state)
 
@@ -136,11 +138,27 @@ def _spread_rows(
     rows = []
     if limited and math.isfinite(limit):
         rows.append(_limited(_named("spread", wavelength, specification), squares, limit**2, trace))
+    for axis, most_deg in enumerate(specification.constraints.max_spread_xy_deg or ()):
+        at, by = trace.cosines[:, axis], trace.cosines_by[:, axis]
+        name = _named(f"spread along {'xy'[axis]}", wavelength, specification)
+        square = math.sin(math.radians(most_deg)) ** 2
+        rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), square, trace))
     for own in specification.constraints.field_spread:
         at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
         name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, specification)
         row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
         rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+    return rows
+
+
+def _rectangle_rows(specification: Specification, wavelength: float, trace: GradientTrace) -> list[Row]:
+    """Light within the sides of the sensor, x and y apart."""
+    rows = []
+    for i in range(len(specification.sensor.plane_distances_mm)):
+        for axis, size in enumerate(specification.sensor.size_mm):
+            at, by = trace.plane_points[:, i, axis], trace.plane_points_by[:, i, axis]
+            name = _named(f"{'xy'[axis]} of the footprint on sensor plane {i + 1}", wavelength, specification)
+            rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), (0.5 * size) ** 2, trace))
     return rows
 
 

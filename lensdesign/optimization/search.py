@@ -17,7 +17,7 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import ALGORITHMS, FEASIBLE, Evaluation, Outcome, minimize
-from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
+from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.requirements import KEPT, Row
 from lensdesign.optimization.specification import Specification, refuse_impossible
 from lensdesign.optimization.worst_rays import worse_rays
@@ -167,7 +167,7 @@ def _starts(problem: DesignProblem, seed: int, deadline: float) -> Iterator[Arra
     """Points of the unit box to start from; random ones only where every ray gets through."""
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)
-    rays = sample_rays(problem.base.half_field_mm, 3, 5, 1)
+    rays = problem.sample_rays(3, 5, 1)
     given = settings.starts
     if settings.start != "random":
         yield problem.to_unit(problem.base if settings.start == "design" else _plate(problem))
@@ -204,9 +204,8 @@ def _search(
     """One start: search, look densely, add what is worse, search on."""
     specification = problem.specification
     heights = tuple(f.field_mm for f in specification.constraints.field_spread)
-    half = problem.base.half_field_mm
-    rays = sample_rays(half, 3, 5, 1, heights)
-    dense = sample_rays(half, 16, 97, 12, heights)
+    rays = problem.sample_rays(3, 5, 1, heights)
+    dense = problem.sample_rays(16, 97, 12, heights)
     chain = _chain(specification.optimize.algorithm)
     point, spent = start, 0
     for _ in range(EXCHANGES):

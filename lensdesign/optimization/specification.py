@@ -102,6 +102,9 @@ class VariableRange(Section):
         return self.bounds
 
 
+Angle = Annotated[float, Field(gt=0.0, lt=90.0)]
+
+
 class FieldSpread(Section):
     """A spread limit of its own for one field height."""
 
@@ -116,11 +119,14 @@ class Constraints(Section):
     ----------
     max_spread_deg
         Largest spread angle; ``"sensor"`` is Eq. 2 of the paper, ``"none"`` no limit.
+    max_spread_xy_deg
+        Tighter limits of the spread along x and along y: arcsines of the direction cosines.
     field_spread
         Tighter limits for single field heights.
     max_footprint_radius_mm
         Largest distance from the axis on each sensor plane (one number, or one for each plane);
-        ``"sensor"`` is half the sensor's shorter side, ``"none"`` no limit.
+        ``"sensor"`` is half the sensor's shorter side, ``"sensor rectangle"`` all of the sensor, side by
+        side, ``"none"`` no limit.
     min_throughput
         Share of each field's rays that must pass all clear semi-diameters.
     min_edge_thickness_mm
@@ -135,15 +141,20 @@ class Constraints(Section):
     """
 
     max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)] | Literal["sensor", "none"] = "sensor"
+    max_spread_xy_deg: tuple[Angle, Angle] | None = None
     field_spread: tuple[FieldSpread, ...] = ()
-    max_footprint_radius_mm: Positive | tuple[Positive, ...] | Literal["sensor", "none"] = "sensor"
+    max_footprint_radius_mm: (
+        Positive | tuple[Positive, ...] | Literal["sensor", "sensor rectangle", "none"]
+    ) = "sensor"
     min_throughput: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     min_edge_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_center_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_air_gap_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     max_edge_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 75.0
 
-    _lists = field_validator("field_spread", "max_footprint_radius_mm", mode="before")(tuples)
+    _lists = field_validator("max_spread_xy_deg", "field_spread", "max_footprint_radius_mm", mode="before")(
+        tuples
+    )
 
 
 class Settings(Section):
@@ -239,10 +250,10 @@ class Specification(Lens):
         return math.sin(math.radians(float(limit)))
 
     def footprint_limits(self) -> tuple[float, ...]:
-        """Largest allowed distance from the axis on each sensor plane, in mm; inf for no limit."""
+        """Largest allowed distance from the axis on each sensor plane, in mm; inf for none all round."""
         limit = self.constraints.max_footprint_radius_mm
         planes = len(self.sensor.plane_distances_mm)
-        if limit == "none":
+        if limit in ("none", "sensor rectangle"):
             return (math.inf,) * planes
         if limit == "sensor":
             return (0.5 * min(self.sensor.size_mm),) * planes
@@ -295,6 +306,8 @@ def refuse_impossible(specification: Specification) -> None:
     if math.isinf(sine):
         return
     widest = 2.0 * min(specification.footprint_limits())
+    if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+        widest = math.hypot(*specification.sensor.size_mm)
     if invariant > widest * sine:
         raise DesignError(
             "infeasible: by the etendue (Lagrange) bound the exit beam is at least "

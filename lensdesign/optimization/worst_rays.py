@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,9 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
     Rays or None
         None where no ray is worse.
     """
-    sector = np.minimum(np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0])) // SECTOR_DEG, 2)
+    angle = np.degrees(np.arctan2(dense.pupil[:, 1], dense.pupil[:, 0]))
+    # Straight up belongs to the sector before it: half of the stop is the other half's mirror image.
+    sector = np.where(angle == 90.0, 90.0 - SECTOR_DEG, angle) // SECTOR_DEG
     sector += 100.0 * (np.linalg.norm(dense.pupil, axis=-1) > 1.0 - 1e-9)
     own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
     found: list[tuple[int, int, float]] = []
@@ -77,14 +80,17 @@ def _refined(
         The worst ray that each search found, and its value.
     """
     half, values = problem.base.half_field_mm, values.copy()
-    steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))))
+    around = (0.0,) if problem.rotational else (-1.0, 0.0, 1.0)
+    five = np.linspace(-1, 1, 5)
+    steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), around, five, five)))
     fixed_fields = bool(problem.specification.constraints.field_spread)
     for step in 0.125 / 2.5 ** np.arange(7):  # first half of the widest gap of the dense rays, along the rim
-        field = rays.fields_mm[:, 1:] + (0.0 if fixed_fields else step * half) * steps[:, 0]
-        pupil = (rays.pupil[:, None] + step * steps[:, 1:]).reshape(-1, 2)
+        height = np.linalg.norm(rays.fields_mm, axis=-1, keepdims=True)
+        along = np.where(height > 0.0, rays.fields_mm, [0.0, 1.0]) / np.where(height > 0.0, height, 1.0)
+        field = np.clip(height + (0.0 if fixed_fields else step * half) * steps[:, 0], 0.0, half)
+        pupil = (rays.pupil[:, None] + step * steps[:, 2:]).reshape(-1, 2)
         pupil /= np.maximum(1.0, np.linalg.norm(pupil, axis=-1, keepdims=True))
-        field = np.clip(field, 0.0, half).ravel()
-        near = Rays(np.column_stack([np.zeros(len(field)), field]), pupil)
+        near = Rays(_turned(field, along, math.pi * step * steps[:, 1]), pupil)
         rows, best = _flat(problem.rows(point, near)), np.arange(len(numbers)) * len(steps) + len(steps) // 2
         for search, number in enumerate(numbers):
             row = rows[number]
@@ -95,6 +101,14 @@ def _refined(
                 best[search], values[search] = row.rays[worst], row.values[worst]
         rays = near.take(best)
     return rays, values
+
+
+def _turned(height: Array, along: Array, angle_rad: Array) -> Array:
+    """Points at some heights along directions, shape (n, 2), that are turned by each of some angles."""
+    turn = np.broadcast_to(angle_rad, height.shape)
+    x = np.cos(turn) * along[:, :1] - np.sin(turn) * along[:, 1:]
+    y = np.sin(turn) * along[:, :1] + np.cos(turn) * along[:, 1:]
+    return np.column_stack([(height * x).ravel(), (height * y).ravel()])
 
 
 def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:

@@ -10,7 +10,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign.analysis.check import check_design
-from lensdesign.analysis.spread import largest_spread
+from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import search
 from lensdesign.optimization.problem import DesignProblem, Rays, sample_rays
@@ -81,6 +81,51 @@ def test_gradients_of_every_goal_and_constraint(thinnest, goal, stop, throughput
             numeric = (getattr(above, name) - getattr(below, name)) / 2e-6
             mine = getattr(exact, f"{name}_by")[:, j]
             np.testing.assert_allclose(mine, numeric, atol=2e-6 * max(1.0, np.abs(mine).max()))
+
+
+@pytest.fixture(scope="module")
+def biconic(thinnest: Specification) -> Specification:
+    """The paper's lens with a back of its own radius and conic along x, over all of the sensor."""
+    back = {"radius_mm": -12.0, "conic": -0.9, "radius_x_mm": -12.5, "conic_x": -1.0}
+    return changed(
+        thinnest.with_surface(1, shape_type="biconic", **back),
+        optimize=Settings(goal="smallest spread"),
+        constraints=Constraints(
+            max_spread_deg="none",
+            max_spread_xy_deg=(5.5, 5.2),
+            max_footprint_radius_mm="sensor rectangle",
+        ),
+        variables=(
+            VariableRange(parameter="radius_mm", surface=1, smallest_radius_mm=10.0),
+            VariableRange(parameter="radius_x_mm", surface=2, smallest_radius_mm=9.5),
+            VariableRange(parameter="conic_x", surface=2, bounds=(-5.0, 1.0)),
+        ),
+    )
+
+
+def test_gradients_all_round_a_biconic(biconic: Specification) -> None:
+    problem = DesignProblem(biconic, biconic.lens)
+    rays = problem.sample_rays(3, 5, 1)
+    assert len(np.unique(np.round(np.arctan2(*rays.fields_mm[1:].T), 6))) >= 8
+    point = problem.to_unit(biconic.lens)
+    exact = problem.evaluate(point, rays)
+    for j in range(len(point)):
+        step = 1e-6 * np.eye(len(point))[j]
+        above, below = problem.evaluate(point + step, rays), problem.evaluate(point - step, rays)
+        for name in ("goals", "constraints"):
+            numeric = (getattr(above, name) - getattr(below, name)) / 2e-6
+            mine = getattr(exact, f"{name}_by")[:, j]
+            np.testing.assert_allclose(mine, numeric, atol=2e-6 * max(1.0, np.abs(mine).max()))
+
+
+def test_a_biconic_is_judged_all_round(biconic: Specification) -> None:
+    """What the search holds for the largest spread is what a check finds over all directions."""
+    found = optimize(biconic)
+    assert found.feasible
+    assert largest_spread(found.lens, 0.532).spread_deg == pytest.approx(found.goal_value, abs=1e-4)
+    foot = footprint(found.lens, 0.532, 22.0)
+    assert foot.inside
+    assert foot.margin_mm == pytest.approx(0.0, abs=0.05) or foot.radius_mm < foot.sensor_half_side_mm
 
 
 def test_smallest_spread_from_a_plate(smallest_spread):
