@@ -47,7 +47,7 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
         (
             'parameter = "conic"',
             'parameter = "asphere_5"',
-            r"conic, asphere_4, .*, asphere_20, thick",
+            r"asphere_4, .*, asphere_20, thickness",
         ),
         ("bounds = [-5.0, 1.0]", "bounds = [1.0, -5.0]", r"the first must be less than the second"),
         ("bounds = [-5.0, 1.0]", "choices = [1.5]", r"conic needs bounds"),
