@@ -7,9 +7,10 @@ import math
 import pytest
 from places import DESIGNS, ROOT
 
-from lensdesign import Lens, load_design
+from lensdesign import InputError, Lens, load_design
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.report import CheckReport
+from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.glass import refractive_index
@@ -18,7 +19,15 @@ from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification import load_specification
 
 PAGE = ROOT / "docs" / "gallery.md"
-OURS = ("feasible_singlet", "thinnest_singlet", "moulded_pair", "wide_field", "phone_lens", "stock_pair")
+OURS = (
+    "feasible_singlet",
+    "thinnest_singlet",
+    "moulded_pair",
+    "wide_field",
+    "phone_lens",
+    "stock_pair",
+    "rectangular_sensor",
+)
 LENSES = ("paper_singlet", *OURS)
 MOULDED = {"moulded_pair": (1.0, 31.0), "phone_lens": (0.4, 34.0)}  # edge in mm, slope in degrees
 
@@ -44,7 +53,7 @@ def test_specifications_give_their_lenses(name: str, lenses: dict[str, Lens]) ->
 
 def numbers(lens: Lens) -> list[float]:
     """What a search may change."""
-    shapes = [[s.curvature, s.conic, *s.asphere, s.thickness_mm or 0.0] for s in lens.surfaces]
+    shapes = [[*s.shape.terms, s.thickness_mm or 0.0] for s in lens.surfaces]
     return [lens.object.working_distance_mm, *(x for shape in shapes for x in shape)]
 
 
@@ -73,7 +82,19 @@ def test_lenses_close_and_have_a_sheet_for_each_element(name: str, lenses: dict[
         mesh = lens_mesh(lenses[name], chord_error_um=2.0, element=element.number)
         assert mesh.mesh.is_watertight
         assert mesh.mesh.volume == pytest.approx(element.volume_mm3, rel=5e-3)
-    assert len(lens_drawing(lenses[name]).sheets) == len(elements)
+    if all(element.rotational for element in elements):
+        assert len(lens_drawing(lenses[name]).sheets) == len(elements)
+
+
+def test_the_biconic_lens_lights_more_of_the_longer_side(lenses: dict[str, Lens]) -> None:
+    """Beyond half the shorter side, which no round footprint may be; what spreads less goes farther out."""
+    lens = lenses["rectangular_sensor"]
+    last = footprint(lens, 0.532, 22.0)
+    assert last.inside
+    assert last.radius_mm > last.sensor_half_side_mm + 1.0
+    assert largest_spread(lens, 0.532).spread_deg > 4.6
+    with pytest.raises(InputError, match="a drawing cannot describe a surface of shape biconic"):
+        lens_drawing(lens)
 
 
 @pytest.mark.parametrize("name", sorted(MOULDED))
