@@ -8,6 +8,9 @@ import numpy as np
 from numba import njit
 
 from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.lens.shapes import intersection
+from lensdesign.tracing import kernel
+from lensdesign.tracing.kept_kernels import drop_outdated
 from lensdesign.tracing.kernel import (
     CONIC,
     MISSED,
@@ -176,3 +179,6 @@ def _planes(p, d, dp, dd, last, planes, kind, where, values, derivatives, i, sur
             dt = (motion - dp[2, j] - t * dd[2, j]) / d[2]
             for a in range(2):
                 derivatives[i, slot, a, j] = dp[a, j] + t * dd[a, j] + dt * d[a]
+
+
+drop_outdated(gradient_kernel, {__name__, kernel.__name__, intersection.__name__} | shapes.SOURCES)

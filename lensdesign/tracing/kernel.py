@@ -13,7 +13,9 @@ import numpy as np
 from numba import njit
 
 from lensdesign.lens.shapes import compiled as shapes
+from lensdesign.lens.shapes import intersection
 from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
+from lensdesign.tracing.kept_kernels import drop_outdated
 
 BLOCK = 128
 X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
@@ -367,3 +369,6 @@ def _to_plane(ray, state, surfaces, plane_z, n, count):
         ray[OPL + i] += n * t if forward else 0.0
         state[i] = MISSED if alive & (not forward) else state[i]
         state[BLOCK + i] = surfaces if alive & (not forward) else state[BLOCK + i]
+
+
+drop_outdated(trace_kernel, {__name__, intersection.__name__} | shapes.SOURCES)

@@ -1,8 +1,4 @@
-"""The formulas of all registered shapes, compiled: each function takes a shape's number and its terms.
-
-Numba keeps compiled kernels by the date of the module in which the kernel stands: after a change of a
-formula, or of the registry, remove the `__pycache__` of :mod:`lensdesign.tracing`.
-"""
+"""The formulas of all registered shapes, compiled: each function takes a shape's number and its terms."""
 
 from __future__ import annotations
 
@@ -52,3 +48,6 @@ def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
 height = _at_point([shape.height for shape in shape_classes()])
 bend = _at_point([shape.bend for shape in shape_classes()])
 by_term = _by_term([shape.by_term for shape in shape_classes()])
+
+SOURCES = {__name__} | {part.__module__ for shape in shape_classes() for part in shape.__mro__[:-2]}
+"""Modules in which the formulas stand."""
