@@ -28,6 +28,7 @@ SCRIPTS = (
     "exchange",
     "step_export",
     "import_time",
+    "mutations",
 )
 
 

@@ -24,7 +24,7 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.on_cpu import carry
+from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Grid
 from wavesim.scene.engine import Task, Way
 
@@ -95,7 +95,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
         nonlocal tiles
         for number, values in tasks:
             started = time.perf_counter()
-            result = carry(way, engine.groups[number], values)
+            result = OnCpu().carry(way, engine.groups[number], values)
             tiles += time.perf_counter() - started
             yield number, result
 
@@ -127,9 +127,9 @@ def warm_up(engine: TwoLevelTiles, grid: Grid) -> None:
     """Have loops compiled, or loaded."""
     group = engine.groups[0]
     if grid == engine.scene.object_grid:
-        carry("forward", group, np.ones([p.stop - p.start for p in group.part], np.complex64))
+        OnCpu().carry("forward", group, np.ones([p.stop - p.start for p in group.part], np.complex64))
     else:
-        carry("adjoint", group, np.ones(group.shape, np.complex64))
+        OnCpu().carry("adjoint", group, np.ones(group.shape, np.complex64))
 
 
 def exponent(sizes: Sequence[float], figures: Sequence[float]) -> float:

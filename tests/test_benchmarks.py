@@ -1,0 +1,33 @@
+"""Benchmarks are run by hand: what they import is there, and every one of them is on the list."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from benchmarks.__main__ import SCRIPTS
+
+FILES = sorted((ROOT / "benchmarks").glob("*.py"))
+SHARED = {"__init__", "__main__", "timing", "others"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_what_a_benchmark_imports_is_there(path: Path) -> None:
+    """Of this project, inside functions too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or not node.module:
+            continue
+        if node.module.partition(".")[0] not in ("lensdesign", "wavesim", "tolerancing", "benchmarks"):
+            continue
+        module = importlib.import_module(node.module)
+        for name in (alias.name for alias in node.names):
+            if not hasattr(module, name):
+                importlib.import_module(f"{node.module}.{name}")
+
+
+def test_every_benchmark_is_run() -> None:
+    assert {path.stem for path in FILES} - SHARED == set(SCRIPTS)
