@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +30,12 @@ class MaterialError(InputError):
 
 class SamplingError(InputError):
     """A grid that cannot hold what was asked of it."""
+
+
+def refuse_not_positive(name: str, value: float) -> None:
+    """Raise InputError unless a value is finite and above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} = {value!r}: must be finite and above 0")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError, atomic_path, refuse_not_positive
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.intersection import Figure
@@ -128,8 +128,7 @@ def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
 
 
 def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:
-    if not (math.isfinite(spacing_mm) and spacing_mm > 0.0):
-        raise InputError(f"spacing_mm = {spacing_mm!r}: must be finite and above 0")
+    refuse_not_positive("spacing_mm", spacing_mm)
     if semi_mm / spacing_mm > MOST_ROWS:
         raise InputError(
             f"spacing_mm = {spacing_mm:g}: that makes more than {MOST_ROWS} rows up to the semi-diameter of "

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from lensdesign.common.section import Positive, Section
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.camera.frames import Array, Bits, Counts, Frame, NotNegative, Offset
 from wavesim.runtime.threads import row_blocks
 
@@ -89,8 +89,7 @@ def exposure_for(intensity: Array, brightest_electrons: float) -> float:
     InputError
         If there is no light, or the number is not usable.
     """
-    if not (math.isfinite(brightest_electrons) and brightest_electrons > 0.0):
-        raise InputError(f"brightest_electrons = {brightest_electrons!r}: must be finite and greater than 0")
+    refuse_not_positive("brightest_electrons", brightest_electrons)
     brightest = float(np.max(intensity, initial=0.0))
     exposure = brightest_electrons / brightest if brightest > 0.0 else math.inf
     if not (math.isfinite(exposure) and exposure > 0.0):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.analysis.paraxial import cardinal_points
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.tracing.bundles import launch_compiled, pupil_fan
 from lensdesign.tracing.compiled import compile_system
@@ -123,8 +123,8 @@ class ThinLens(Engine):
 
     def __init__(self, scene: Scene, *, pitch_mm: float | None = None, force: bool = False) -> None:
         super().__init__(scene)
-        if pitch_mm is not None and not (math.isfinite(pitch_mm) and pitch_mm > 0.0):
-            raise InputError(f"pitch_mm = {pitch_mm!r}: must be finite and greater than 0")
+        if pitch_mm is not None:
+            refuse_not_positive("pitch_mm", pitch_mm)
         self._pitch_mm, self._force = pitch_mm, force
 
     @cached_property

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
-from wavesim.fields.coverage import refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Array
 from wavesim.runtime.threads import row_blocks
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from wavesim.fields.field import Array, Grid, Orientation, axis_of
 
 SAMPLES_PER_FEATURE = 2.0
@@ -117,12 +117,6 @@ def refuse_line(grid: Grid) -> None:
     """Raise InputError if a grid is not a plane."""
     if grid.is_line:
         raise InputError(f"grid shape = {grid.shape}: must be a plane, (ny, nx)")
-
-
-def refuse_not_positive(name: str, value: float) -> None:
-    """Raise InputError unless a value is finite and above 0."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise InputError(f"{name} = {value!r}: must be finite and greater than 0")
 
 
 def refuse_finer(grid: Grid, width_um: float, what: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.runtime.arrays import array_module
 
 Array = NDArray[np.float64]
@@ -56,8 +56,7 @@ class Grid:
         whole = all(isinstance(n, int | np.integer) and n > 0 for n in self.shape)
         if len(self.shape) not in (1, 2) or not whole:
             raise InputError(f"grid shape = {self.shape}: must be one or two whole numbers from 1")
-        if not (math.isfinite(self.pitch_mm) and self.pitch_mm > 0.0):
-            raise InputError(f"grid pitch_mm = {self.pitch_mm!r}: must be finite and greater than 0")
+        refuse_not_positive("grid pitch_mm", self.pitch_mm)
         if not (math.isfinite(self.z_mm) and all(math.isfinite(c) for c in self.centre_mm)):
             raise InputError(f"grid z_mm = {self.z_mm!r}, centre_mm = {self.centre_mm!r}: must be finite")
         if self.is_line and self.centre_mm[0] != 0.0:
@@ -158,8 +157,7 @@ class Field:
             raise InputError(
                 f"field values have shape {tuple(self.values.shape)}: the grid's is {self.grid.shape}"
             )
-        if not (math.isfinite(self.wavelength_um) and self.wavelength_um > 0.0):
-            raise InputError(f"wavelength_um = {self.wavelength_um!r}: must be finite and greater than 0")
+        refuse_not_positive("wavelength_um", self.wavelength_um)
 
     @property
     def wavenumber_per_mm(self) -> float:

@@ -15,8 +15,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
-from wavesim.fields.coverage import refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Array
 from wavesim.fields.plane_waves import fft_frequencies
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lensdesign.common.input_files import check_input
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from wavesim.fields.coverage import (
     Rectangle,
     disc_coverage,
@@ -23,7 +23,6 @@ from wavesim.fields.coverage import (
     rectangle_coverage,
     refuse_finer,
     refuse_line,
-    refuse_not_positive,
 )
 from wavesim.fields.field import Array, Field, Grid
 from wavesim.fields.guards import tell

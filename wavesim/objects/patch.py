@@ -17,7 +17,7 @@ import numpy as np
 import scipy.fft
 
 from lensdesign.common.toml_files import did_you_mean
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from wavesim.fields.coverage import rectangle
 from wavesim.fields.field import Field, Grid
@@ -140,8 +140,7 @@ def object_patch(
         raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
-    if not (math.isfinite(object_pitch_um) and object_pitch_um > 0.0):
-        raise InputError(f"object_pitch_um = {object_pitch_um!r}: must be finite and greater than 0")
+    refuse_not_positive("object_pitch_um", object_pitch_um)
     count = scipy.fft.next_fast_len(max(4, math.ceil(1e3 * patch_mm / object_pitch_um - 1e-9)))
     return Patch(Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm), stop_mm, wavelength)
 

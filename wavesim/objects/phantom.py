@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
-from wavesim.fields.coverage import refuse_finer, refuse_line, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive
+from wavesim.fields.coverage import refuse_finer, refuse_line
 from wavesim.fields.field import Array, Grid
 from wavesim.objects.targets import ComplexArray, band_limit
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.input_files import check_input
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from wavesim.fields.coverage import (
     ROUNDING,
     Rectangle,
@@ -27,7 +27,6 @@ from wavesim.fields.coverage import (
     rectangle_coverage,
     refuse_finer,
     refuse_line,
-    refuse_not_positive,
     refuse_outside,
 )
 from wavesim.fields.field import Array, Grid, Orientation

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from wavesim.fields.coverage import (
     SAMPLES_PER_FEATURE,
     Rectangle,
@@ -21,7 +21,6 @@ from wavesim.fields.coverage import (
     rectangle_coverage,
     refuse_finer,
     refuse_line,
-    refuse_not_positive,
 )
 from wavesim.fields.field import Grid, Orientation, axis_of
 from wavesim.objects.targets import ComplexArray, Ground, on_ground

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -54,8 +54,7 @@ class Beam:
     waist_z_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.wavelength_um) and self.wavelength_um > 0.0):
-            raise InputError(f"wavelength_um = {self.wavelength_um!r}: must be finite and above 0")
+        refuse_not_positive("wavelength_um", self.wavelength_um)
         if not 0.0 < self.spread <= LARGEST_SPREAD:
             raise InputError(f"spread = {self.spread!r} rad: must be above 0 and at most {LARGEST_SPREAD}")
         if not math.isfinite(self.waist_z_mm):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import hankel1, jv, yv
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
@@ -71,9 +71,7 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         for name in ("radius_mm", "wavelength_um"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} = {value!r}: must be finite and above 0")
+            refuse_not_positive(name, getattr(self, name))
         if not (math.isfinite(self.index) and self.index >= 1.0):
             raise InputError(f"index = {self.index!r}: must be finite and at least 1")
         if not 0.1 <= self.size_parameter <= LARGEST_SIZE:

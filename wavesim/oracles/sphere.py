@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.special import j0, jv, roots_legendre, yv
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import SPREAD_CUT, WAIST_CUT
 from wavesim.oracles.cylinder import (
@@ -143,8 +143,7 @@ def sphere_scene(radius_mm: float = 0.05, wavelength_um: float = 0.532, spread: 
     InputError
         If a value is not usable.
     """
-    if not (math.isfinite(wavelength_um) and wavelength_um > 0.0):
-        raise InputError(f"wavelength_um = {wavelength_um!r}: must be finite and above 0")
+    refuse_not_positive("wavelength_um", wavelength_um)
     wavelength_mm = 1e-3 * wavelength_um
     smallest, largest = 15.0 * wavelength_mm, LARGEST_RADIUS_WAVES * wavelength_mm
     if not smallest <= radius_mm <= largest:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
@@ -84,8 +84,7 @@ def stigmatic_scene(semi_diameter_mm: float = 8.25, wavelength_um: float = 0.532
     InputError
         If a value is not usable.
     """
-    if not (math.isfinite(wavelength_um) and wavelength_um > 0.0):
-        raise InputError(f"wavelength_um = {wavelength_um!r}: must be finite and above 0")
+    refuse_not_positive("wavelength_um", wavelength_um)
     wavelength_mm = 1e-3 * wavelength_um
     if not (math.isfinite(semi_diameter_mm) and semi_diameter_mm >= 200.0 * wavelength_mm):
         raise InputError(

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError, atomic_path, refuse_not_positive
 
 TILE = 512
 """Side of a tile, in samples."""
@@ -169,8 +169,7 @@ def _refuse(values: Any, pitch_um: float, quantities: Sequence[str]) -> None:
         raise InputError(
             f"a picture of {values.dtype} values of shape {values.shape}: must be real or complex (ny, nx)"
         )
-    if not (math.isfinite(pitch_um) and pitch_um > 0.0):
-        raise InputError(f"pitch_um = {pitch_um!r}: must be finite and greater than 0")
+    refuse_not_positive("pitch_um", pitch_um)
     if not quantities or len(set(quantities)) < len(quantities):
         raise InputError(f"quantities = {list(quantities)}: must be one or more, and differ")
     plain = [name for name in quantities if name not in ("amplitude", "phase_rad")]

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.tracing.bundles import launch
@@ -153,10 +153,8 @@ def point_characteristic(
         raise InputError(f"field_mm = {field_mm!r}: must be two finite numbers, x and y")
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or not 8 <= samples <= 4096:
         raise InputError(f"samples = {samples!r}: must be a whole number from 8 to 4096")
-    if not (np.isfinite(plane_distance_mm) and plane_distance_mm > 0.0):
-        raise InputError(f"plane_distance_mm = {plane_distance_mm!r}: must be finite and above 0")
-    if not (np.isfinite(wavelength) and wavelength > 0.0):
-        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and above 0")
+    refuse_not_positive("plane_distance_mm", plane_distance_mm)
+    refuse_not_positive("wavelength_um", wavelength)
     system = compile_system(lens, wavelength)
     point = np.array([*field, lens.object_z_mm])
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.pupil import Array, ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
 
@@ -198,8 +198,7 @@ class _Target:
 
 @lru_cache(maxsize=512)
 def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
-    if not (np.isfinite(width_um) and width_um > 0.0):
-        raise InputError(f"line_width_um = {width_um:g}: must be finite and above 0")
+    refuse_not_positive("line_width_um", width_um)
     if isinstance(bars, bool) or not isinstance(bars, int) or bars < 2:
         raise InputError(f"bars = {bars!r}: must be a whole number, at least 2")
     refuse_wide(

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from lensdesign.tracing.compiled import compile_system
@@ -94,8 +94,7 @@ class PatchChain:
     line: bool = False
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.patch_um) and self.patch_um > 0.0):
-            raise InputError(f"patch_um = {self.patch_um!r}: must be finite and above 0")
+        refuse_not_positive("patch_um", self.patch_um)
         _ = self.rays
 
     @cached_property

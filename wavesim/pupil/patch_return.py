@@ -11,7 +11,7 @@ import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
 from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
@@ -206,8 +206,7 @@ class PerturbedPatch:
 
     def _noise(self, light: ComplexArray, electrons: float, rng: np.random.Generator | None) -> ComplexArray:
         """Circular complex noise: that of a pixel, averaged over the pixels that each sample stands for."""
-        if not (math.isfinite(electrons) and electrons > 0.0):
-            raise InputError(f"electrons = {electrons!r}: must be finite and above 0")
+        refuse_not_positive("electrons", electrons)
         if rng is None:
             raise InputError("electrons are given: noise needs an rng, as of numpy.random.default_rng(seed)")
         side_mm = self.rays.base.grid.spacing / self.pixel_mm

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import refuse_planes
@@ -295,5 +295,5 @@ def _refuse(
         raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
     if iterations < 1:
         raise InputError(f"iterations = {iterations}: must be at least 1")
-    if scale is not None and not (math.isfinite(scale) and scale > 0.0):
-        raise InputError(f"scale = {scale!r}: must be finite and above 0")
+    if scale is not None:
+        refuse_not_positive("scale", scale)

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 
 COMPLEX64, COMPLEX128, FLOAT32, FLOAT64 = 8, 16, 4, 8
 """Bytes of a sample."""
@@ -90,8 +90,7 @@ def memory_limit(memory_gb: float | None) -> float:
     """
     if memory_gb is None:
         return SHARE * available_bytes()
-    if not (math.isfinite(memory_gb) and memory_gb > 0.0):
-        raise InputError(f"--memory-gb = {memory_gb!r}: must be finite and above 0")
+    refuse_not_positive("--memory-gb", memory_gb)
     return 1e9 * memory_gb
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
@@ -105,6 +104,5 @@ def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:
         If it is not finite and above 0.
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
-    if not (math.isfinite(wavelength) and wavelength > 0.0):
-        raise InputError(f"wavelength_um = {wavelength!r}: must be finite and greater than 0")
+    refuse_not_positive("wavelength_um", wavelength)
     return wavelength

@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import edge_error, shared_spans
 from wavesim.engines.tiles.operator import TileOperator, precision_for
@@ -103,8 +103,8 @@ class EikonalTiles(Engine):
         plane_z_mm: float | None = None,
     ) -> None:
         super().__init__(scene)
-        if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
-            raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
+        if tile_width_mm is not None:
+            refuse_not_positive("tile_width_mm", tile_width_mm)
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
         if quadratic not in get_args(Quadratic):

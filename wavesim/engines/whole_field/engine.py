@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.engines.tiles.edge import edge_error, rim_share
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
 from wavesim.engines.tiles.operator import Tile
@@ -130,8 +130,8 @@ class TwoLevelTiles(Tiled):
         super().__init__(scene)
         if scene.object_grid.is_line:
             raise InputError("engine two-level carries planes; on a line take eikonal")
-        if tile_width_mm is not None and not (math.isfinite(tile_width_mm) and tile_width_mm > 0.0):
-            raise InputError(f"tile_width_mm = {tile_width_mm!r}: must be finite and above 0")
+        if tile_width_mm is not None:
+            refuse_not_positive("tile_width_mm", tile_width_mm)
         if not 1 <= tiles_across <= 100:
             raise InputError(f"tiles_across = {tiles_across!r}: must be from 1 to 100")
         if not LEAST_ERROR <= error <= 1.0:

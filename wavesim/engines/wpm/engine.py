@@ -34,7 +34,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
 from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission, sample_surfaces
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
@@ -118,8 +118,8 @@ class WavePropagation(Engine):
         super().__init__(scene)
         if interface not in ("substep", "staircase"):
             raise InputError(f"interface = {interface!r}: allowed: substep, staircase")
-        if step_um is not None and not (math.isfinite(step_um) and step_um > 0.0):
-            raise InputError(f"step_um = {step_um!r}: must be finite and greater than 0")
+        if step_um is not None:
+            refuse_not_positive("step_um", step_um)
         self.interface = interface
         self._step_um, self._force = step_um, force
         self._grid_asked = (pitch_mm, half_width_mm)
