@@ -12,7 +12,7 @@ from lensdesign.common.console import print_json
 from lensdesign.files.design import load_design
 from wavesim.camera.mounting import mounting_table, values_of
 from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
-from wavesim.cli.runs import progress, versions
+from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
@@ -83,25 +83,17 @@ def _write(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
 
 
 def _print(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("lens as mounted, from the design")
-    table.add_column("found", justify="right")
+    rows = []
     for name, value in zip(found.parameters, values_of(found.mounting, found.parameters), strict=True):
         border = "  (at the border of the search)" if name in found.at_reach else ""
-        table.add_row(name, f"{value:.5f}{border}")
-    console.print(table)
+        rows.append((name, f"{value:.5f}{border}"))
+    print_table(("lens as mounted, from the design",), ("found",), rows)
     noise = summary["misfit_of_noise"]
-    console.print(
+    print(
         f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as mounted"
-        + ("" if noise is None else f"; {noise:.4f} would be noise alone"),
-        soft_wrap=True,
+        + ("" if noise is None else f"; {noise:.4f} would be noise alone")
     )
-    console.print(
+    print(
         f"{summary['mountings_tried']} mountings tried; {summary['stopped_because']}; wrote {FILE} and "
-        f"calibration.png to {output}",
-        soft_wrap=True,
+        f"calibration.png to {output}"
     )

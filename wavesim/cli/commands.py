@@ -10,16 +10,17 @@ import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from lensdesign.lens.poses import Pose
 from wavesim.cli.calibrate import calibrate
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
-from wavesim.cli.options import numbers, with_settings
+from wavesim.cli.options import AsJson, Design, numbers, refuse_no_picture, with_settings
 from wavesim.cli.oracle import oracle
 from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import choose, resolve
+from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
 
 app = make_app("Waves through spatial information transfer lenses.")
@@ -31,7 +32,7 @@ MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 
 @app.command()
 def pupil(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
+    design: Design,
     field_mm: Annotated[str, typer.Option(help="Object point: x,y.")] = "0,0",
     wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
     plane_distance_mm: Annotated[float, typer.Option(help="From the exit vertex to the plane.")] = 3.0,
@@ -44,7 +45,7 @@ def pupil(
     linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
     refocus: Annotated[bool, typer.Option(help="Whether to refocus digitally.")] = True,
     samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write.")] = None,
 ) -> None:
     """Score the reconstruction through a displaced lens.
@@ -52,6 +53,8 @@ def pupil(
     The reconstruction knows only the nominal lens: what the displaced one does otherwise is the phase of
     the reconstruction pupil, and with it contrast and MTF.
     """
+    from wavesim.pictures.frames import save
+    from wavesim.pictures.pupils import pupil_figure
     from wavesim.pupil.characteristic import PupilSampler
     from wavesim.pupil.pupil import refocus as to_best_focus
     from wavesim.pupil.pupil import remove_shift
@@ -59,8 +62,7 @@ def pupil(
     field = numbers(field_mm, "--field-mm", 2)
     widths = numbers(linewidths_um, "--linewidths-um")
     pose = Pose(decenter_x_mm, decenter_y_mm, despace_mm, tilt_x_deg, tilt_y_deg, pivot_z_mm)
-    if output is not None:
-        _refuse_format(output)
+    refuse_no_picture(output)
     lens = load_design(design)
     if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
         raise InputError(
@@ -78,7 +80,7 @@ def pupil(
         "refocused": refocus,
     } | _figures(registered, widths)
     if output is not None:
-        _write_picture(registered.pupil, widths, _title(summary), output)
+        save(pupil_figure(registered.pupil, widths, _title(summary)), output, dpi=110)
         summary["picture"] = str(output)
     if as_json:
         print_json(summary)
@@ -122,20 +124,6 @@ def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
     }
 
 
-def _refuse_format(path: Path) -> None:
-    allowed = (".png", ".pdf", ".svg")
-    if path.suffix.lower() not in allowed:
-        raise InputError(f"--output = {str(path)!r}: the file name must end in one of {', '.join(allowed)}")
-
-
-def _write_picture(pupil: Any, widths_um: list[float], title: str, path: Path) -> None:
-    from wavesim.pictures.pupils import pupil_figure
-
-    figure = pupil_figure(pupil, widths_um, title)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-
-
 def _title(summary: dict[str, Any]) -> str:
     x, y = summary["field_mm"]
     focus = f"refocused by {_shown(summary['refocus_um'])} um" if summary["refocused"] else "not refocused"
@@ -148,36 +136,28 @@ def _shown(value_um: float) -> str:
 
 
 def _print_tables(summary: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    def table(*columns: str) -> Table:
-        result = Table(box=None, pad_edge=False)
-        for column in columns:
-            result.add_column(column, justify="right")
-        return result
-
-    console = Console(highlight=False, markup=False)
     x, y = summary["shift_um"]
-    console.print(visible(_title(summary)), soft_wrap=True)
-    console.print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
-    console.print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
-    pairs = table("line width (um)", "contrast, lines across x", "across y")
-    for row in summary["line_pairs"]:
-        pairs.add_row(f"{row['line_width_um']:g}", f"{row['contrast_x']:.3f}", f"{row['contrast_y']:.3f}")
+    print(visible(_title(summary)))
+    print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
+    print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
     smallest = [summary[f"smallest_resolved_line_width_{axis}_um"] for axis in "xy"]
-    pairs.add_row("smallest resolved", *("none" if s is None else f"{s:.3f} um" for s in smallest))
-    console.print()
-    console.print(pairs)
-    transfer = table("frequency (lp/mm)", "modulation, across x", "across y")
-    for row in summary["mtf"]:
-        transfer.add_row(
-            f"{row['frequency_lp_per_mm']:.0f}", f"{row['modulation_x']:.3f}", f"{row['modulation_y']:.3f}"
-        )
-    console.print()
-    console.print(transfer)
+    pairs = [
+        *(
+            (f"{row['line_width_um']:g}", f"{row['contrast_x']:.3f}", f"{row['contrast_y']:.3f}")
+            for row in summary["line_pairs"]
+        ),
+        ("smallest resolved", *("none" if s is None else f"{s:.3f} um" for s in smallest)),
+    ]
+    print()
+    print_table((), ("line width (um)", "contrast, lines across x", "across y"), pairs)
+    transfer = [
+        (f"{row['frequency_lp_per_mm']:.0f}", f"{row['modulation_x']:.3f}", f"{row['modulation_y']:.3f}")
+        for row in summary["mtf"]
+    ]
+    print()
+    print_table((), ("frequency (lp/mm)", "modulation, across x", "across y"), transfer)
     if "picture" in summary:
-        console.print(f"\npicture written to {summary['picture']}")
+        print(f"\npicture written to {summary['picture']}")
 
 
 def main() -> None:

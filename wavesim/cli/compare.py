@@ -10,15 +10,19 @@ import typer
 
 from lensdesign.common.console import message_console, print_json
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
+from wavesim.cli.options import AsJson, Design
+from wavesim.cli.runs import print_table
+
+PICTURE_DPI = 110
 
 MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
 """Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
 
 
 def compare(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
+    design: Design,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
     radius_mm: Annotated[float, typer.Option(help="Of the exact cylinder.")] = 0.2,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
@@ -26,7 +30,7 @@ def compare(
     scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
     most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 60.0,
     maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.
 
@@ -39,6 +43,7 @@ def compare(
     from wavesim.evaluation.engines import compare as measure
     from wavesim.evaluation.engines import exact_case, lens_case, variants
     from wavesim.pictures.comparisons import comparison_figure
+    from wavesim.pictures.frames import save
     from wavesim.pictures.result_files import write_csv
 
     lens = scaled(load_design(design), scale)
@@ -64,7 +69,7 @@ def compare(
 
         rows = measure(cases, variants(), show, most_seconds)
         write_csv([vars(row) for row in rows], output / "comparison.csv")
-        _save(comparison_figure(rows, "Error against cost"), output / "comparison.png")
+        save(comparison_figure(rows, "Error against cost"), output / "comparison.png", PICTURE_DPI)
         written = [output / "comparison.png", output / "comparison.csv"]
         if maps:
             written += _maps(lens, output, bar, task)
@@ -81,6 +86,7 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     from lensdesign.lens.scaling import scaled
     from wavesim.evaluation.failures import failure_maps, map_rows
     from wavesim.pictures.comparisons import failure_figure
+    from wavesim.pictures.frames import save
     from wavesim.pictures.result_files import write_csv
 
     twin = scaled(lens, MAP_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
@@ -93,7 +99,7 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
         write_csv(map_rows(one), path)
         written.append(path)
     picture = output / "failure_maps.png"
-    _save(failure_figure(found, "Where methods fail, and where their guards speak"), picture)
+    save(failure_figure(found, "Where methods fail, and where their guards speak"), picture, PICTURE_DPI)
     return [picture, *written]
 
 
@@ -102,25 +108,12 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _save(figure: Any, path: Path) -> None:
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-
-
 def _print_front(rows: list[Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
+    numbers = ("relative error", "seconds", "set-up (s)", "memory (MB)")
     for scene in dict.fromkeys(row.scene for row in rows):
-        table = Table(box=None, pad_edge=False, title=visible(f"{scene}: the front"), title_justify="left")
-        table.add_column("engine")
-        table.add_column("setting")
-        for column in ("relative error", "seconds", "set-up (s)", "memory (MB)"):
-            table.add_column(column, justify="right")
         front = [row for row in rows if row.scene == scene and row.fastest]
-        for row in sorted(front, key=lambda r: r.seconds):
-            table.add_row(
+        cells = [
+            (
                 row.family,
                 row.setting,
                 f"{row.relative_error:.2g}",
@@ -128,5 +121,7 @@ def _print_front(rows: list[Any]) -> None:
                 f"{row.setup_seconds:.2g}",
                 f"{row.peak_mb:.3g}",
             )
-        console.print(table)
-        console.print()
+            for row in sorted(front, key=lambda r: r.seconds)
+        ]
+        print_table(("engine", "setting"), numbers, cells, visible(f"{scene}: the front"))
+        print()

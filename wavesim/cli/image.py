@@ -12,7 +12,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, Output, print_warnings, settings_text
-from wavesim.cli.runs import engine_summary, memory_teller, progress, versions
+from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import ImageSettings
 
 if TYPE_CHECKING:
@@ -136,39 +136,32 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
     said = "not known" if error is None else f"at most {error:.2g} for light of all directions"
-    console.print(visible(str(summary["design"])), soft_wrap=True)
-    console.print(
+    print(visible(str(summary["design"])))
+    print(
         f"object {thing['name']}, field stop {thing['field_stop_mm']:g} mm, "
-        f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um",
-        soft_wrap=True,
+        f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um"
     )
-    console.print(f"engine {engine['name']}, error {said}", soft_wrap=True)
-    console.print(f"  {settings_text(engine['settings'])}", soft_wrap=True)
-    console.print(
+    print(f"engine {engine['name']}, error {said}")
+    print(f"  {settings_text(engine['settings'])}")
+    print(
         f"sensor: the middle {across} x {down} pixels of {sensor['pixel_pitch_um']:g} um, "
         f"{100.0 * summary['energy_share_beyond_pixel_limit']:.2g} % of the light beyond their "
-        f"{summary['pixel_limit_per_mm']:.4g} per mm",
-        soft_wrap=True,
+        f"{summary['pixel_limit_per_mm']:.4g} per mm"
     )
-    table = Table(box=None, pad_edge=False)
-    for column in ("frame", "plane (mm)", "brightest count", "saturated pixels", "exposure"):
-        table.add_column(column, justify="left" if column == "frame" else "right")
-    for frame in summary["frames"]:
-        table.add_row(
+    rows = [
+        (
             frame["file"],
             f"{frame['plane_distance_mm']:g}",
             str(frame["brightest_counts"]),
             str(frame["saturated_pixels"]),
             f"{frame['times']:g} x",
         )
-    console.print()
-    console.print(table)
-    console.print(f"\nwrote {len(summary['files'])} files to {output}", soft_wrap=True)
+        for frame in summary["frames"]
+    ]
+    print()
+    print_table(("frame",), ("plane (mm)", "brightest count", "saturated pixels", "exposure"), rows)
+    print(f"\nwrote {len(summary['files'])} files to {output}")

@@ -26,6 +26,8 @@ Frames = Annotated[
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
+PICTURES = (".png", ".pdf", ".svg")
+
 Command = Callable[..., None]
 
 
@@ -172,6 +174,18 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
         wanted = "numbers" if count is None else f"{count} numbers"
         raise InputError(f"{option} = {text!r}: must be {wanted}, separated by commas")
     return values
+
+
+def refuse_no_picture(path: Path | None) -> None:
+    """Refuse a file to write a picture to whose name does not say that it is one.
+
+    Raises
+    ------
+    InputError
+        If it does not end in .png, .pdf or .svg.
+    """
+    if path is not None and path.suffix.lower() not in PICTURES:
+        raise InputError(f"--output = {str(path)!r}: the file name must end in one of {', '.join(PICTURES)}")
 
 
 def settings_text(settings: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ import typer
 
 from lensdesign.common.console import print_json
 from wavesim.cli.options import AsJson, print_warnings, settings_text
+from wavesim.cli.runs import print_table
 from wavesim.scene.settings import SingleEngineDetails
 
 
@@ -65,25 +66,16 @@ def _summary(result: Any) -> dict[str, Any]:
 
 
 def _print_table(result: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
     of_radius = "" if result.radius_mm is None else f", radius {result.radius_mm:g} mm"
-    console.print(f"{result.engine} on the exact {result.oracle}{of_radius}", soft_wrap=True)
-    console.print(
-        f"relative error {result.relative_error:.3g} (the exact field's own: {result.uncertainty:.1g})",
-        soft_wrap=True,
-    )
-    console.print()
-    cost = Table(box=None, pad_edge=False)
-    cost.add_column("")
-    for column in ("measured", "predicted"):
-        cost.add_column(column, justify="right")
+    print(f"{result.engine} on the exact {result.oracle}{of_radius}")
+    print(f"relative error {result.relative_error:.3g} (the exact field's own: {result.uncertainty:.1g})")
+    print()
     predicted = result.predicted
-    cost.add_row("seconds", f"{result.seconds:.3g}", f"{predicted.seconds:.3g}")
-    cost.add_row("seconds of set-up", f"{result.setup_seconds:.3g}", f"{predicted.setup_seconds:.3g}")
-    cost.add_row("peak memory (MB)", f"{result.peak_mb:.3g}", f"{1e-6 * predicted.peak_bytes:.3g}")
-    console.print(cost)
+    rows = (
+        ("seconds", f"{result.seconds:.3g}", f"{predicted.seconds:.3g}"),
+        ("seconds of set-up", f"{result.setup_seconds:.3g}", f"{predicted.setup_seconds:.3g}"),
+        ("peak memory (MB)", f"{result.peak_mb:.3g}", f"{1e-6 * predicted.peak_bytes:.3g}"),
+    )
+    print_table(("",), ("measured", "predicted"), rows)
     if result.settings:
-        console.print(f"\nsettings: {settings_text(result.settings)}", soft_wrap=True)
+        print(f"\nsettings: {settings_text(result.settings)}")

@@ -14,7 +14,7 @@ from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
-from wavesim.cli.runs import engine_summary, memory_teller, progress, versions
+from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
 
 if TYPE_CHECKING:
@@ -141,35 +141,28 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
     engine = summary["engine"]
     early = ", where the misfit fell no more" if summary.get("stopped_early") else ""
-    console.print(visible(summary["design"]), soft_wrap=True)
-    console.print(
+    print(visible(summary["design"]))
+    print(
         f"method {summary['method']}, {summary['kind']} object, engine {engine['name']}: "
-        f"{summary['iterations']} iterations{early}",
-        soft_wrap=True,
+        f"{summary['iterations']} iterations{early}"
     )
-    table = Table(box=None, pad_edge=False)
-    for column in ("plane (mm)", "residual", "of it noise", "correlation of amplitudes"):
-        table.add_column(column, justify="right")
-    for plane in summary["planes"]:
-        noise = "not known" if plane["noise"] is None else f"{plane['noise']:.4f}"
-        table.add_row(
+    rows = [
+        (
             f"{plane['plane_distance_mm']:g}",
             f"{plane['residual']:.4f}",
-            noise,
+            "not known" if plane["noise"] is None else f"{plane['noise']:.4f}",
             f"{plane['correlation']:.5f}",
         )
-    console.print()
-    console.print(table)
-    console.print()
+        for plane in summary["planes"]
+    ]
+    print()
+    print_table((), ("plane (mm)", "residual", "of it noise", "correlation of amplitudes"), rows)
+    print()
     for line in _figures(summary):
-        console.print(line, soft_wrap=True)
-    console.print(f"wrote {len(summary['files'])} files to {output}", soft_wrap=True)
+        print(line)
+    print(f"wrote {len(summary['files'])} files to {output}")
 
 
 def _figures(summary: dict[str, Any]) -> list[str]:

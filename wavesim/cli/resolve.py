@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, Design, numbers, print_warnings, settings_text
+from wavesim.cli.options import AsJson, Design, numbers, print_warnings, refuse_no_picture, settings_text
+from wavesim.cli.runs import print_table
 from wavesim.scene.settings import SingleEngineDetails
 
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
 WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
-PICTURES = (".png", ".pdf", ".svg")
 
 
 def resolve(
@@ -47,10 +47,10 @@ def resolve(
     reference engine and brought back by each one named, then refocused and registered: what is left of their
     contrast is what that engine's model of the lens allows.
     """
-    if output is not None and output.suffix.lower() not in PICTURES:
-        raise InputError(
-            f"--output = {str(output)!r}: the file name must end in one of {', '.join(PICTURES)}"
-        )
+    from wavesim.pictures.frames import save
+    from wavesim.pictures.resolving import resolving_figure
+
+    refuse_no_picture(output)
     lens = load_design(design)
     widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
     engines = _engines(engine or ["slices"], details.details())
@@ -66,7 +66,7 @@ def resolve(
     print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
     title = lens.title or design.stem
     if output is not None:
-        _write_resolved(tests, title, output)
+        save(resolving_figure([result for results in tests for result in results], title), output, dpi=140)
     if as_json:
         summaries = [_resolve_summary(results, widths, title) for results in tests]
         print_json(summaries[0] if len(tests) == 1 else {"design": title, "engines": summaries})
@@ -132,14 +132,6 @@ def _plain_value(text: str) -> int | float | str:
     return text
 
 
-def _write_resolved(tests: list[list[Any]], title: str, path: Path) -> None:
-    from wavesim.pictures.resolving import resolving_figure
-
-    figure = resolving_figure([result for results in tests for result in results], title)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=140)
-
-
 def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dict[str, Any]:
     def table(name: str) -> list[list[float]]:
         return [[getattr(line, name) for line in result.lines] for result in results]
@@ -163,48 +155,35 @@ def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dic
 
 
 def _print_resolved(results: list[Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
     first = results[0]
     settings = settings_text(first.settings)
-    console.print(f"lines carried by {first.reference}, brought back by {first.engine}", soft_wrap=True)
+    print(f"lines carried by {first.reference}, brought back by {first.engine}")
     if settings:
-        console.print(settings, soft_wrap=True)
-    console.print()
-    table = Table(box=None, pad_edge=False)
-    for column in (
-        "field\n(mm)",
-        "line\n(um)",
-        "contrast",
-        "weakest",
-        "as is",
-        f"{first.reference}",
-        "refocus\n(um)",
-        "shift\n(um)",
-        "exit\ncorrelation",
-    ):
-        table.add_column(column, justify="right")
-    for result in results:
-        for line in result.lines:
-            table.add_row(
-                f"{result.field_mm:g}",
-                f"{line.line_width_um:g}",
-                f"{line.contrast:.3f}",
-                f"{line.weakest_contrast:.3f}",
-                f"{line.contrast_as_is:.3f}",
-                f"{line.contrast_of_reference:.3f}",
-                f"{line.refocus_um:.2f}",
-                f"{line.shift_um:.3f}",
-                f"{line.exit_correlation:.4f}",
-            )
-    console.print(table)
+        print(settings)
+    print()
+    columns = "field\n(mm)", "line\n(um)", "contrast", "weakest", "as is", first.reference
+    columns += "refocus\n(um)", "shift\n(um)", "exit\ncorrelation"
+    rows = [
+        (
+            f"{result.field_mm:g}",
+            f"{line.line_width_um:g}",
+            f"{line.contrast:.3f}",
+            f"{line.weakest_contrast:.3f}",
+            f"{line.contrast_as_is:.3f}",
+            f"{line.contrast_of_reference:.3f}",
+            f"{line.refocus_um:.2f}",
+            f"{line.shift_um:.3f}",
+            f"{line.exit_correlation:.4f}",
+        )
+        for result in results
+        for line in result.lines
+    ]
+    print_table((), columns, rows)
     for result in results:
         smallest = result.smallest_resolved_um()
         said = "no line is resolved" if smallest is None else f"resolved down to {smallest:g} um"
-        console.print(f"field {result.field_mm:g} mm: {said}", soft_wrap=True)
-    console.print()
+        print(f"field {result.field_mm:g} mm: {said}")
+    print()
 
 
 def choose(
@@ -267,23 +246,13 @@ def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
 
 
 def _print_choice(choice: Any, runs: int) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, markup=False)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    table.add_column("engine", no_wrap=True)
-    for column in ("error, at most", f"seconds, {runs} run(s)", "memory (MB)"):
-        table.add_column(column, justify="right")
+    rows = []
     for p in choice.predictions:
+        figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
         mark = "*" if p is choice.chosen else ""
-        if p.refused:
-            table.add_row(mark, p.label, "refused", "", "")
-        else:
-            figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
-            table.add_row(mark, p.label, *figures)
-    console.print(table)
-    console.print()
+        rows.append((mark, p.label, *(("refused", "", "") if p.refused else figures)))
+    columns = ("error, at most", f"seconds, {runs} run(s)", "memory (MB)")
+    print_table(("", "engine"), columns, rows, no_wrap=True)
+    print()
     for sentence in choice.reason.split(". "):
-        console.print(sentence.removesuffix("."), soft_wrap=True)
+        print(sentence.removesuffix("."))

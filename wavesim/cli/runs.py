@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,28 @@ def progress() -> Iterator[Progress]:
             bar.update(tasks[0], completed=done, total=count or None, description=what)
 
         yield tell
+
+
+def print_table(
+    words: Sequence[str],
+    numbers: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    title: str = "",
+    *,
+    no_wrap: bool = False,
+) -> None:
+    """Print a table of columns of words, flush left, and behind them of numbers, flush right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
+    for name in words:
+        table.add_column(name, no_wrap=no_wrap)
+    for name in numbers:
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False, markup=False).print(table)
 
 
 def memory_teller(folder: Path) -> Callable[[Memory], None]:

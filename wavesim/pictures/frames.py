@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.text import visible
+from lensdesign.errors import atomic_path
 from wavesim.camera.frames import Frame
 from wavesim.camera.recorded import Array as Floats
 from wavesim.fields.field import Array, Field
@@ -30,9 +31,10 @@ AS_SAMPLED: dict[str, Any] = {"origin": "lower", "interpolation": "antialiased"}
 """Row 0 is that of the smallest y; no smoothing that the data do not have."""
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """Write a figure to a picture file."""
-    figure.savefig(path, dpi=DPI)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=dpi)
 
 
 def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
