@@ -5,7 +5,7 @@ from .imaging import Imaged, image
 from .mounting import mounting_table, read_mounting
 from .recorded import Recorded, recorded_intensity
 from .recording import Recording, drop_parts, image_patch
-from .sensor import FootprintWarning, record, record_exposures, sensor_grid
+from .sensor import FootprintWarning, frames_of_light, light_on_pixels, record, sensor_grid
 from .windows import DiversityWarning, diversity, exit_scene, sensor_window
 
 __all__ = [
@@ -22,8 +22,10 @@ __all__ = [
     "drop_parts",
     "estimate_intensity",
     "exit_scene",
+    "frames_of_light",
     "image",
     "image_patch",
+    "light_on_pixels",
     "merged_intensity",
     "mounting_table",
     "plane_seeds",
@@ -31,7 +33,6 @@ __all__ = [
     "read_frames",
     "read_mounting",
     "record",
-    "record_exposures",
     "recorded_intensity",
     "recorded_planes",
     "sensor_grid",

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Sensor
-from wavesim.camera.exposures import Electronics, Seed, plane_seeds
+from wavesim.camera.exposures import Electronics, plane_seeds
 from wavesim.camera.frames import Array, Frame
 from wavesim.camera.pixel_light import PixelLight
-from wavesim.camera.sensor import frames_of_light, record_exposures, sensor_grid, tell_footprint
+from wavesim.camera.sensor import frames_of_light, light_on_pixels, sensor_grid, tell_footprint
 from wavesim.camera.windows import OVERSAMPLING
 from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
@@ -157,22 +157,24 @@ def image_patch(
     for number, seed in enumerate(plane_seeds(recording.seed, len(windows))):
         if first is not None:
             tell(f"plane {number + 1}", number, len(windows))
-            frames += _from_first(first, number, seed, sensor, windows, recording)
-            continue
-        here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
-        assert make is not None
-        own = engine if here.exit_grid == scene.exit_grid else make(here)
-        assert isinstance(own, Tiled)
-        light = PixelLight(sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch)
-        intensity, beyond = _light_in_bands(
-            own,
-            behind_object,
-            sensor,
-            light,
-            _parts(folder, number, own, behind_object),
-            lambda *told, n=number: tell(f"plane {n + 1}", *told),
-        )
-        share = beyond if number == 0 else share
+            intensity = _light_from_first(first, number, sensor, windows, recording)
+        else:
+            here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
+            assert make is not None
+            own = engine if here.exit_grid == scene.exit_grid else make(here)
+            assert isinstance(own, Tiled)
+            light = PixelLight(
+                sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch
+            )
+            intensity, beyond = _light_in_bands(
+                own,
+                behind_object,
+                sensor,
+                light,
+                _parts(folder, number, own, behind_object),
+                lambda *told, n=number: tell(f"plane {n + 1}", *told),
+            )
+            share = beyond if number == 0 else share
         frames += frames_of_light(
             intensity,
             sensor,
@@ -191,25 +193,16 @@ def drop_parts(folder: Path) -> None:
     shutil.rmtree(folder / PARTS, ignore_errors=True)
 
 
-def _from_first(
-    first: Field,
-    number: int,
-    seed: Seed | None,
-    sensor: Sensor,
-    windows: Sequence[Sensor],
-    recording: Recording,
-) -> tuple[Frame, ...]:
-    """Frames of one plane, its light carried there from the first one through free space."""
+def _light_from_first(
+    first: Field, number: int, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
+) -> Array:
+    """Light on the pixels of one plane, carried there from the first one through free space."""
     planes = recording.plane_distances_mm
     grid = sensor_grid(windows[number], first.grid.z_mm + planes[number] - planes[0], OVERSAMPLING)
-    return record_exposures(
+    return light_on_pixels(
         first if grid == first.grid else propagate(first, grid),
         sensor,
-        planes[number],
-        recording.electronics,
-        seed,
-        recording.exposures,
-        brightest_share=recording.brightest_share,
+        active_width=recording.electronics.active_width,
         oversampling=OVERSAMPLING,
         stage_error_mm=recording.error_mm(number),
         shift_um=recording.place_um(number),

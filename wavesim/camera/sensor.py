@@ -210,64 +210,6 @@ def record(
     return Frame(expose(intensity, exposure, electronics, seed), settings)
 
 
-def record_exposures(
-    field: Field,
-    sensor: Sensor,
-    plane_distance_mm: float,
-    electronics: Electronics,
-    seed: Seed | None,
-    times: Sequence[float],
-    *,
-    brightest_share: float = 0.8,
-    oversampling: int = 2,
-    stage_error_mm: float = 0.0,
-    shift_um: tuple[float, float] = (0.0, 0.0),
-) -> tuple[Frame, ...]:
-    """Record a field several times, each time with another exposure.
-
-    Parameters
-    ----------
-    field, sensor, plane_distance_mm, electronics, seed
-        As of :func:`record`. With one exposure the noise is that of :func:`record`.
-    times
-        Exposures, as multiples of the one that puts `brightest_share` into the brightest pixel.
-    brightest_share, oversampling, stage_error_mm, shift_um
-        As of :func:`record`.
-
-    Raises
-    ------
-    InputError, SamplingError
-        As of :func:`record`, or if there are no exposures, or one is not above 0.
-
-    Warns
-    -----
-    FootprintWarning
-        If light falls beside the sensor.
-    SaturationWarning
-        If pixels are clipped by an exposure of 1 or less; longer ones are meant to clip.
-    """
-    if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
-        raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
-    intensity = light_on_pixels(
-        field,
-        sensor,
-        active_width=electronics.active_width,
-        oversampling=oversampling,
-        stage_error_mm=stage_error_mm,
-        shift_um=shift_um,
-    )
-    return frames_of_light(
-        intensity,
-        sensor,
-        plane_distance_mm,
-        field.wavelength_um,
-        electronics,
-        seed,
-        times,
-        brightest_share,
-    )
-
-
 def frames_of_light(
     intensity: Array,
     sensor: Sensor,
@@ -278,18 +220,31 @@ def frames_of_light(
     times: Sequence[float],
     brightest_share: float = 0.8,
 ) -> tuple[Frame, ...]:
-    """Record light several times; as :func:`record_exposures`, from the mean intensity on each pixel.
+    """Record light several times, each time with another exposure.
+
+    Parameters
+    ----------
+    intensity
+        Mean on each pixel, as :func:`light_on_pixels` gives it.
+    sensor, plane_distance_mm, electronics, seed, brightest_share
+        As of :func:`record`. With one exposure the noise is that of :func:`record`.
+    wavelength_um
+        Of the light, in vacuum.
+    times
+        Exposures, as multiples of the one that puts `brightest_share` into the brightest pixel.
 
     Raises
     ------
     InputError
-        If there is no light, or a setting of a frame is not allowed.
+        If there is no light, there are no exposures, or one, or a setting of a frame, is not allowed.
 
     Warns
     -----
     SaturationWarning
-        If pixels are clipped by an exposure of 1 or less.
+        If pixels are clipped by an exposure of 1 or less; longer ones are meant to clip.
     """
+    if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
+        raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
     least = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
     frames = []
     for time, own in zip(times, exposure_seeds(seed, len(times)), strict=True):

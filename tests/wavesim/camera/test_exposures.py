@@ -24,7 +24,7 @@ from wavesim.camera.exposures import (
 )
 from wavesim.camera.frame_sets import planes_of_frames, read_frames, recorded_planes
 from wavesim.camera.frames import Frame, FrameSettings, write_frame
-from wavesim.camera.sensor import record, record_exposures, sensor_grid
+from wavesim.camera.sensor import frames_of_light, light_on_pixels, record, sensor_grid
 from wavesim.fields.field import Field
 from wavesim.runtime.threads import BLOCK
 
@@ -146,17 +146,20 @@ def test_recording_several_exposures_is_recording_each_and_long_ones_clip_withou
     field = Field(grid, np.exp(-((grid.x_mm / 0.02) ** 2 + (grid.y_mm[:, None] / 0.02) ** 2)) + 0j, 0.532)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        frames = record_exposures(field, sensor, 2.0, CAMERA, None, (1.0, 50.0))
+        light = light_on_pixels(field, sensor, active_width=CAMERA.active_width)
+        frames = frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0, 50.0))
     least = frames[0].settings.exposure
     assert frames[1].settings.exposure == pytest.approx(50.0 * least)
     assert frames[0].saturated.sum() == 0 < frames[1].saturated.sum()
     alone = record(field, sensor, 2.0, CAMERA, 3)
-    assert np.array_equal(record_exposures(field, sensor, 2.0, CAMERA, 3, (1.0,))[0].counts, alone.counts)
+    (one,) = frames_of_light(light, sensor, 2.0, 0.532, CAMERA, 3, (1.0,))
+    assert np.array_equal(one.counts, alone.counts)
+    assert one.settings == alone.settings
     with pytest.warns(SaturationWarning):
-        record_exposures(field, sensor, 2.0, CAMERA, None, (1.0,), brightest_share=2.0)
+        frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0,), brightest_share=2.0)
     for times in ((), (0.0,), (math.inf,)):
         with pytest.raises(InputError, match="times = "):
-            record_exposures(field, sensor, 2.0, CAMERA, None, times)
+            frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, times)
     # In single precision, the light is that of double.
     single = record(field.with_values(field.values.astype(np.complex64)), sensor, 2.0, CAMERA, None)
     assert abs(single.counts.astype(int) - frames[0].counts).max() <= 1
