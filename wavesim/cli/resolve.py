@@ -161,8 +161,8 @@ def _print_resolved(results: list[Any]) -> None:
     if settings:
         print(settings)
     print()
-    columns = "field\n(mm)", "line\n(um)", "contrast", "weakest", "as is", first.reference
-    columns += "refocus\n(um)", "shift\n(um)", "exit\ncorrelation"
+    columns = ["field\n(mm)", "line\n(um)", "contrast", "weakest", "as is", first.reference]
+    columns += ["refocus\n(um)", "shift\n(um)", "exit\ncorrelation"]
     rows = [
         (
             f"{result.field_mm:g}",

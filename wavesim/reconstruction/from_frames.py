@@ -19,8 +19,9 @@ from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
+from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
-from wavesim.reconstruction.resumable import reconstruct_resumably, retrieve_resumably
+from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.placement import Placement
@@ -199,11 +200,10 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
 
 def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
     with engine_on(case.light.grid) as engine:
-        found = reconstruct_resumably(
+        found = reconstruct(
             engine,
             case.light,
             case.recorded,
-            case.checkpoint,
             kind=settings.kind,
             tv_weight=settings.tv_weight,
             iterations=settings.most_iterations,
@@ -211,6 +211,8 @@ def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: Engin
             start="amplitude" if settings.first == "amplitude" else None,
             active_width=settings.active_width,
             progress=told.iteration,
+            resume=progress_kept(case.checkpoint, case.scratch),
+            keep=keeper(case.checkpoint),
             scratch=case.scratch,
         )
     said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_early": found.stopped_early}

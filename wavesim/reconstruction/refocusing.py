@@ -146,11 +146,7 @@ def _middle(field: Field) -> Field:
         slice((whole - own) // 2, (whole - own) // 2 + own)
         for whole, own in zip(field.grid.shape, (rows, columns), strict=True)
     )
-    down, across = (
-        np.sin(np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / (SOFT * n), 0.0, 1.0) * 0.5 * np.pi)
-        ** 2
-        for n in (rows, columns)
-    )
+    down, across = _fading(rows), _fading(columns)
     values = (field.values[part] * down[:, None] * across).astype(field.values.dtype)
     return Field(replace(field.grid, shape=(rows, columns)), values, field.wavelength_um, field.index)
 

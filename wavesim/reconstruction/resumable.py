@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from wavesim.reconstruction.from_field import (
     residual_and_map,
     retrieve,
 )
-from wavesim.reconstruction.from_object import Kind, Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.from_object import Progressed
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
@@ -45,55 +45,11 @@ modulus, and pixels that noise has made 0 would destroy their neighbours."""
 Progress = Callable[[int, float], None]
 
 
-def reconstruct_resumably(
-    engine: Engine,
-    illumination: Field,
-    recorded: Sequence[Recorded],
-    checkpoint: Checkpoint | None = None,
-    *,
-    kind: Kind = "complex",
-    tv_weight: float | Literal["auto"] = 0.0,
-    iterations: int = 30,
-    scale: float | None = None,
-    start: Field | Literal["amplitude"] | None = None,
-    active_width: float = 0.0,
-    progress: Progress | None = None,
-    scratch: Scratch | None = None,
-) -> Reconstructed:
-    """:func:`wavesim.reconstruct`; cut off, the next run goes on as if this one had not been.
+def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed | None:
+    """Where an earlier run of :func:`wavesim.reconstruct` was cut off, if it was, for its `resume`.
 
-    Parameters
-    ----------
-    engine, illumination, recorded, kind, tv_weight, iterations, scale, start, active_width, progress, scratch
-        As of :func:`wavesim.reconstruct`.
-    checkpoint
-        Where the last iteration is kept, no more often than every `KEEP_SECONDS`.
-
-    Raises
-    ------
-    InputError
-        As :func:`wavesim.reconstruct`, or if an iteration cannot be kept.
+    To be given away in the call: no name may hold its arrays to the end.
     """
-    # What was kept is given away in the call: no name here may hold its arrays to the end.
-    return reconstruct(
-        engine,
-        illumination,
-        recorded,
-        kind=kind,
-        tv_weight=tv_weight,
-        iterations=iterations,
-        scale=scale,
-        start=start,
-        active_width=active_width,
-        progress=progress,
-        resume=_progressed(checkpoint, scratch or Scratch()),
-        keep=None if checkpoint is None else _keeper(checkpoint),
-        scratch=scratch,
-    )
-
-
-def _progressed(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed | None:
-    """Where an earlier run was cut off, if it was."""
     kept = checkpoint.load() if checkpoint else None
     if kept is None:
         return None
@@ -156,7 +112,7 @@ def retrieve_resumably(
         iterations=iterations,
         progress=progress,
         resume=None if kept is None else _taken(kept),
-        keep=None if checkpoint is None else _keeper(checkpoint, KEEP_SHARE),
+        keep=keeper(checkpoint, KEEP_SHARE),
     )
     values = found.field.values
     values /= factor
@@ -179,8 +135,10 @@ def _taken(kept: dict[str, Any]) -> RetrievalState:
     return RetrievalState(kept.pop("now"), kept.pop("before"), *curves)
 
 
-def _keeper(checkpoint: Checkpoint, share: float = math.inf) -> Callable[[Any], None]:
-    """Keeps states, so rarely that it takes no more than a share of the time."""
+def keeper(checkpoint: Checkpoint | None, share: float = math.inf) -> Callable[[Any], None] | None:
+    """Keeps states, if there is where to, so rarely that it takes no more than a share of the time."""
+    if checkpoint is None:
+        return None
     last, pause = time.monotonic(), KEEP_SECONDS
 
     def keep(state: Progressed | RetrievalState) -> None:

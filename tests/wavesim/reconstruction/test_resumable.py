@@ -40,7 +40,8 @@ def test_keeping_takes_no_more_than_its_share(monkeypatch: pytest.MonkeyPatch, t
 
     monkeypatch.setattr(resumable, "time", clock)
     monkeypatch.setattr(Checkpoint, "keep", slow)
-    keep = resumable._keeper(checkpoint, resumable.KEEP_SHARE)
+    keep = resumable.keeper(checkpoint, resumable.KEEP_SHARE)
+    assert keep is not None
     for _ in range(1000):
         clock.now += 1.0
         keep(state)

@@ -6,6 +6,7 @@ import resource
 import signal
 import sys
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.illumination import field_stop
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_object import Progressed
-from wavesim.reconstruction.resumable import reconstruct_resumably
+from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.resumable import keeper, progress_kept
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.scene import Scene
@@ -37,13 +38,34 @@ def taken(paper_lens: Lens) -> tuple[Any, Field, list[Recorded]]:
     return engine, light, [Recorded(0.0, np.abs(engine.forward(light).values).astype(np.float32))]
 
 
+def resumably(
+    taken: tuple[Any, Field, list[Recorded]],
+    checkpoint: Checkpoint,
+    progress: Callable[[int, float], None],
+    scratch: Scratch | None = None,
+) -> Reconstructed:
+    engine, light, recorded = taken
+    # Starred arguments would hold what was kept to the end.
+    return reconstruct(
+        engine,
+        light,
+        recorded,
+        kind="amplitude",
+        iterations=6,
+        progress=progress,
+        resume=progress_kept(checkpoint, scratch or Scratch()),
+        keep=keeper(checkpoint),
+        scratch=scratch,
+    )
+
+
 def cut_off(taken: tuple[Any, Field, list[Recorded]], checkpoint: Checkpoint) -> None:
     def stop(number: int, misfit: float) -> None:
         if number == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reconstruct_resumably(*taken, checkpoint, kind="amplitude", iterations=6, progress=stop)
+        resumably(taken, checkpoint, stop)
 
 
 def test_what_was_kept_is_let_go_of_after_an_iteration(
@@ -67,14 +89,12 @@ def test_what_was_kept_is_let_go_of_after_an_iteration(
         alive.append(sum(one() is not None for one in read))
 
     room = Scratch(tmp_path, 0.0)
-    resumed = reconstruct_resumably(
-        *taken, checkpoint, kind="amplitude", iterations=6, progress=count, scratch=room
-    )
+    resumed = resumably(taken, checkpoint, count, room)
     assert len(read) == 2
     # The step before is needed for the first step alone, and is told of before it goes.
     assert len(alive) == 4
     assert alive[1:] == [0, 0, 0]
-    whole = reconstruct_resumably(*taken, kind="amplitude", iterations=6)
+    whole = reconstruct(*taken, kind="amplitude", iterations=6)
     np.testing.assert_allclose(resumed.transmission.values, whole.transmission.values, atol=1e-6)
 
 
