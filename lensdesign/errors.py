@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from numbers import Integral
 from pathlib import Path
 
 
@@ -36,6 +37,18 @@ def refuse_not_positive(name: str, value: float) -> None:
     """Raise InputError unless a value is finite and above 0."""
     if not (math.isfinite(value) and value > 0.0):
         raise InputError(f"{name} = {value!r}: must be finite and above 0")
+
+
+def refuse_not_whole(name: str, value: int, least: int) -> None:
+    """Raise InputError unless a value is a whole number that is large enough."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise InputError(f"{name} = {value!r}: must be a whole number from {least}")
+
+
+def refuse_other(name: str, value: str, allowed: Sequence[str]) -> None:
+    """Raise InputError unless a value is one of those that are allowed."""
+    if value not in allowed:
+        raise InputError(f"{name} = {value!r}: allowed: {', '.join(allowed)}")
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_whole
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum, interpolated_minimum
@@ -160,8 +160,7 @@ def calibrate(
         If a value or a shape is not usable, or no light gets through the lens at the start.
     """
     refuse_parameters(parameters, len(recorded))
-    if most_mountings < 1:
-        raise InputError(f"most_mountings = {most_mountings}: must be at least 1")
+    refuse_not_whole("most_mountings", most_mountings, 1)
     if known is not None and known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
     seen = _Seen(scene, illumination, recorded, known, kind, tv_weight, iterations, scale, active_width, make)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_whole
 from lensdesign.lens.lens import Sensor
 from wavesim.camera.exposures import (
     Electronics,
@@ -45,8 +45,7 @@ def sensor_grid(sensor: Sensor, z_mm: float, oversampling: int = 1) -> Grid:
 
     The sensor's middle is on the axis.
     """
-    if not (isinstance(oversampling, int | np.integer) and oversampling >= 1):
-        raise InputError(f"oversampling = {oversampling!r}: must be a whole number from 1")
+    refuse_not_whole("oversampling", oversampling, 1)
     shape = (sensor.pixels[1] * oversampling, sensor.pixels[0] * oversampling)
     return Grid(shape, 1e-3 * sensor.pixel_pitch_um / oversampling, z_mm)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lensdesign.common.toml_files import did_you_mean
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_whole
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.guards import SamplingWarning
@@ -213,8 +213,7 @@ def choose(
     for name, value in (("memory_gb", memory_gb), ("seconds", seconds)):
         if not value > 0.0:
             raise InputError(f"{name} = {value!r}: must be above 0")
-    if runs < 1:
-        raise InputError(f"runs = {runs}: must be at least 1")
+    refuse_not_whole("runs", runs, 1)
     allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
     weighed = tuple(predictions(scene, error))
     holding = [p for p in weighed if allowed.fault(p) is None]

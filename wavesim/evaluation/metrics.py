@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_other
 from wavesim.evaluation.similarity import Mask, Picture
 from wavesim.fields.coverage import refuse_finer
 from wavesim.fields.field import Array, Field, Grid
@@ -90,8 +90,7 @@ def bar_contrast(
         If its lines are narrower than two samples.
     """
     intensity = _intensity(picture, grid)
-    if ground not in ("bright", "dark"):
-        raise InputError(f"ground = {ground!r}: allowed: bright, dark")
+    refuse_other("ground", ground, ("bright", "dark"))
     name = f"lines (group {element.group}, element {element.element})"
     refuse_finer(grid, element.line_width_um, name)
     return ElementContrast(

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lensdesign.common.input_files import check_input
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_other
 from wavesim.fields.coverage import (
     Rectangle,
     disc_coverage,
@@ -215,8 +215,7 @@ def field_stop(grid: Grid, shape: StopShape, width_mm: float, edge_mm: float = 0
     """
     refuse_line(grid)
     refuse_not_positive("width_mm", width_mm)
-    if shape not in ("disc", "square"):
-        raise InputError(f"field stop shape = {shape!r}: allowed: disc, square")
+    refuse_other("field stop shape", shape, ("disc", "square"))
     if not 0.0 <= edge_mm <= width_mm:
         raise InputError(f"edge_mm = {edge_mm!r}: must lie between 0 and width_mm = {width_mm:g}")
     widest = 2.0 * min(grid.half_widths_mm)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import refuse_not_positive, refuse_not_whole
 from wavesim.fields.coverage import refuse_finer, refuse_line
 from wavesim.fields.field import Array, Grid
 from wavesim.objects.targets import ComplexArray, band_limit
@@ -65,8 +65,7 @@ def tissue_phantom(grid: Grid, seed: int, wavelength_um: float, numerical_apertu
     refuse_line(grid)
     refuse_not_positive("wavelength_um", wavelength_um)
     refuse_not_positive("numerical_aperture", numerical_aperture)
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError(f"seed = {seed!r}: must be a whole number from 0")
+    refuse_not_whole("seed", seed, 0)
     refuse_finer(grid, FIBRE_WIDTH_UM, "fibres")
     nuclei_seed, fibre_seed, ground_seed = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.input_files import check_input
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.fields.coverage import (
     ROUNDING,
     Rectangle,
@@ -40,8 +40,7 @@ Ground = Literal["bright", "dark"]
 
 def on_ground(coverage: Array, ground: Ground) -> ComplexArray:
     """Transmission of opaque shapes on a bright ground, or of clear ones on a dark ground."""
-    if ground not in ("bright", "dark"):
-        raise InputError(f"ground = {ground!r}: allowed: bright, dark")
+    refuse_other("ground", ground, ("bright", "dark"))
     return np.asarray(coverage if ground == "dark" else 1.0 - coverage, complex)
 
 
@@ -72,8 +71,7 @@ def line_pairs(
     """
     refuse_not_positive("line_width_um", line_width_um)
     refuse_finer(grid, line_width_um, "bars")
-    if isinstance(bars, bool) or not isinstance(bars, int) or bars < 2:
-        raise InputError(f"bars = {bars!r}: must be a whole number, at least 2")
+    refuse_not_whole("bars", bars, 2)
     width = 1e-3 * line_width_um
     shapes = bar_rectangles(width, bars, orientation, grid.centre_mm, (2 * bars - 1) * width)
     return on_ground(rectangle_coverage(grid, shapes), ground)
@@ -106,8 +104,7 @@ def siemens_star(
         If the spokes' inner ends are narrower than two samples.
     """
     refuse_line(grid)
-    if isinstance(spokes, bool) or not isinstance(spokes, int) or spokes < 2:
-        raise InputError(f"spokes = {spokes!r}: must be a whole number, at least 2")
+    refuse_not_whole("spokes", spokes, 2)
     refuse_not_positive("inner_radius_mm", inner_radius_mm)
     if not inner_radius_mm < radius_mm < math.inf:
         raise InputError(
@@ -142,8 +139,7 @@ def phase_pads(
     refuse_not_positive("pad_um", pad_um)
     if not math.isfinite(phase_rad):
         raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
-    if isinstance(levels, bool) or not isinstance(levels, int) or levels < 1:
-        raise InputError(f"levels = {levels!r}: must be a whole number, at least 1")
+    refuse_not_whole("levels", levels, 1)
     bars = bar_rectangles(1e-3 * pad_um, levels, "x", centre_mm, 1e-3 * pad_um)
     return tuple((bar, phase_rad * (level + 1) / levels) for level, bar in enumerate(bars))
 
@@ -179,8 +175,7 @@ def phase_target(
         If a pad is narrower than two samples, or the phase of a smooth one changes by more
         than pi from sample to sample.
     """
-    if profile not in ("binary", "smooth"):
-        raise InputError(f"profile = {profile!r}: allowed: binary, smooth")
+    refuse_other("profile", profile, ("binary", "smooth"))
     pads = phase_pads(pad_um, phase_rad, levels, grid.centre_mm)
     refuse_finer(grid, pad_um, "phase pads")
     pitch_um = 1e3 * grid.pitch_mm
@@ -238,8 +233,7 @@ def picture_target(
     """
     refuse_line(grid)
     refuse_not_positive("pixel_um", pixel_um)
-    if quantity not in ("intensity", "amplitude", "phase"):
-        raise InputError(f"quantity = {quantity!r}: allowed: intensity, amplitude, phase")
+    refuse_other("quantity", quantity, ("intensity", "amplitude", "phase"))
     if not math.isfinite(phase_rad):
         raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
     grey = read_grey(path)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import hankel1, jv, yv
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
@@ -119,8 +119,7 @@ class Cylinder:
         InputError
             If p is not a whole number from 0.
         """
-        if isinstance(p, bool) or not isinstance(p, int | np.integer) or p < 0:
-            raise InputError(f"p = {p!r}: must be a whole number from 0")
+        refuse_not_whole("p", p, 0)
         returned, through, kept = self._matched
         return returned if p == 0 else np.asarray(0.5 * through * kept ** (p - 1))
 

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.pupil import Array, ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
 
@@ -199,8 +199,7 @@ class _Target:
 @lru_cache(maxsize=512)
 def _target(grid: PupilGrid, width_um: float, axis: int, bars: int) -> _Target:
     refuse_not_positive("line_width_um", width_um)
-    if isinstance(bars, bool) or not isinstance(bars, int) or bars < 2:
-        raise InputError(f"bars = {bars!r}: must be a whole number, at least 2")
+    refuse_not_whole("bars", bars, 2)
     refuse_wide(
         grid, (2 * bars + 3) * width_um, f"a target of {bars} bars of {width_um:g} um, with its edge,"
     )
@@ -236,7 +235,6 @@ def _along(values: NDArray, axis: int) -> NDArray:
 
 
 def _coordinates(width_um: float, bars: int, points: int) -> Array:
-    if points < 2:
-        raise InputError(f"points = {points}: must be at least 2")
+    refuse_not_whole("points", points, 2)
     half = (bars + 1.5) * width_um
     return np.linspace(-half, half, points)

@@ -11,7 +11,7 @@ import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
 from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
@@ -63,8 +63,7 @@ class PatchGrid:
         axis = axis_of(orientation)
         if self.line and axis == 0:
             raise InputError("orientation = 'x': a meridional line has bars along 'y' only")
-        if isinstance(bars, bool) or not isinstance(bars, int) or bars < 2:
-            raise InputError(f"bars = {bars!r}: must be a whole number, at least 2")
+        refuse_not_whole("bars", bars, 2)
         length = (2 * bars - 1) * line_width_um
         if not (math.isfinite(line_width_um) and 0.0 < length <= self.side_um):
             raise InputError(

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_whole
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Array, Field
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
@@ -68,8 +68,7 @@ def uncertainty(
     InputError
         If there are fewer than two repeats, or a plane has no sigma.
     """
-    if repeats < 2:
-        raise InputError(f"repeats = {repeats}: must be at least 2")
+    refuse_not_whole("repeats", repeats, 2)
     if any(plane.sigma is None for plane in recorded):
         raise InputError("uncertainty: needs sigma on every plane")
     clean = RecordingModel(engine, illumination, recorded, found.scale, active_width).amplitudes(

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_not_whole
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.retrieval_steps import (
@@ -355,8 +355,7 @@ def _refuse(
     refuse_planes(recorded, grid.shape, "the grid's")
     if len({plane.distance_mm for plane in recorded}) < len(recorded):
         raise InputError("two planes have the same distance_mm: they must differ")
-    if iterations < 1:
-        raise InputError(f"iterations = {iterations}: must be at least 1")
+    refuse_not_whole("iterations", iterations, 1)
     if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
         raise InputError(
             f"feedback = {feedback}, tv_step = {tv_step!r}: must be finite, the step not negative"

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import refuse_planes
@@ -287,13 +287,11 @@ def _refuse(
     if not recorded:
         raise InputError("recorded: must be one plane at least")
     refuse_planes(recorded, engine.scene.exit_grid.shape, "the exit grid's")
-    if kind not in ("complex", "amplitude"):
-        raise InputError(f"kind = {kind!r}: allowed: complex, amplitude")
+    refuse_other("kind", kind, ("complex", "amplitude"))
     if tv_weight != "auto" and (
         isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
     ):
         raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
-    if iterations < 1:
-        raise InputError(f"iterations = {iterations}: must be at least 1")
+    refuse_not_whole("iterations", iterations, 1)
     if scale is not None:
         refuse_not_positive("scale", scale)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
@@ -65,8 +65,7 @@ class Scene:
                 f"exit grid at z = {self.exit_grid.z_mm:g} mm: must not lie in front of the exit vertex, "
                 f"z >= {exit_vertex:g} mm"
             )
-        if self.coating not in ("ideal", "bare"):
-            raise InputError(f"coating = {self.coating!r}: allowed: ideal, bare")
+        refuse_other("coating", self.coating, ("ideal", "bare"))
         if self.system.trials is not None:
             raise InputError("a scene is that of one lens: the perturbations hold many trials")
 

@@ -28,7 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, refuse_other
 from wavesim.engines.slices.compensation import (
     CentreRays,
     border_light,
@@ -121,10 +121,8 @@ class AnnularSlices(Engine):
         whole = isinstance(slices, int | np.integer) and not isinstance(slices, bool)
         if not whole or not 1 <= slices <= MOST_SLICES:
             raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {MOST_SLICES}")
-        if compensation not in ("vertical", "oblique"):
-            raise InputError(f"compensation = {compensation!r}: allowed: vertical, oblique")
-        if spacing not in ("equal", "paper", "equal-phase"):
-            raise InputError(f"spacing = {spacing!r}: allowed: equal, paper, equal-phase")
+        refuse_other("compensation", compensation, ("vertical", "oblique"))
+        refuse_other("spacing", spacing, ("equal", "paper", "equal-phase"))
         self.slices, self.compensation, self.spacing = int(slices), compensation, spacing
         self.force = bool(force)
         self._asked = (pitch_mm, half_width_mm)

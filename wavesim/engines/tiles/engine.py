@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import edge_error, shared_spans
 from wavesim.engines.tiles.operator import TileOperator, precision_for
@@ -107,8 +107,7 @@ class EikonalTiles(Engine):
             refuse_not_positive("tile_width_mm", tile_width_mm)
         if not LEAST_ERROR <= error <= 1.0:
             raise InputError(f"error = {error!r}: must be from 1e-5 to 1")
-        if quadratic not in get_args(Quadratic):
-            raise InputError(f"quadratic = {quadratic!r}: allowed: {', '.join(get_args(Quadratic))}")
+        refuse_other("quadratic", quadratic, get_args(Quadratic))
         if plane_z_mm is not None and not math.isfinite(plane_z_mm):
             raise InputError(f"plane_z_mm = {plane_z_mm!r}: must be finite")
         self._tile_width_mm, self._error, self._quadratic = tile_width_mm, error, quadratic

@@ -34,7 +34,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.errors import SamplingError, refuse_not_positive, refuse_other
 from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
 from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission, sample_surfaces
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
@@ -116,8 +116,7 @@ class WavePropagation(Engine):
         force: bool = False,
     ) -> None:
         super().__init__(scene)
-        if interface not in ("substep", "staircase"):
-            raise InputError(f"interface = {interface!r}: allowed: substep, staircase")
+        refuse_other("interface", interface, ("substep", "staircase"))
         if step_um is not None:
             refuse_not_positive("step_um", step_um)
         self.interface = interface
