@@ -90,8 +90,7 @@ def _draw(
         )
     axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
     axes.grid(alpha=0.3, which="major")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:

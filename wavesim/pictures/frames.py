@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.text import visible
 from lensdesign.errors import atomic_path
+from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
 from wavesim.camera.recorded import Array as Floats
 from wavesim.fields.field import Array, Field
@@ -23,6 +24,9 @@ BAR_SHARE = 0.2
 
 MOST_DRAWN = 2048
 """Samples along a side of a picture; more would only cost time and memory."""
+
+PHASE_QUANTILE = 0.995
+"""Of the modulus of phases, which the colours are to hold."""
 
 CURVE = "#1f5fa8"
 DPI = 160
@@ -65,7 +69,7 @@ def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
         gain = settings.gain_electrons_per_count
         counts, pitch_um = _for_screen(frame.counts, settings.pixel_pitch_um)
         electrons = (counts - settings.offset_counts) * gain
-        low = max(math.hypot(settings.read_noise_electrons, gain / math.sqrt(12.0)), 1e-3)
+        low = max(math.sqrt(fixed_variance(frame)), 1e-3)
         norm = LogNorm(low, max(float(electrons.max()), 10.0 * low))
         shown = np.maximum(electrons, low)
         picture = place.imshow(shown, cmap="inferno", norm=norm, **AS_SAMPLED)
@@ -97,7 +101,7 @@ def object_figure(transmission: Field, inside: Any, title: str = "") -> Figure:
         # Phase says nothing where there is no light.
         lit = inside & (np.abs(values) > 0.1 * brightest)
         phase = np.where(lit, np.angle(values), np.nan)
-        reach = _phase_reach(phase)
+        reach = phase_reach(phase)
         shown.append((phase, "twilight" if reach == math.pi else "RdBu_r", -reach, reach, "phase (rad)"))
     figure, axes = _row(len(shown), title)
     for place, (values, colours, low, high, label) in zip(axes, shown, strict=True):
@@ -109,10 +113,10 @@ def object_figure(transmission: Field, inside: Any, title: str = "") -> Figure:
     return figure
 
 
-def _phase_reach(phase: Array) -> float:
-    """Half the range of the colours: all of a turn, or less where the phase keeps to less."""
+def phase_reach(phase: Array) -> float:
+    """Half the range of the colours: half a turn, or less where the phase keeps to less."""
     known = phase[np.isfinite(phase)]
-    largest = float(np.quantile(np.abs(known), 0.995)) if known.size else 0.0
+    largest = float(np.quantile(np.abs(known), PHASE_QUANTILE)) if known.size else 0.0
     return math.pi if largest > 0.5 * math.pi else max(1.1 * largest, 0.1)
 
 
@@ -157,8 +161,7 @@ def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -
         if np.min(y) > 0.0 and np.max(y) > 10.0 * np.min(y):
             place.set_yscale("log")
         place.grid(alpha=0.3, which="both")
-        for side in ("top", "right"):
-            place.spines[side].set_visible(False)
+        place.spines[["top", "right"]].set_visible(False)
     return figure
 
 
@@ -201,8 +204,7 @@ def _scale_bar(axes: Any, shape: tuple[int, ...], pitch_um: float) -> None:
     length_um = _round_length(BAR_SHARE * columns * pitch_um)
     left, low, length = 0.0, -0.025 * rows, length_um / pitch_um
     axes.set(xticks=[], yticks=[])
-    for side in axes.spines.values():
-        side.set_visible(False)
+    axes.spines[:].set_visible(False)
     axes.plot([left, left + length], [low, low], color="black", lw=3.0, clip_on=False, solid_capstyle="butt")
     text = f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm"
     axes.text(left + length + 0.015 * columns, low, text, va="center", ha="left", fontsize=10)

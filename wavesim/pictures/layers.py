@@ -9,8 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
 from wavesim.fields.field import Array
+from wavesim.pictures.frames import phase_reach
 from wavesim.pictures.pyramid import Function, Level, halved, picture_levels
 
 BRIGHTEST = 0.9999
@@ -18,9 +20,6 @@ BRIGHTEST = 0.9999
 
 LIT = 0.1
 """Of the brightest amplitude, below which phase says nothing."""
-
-PHASE_QUANTILE = 0.995
-"""Of the modulus of phases, which the colours are to hold."""
 
 MOST_ASKED = 1_000_000
 """Samples by which ranges are found."""
@@ -99,7 +98,7 @@ def field_layers(
     above = any(np.abs(row).max() > brightest for row in values)
     layers = [layer("amplitude", "", picture_levels(upright, "amplitude"), 0.0, brightest, above, "gray")]
     if np.iscomplexobj(values) and any(np.any(row.imag) for row in values):
-        reach = _phase_reach(some, LIT * brightest)
+        reach = phase_reach(np.angle(some[np.abs(some) > LIT * brightest]))
         turn = reach == math.pi
         levels = [
             Level(level.kept, _phase_where_lit(LIT * brightest))
@@ -130,7 +129,7 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
 
     levels = [Level(frame.counts[::-1], electrons)]
     levels += picture_levels(halved(levels[0].kept, electrons), "electrons")
-    low = max(math.hypot(settings.read_noise_electrons, gain / math.sqrt(12.0)), 1e-3)
+    low = max(math.sqrt(fixed_variance(frame)), 1e-3)
     high = max(float(electrons(frame.counts.max())), 10.0 * low)
     beyond = float(electrons(frame.counts.min())) < low, False
     pitch_um = settings.pixel_pitch_um
@@ -150,10 +149,3 @@ def _phase_where_lit(least: float) -> Function:
         return np.where(np.abs(values) > least, np.angle(values), np.nan)
 
     return phase
-
-
-def _phase_reach(values: Any, least: float) -> float:
-    """Half the range of the colours: half a turn, or less where the phase keeps to less."""
-    lit = values[np.abs(values) > least]
-    largest = float(np.quantile(np.abs(np.angle(lit)), PHASE_QUANTILE)) if lit.size else 0.0
-    return math.pi if largest > 0.5 * math.pi else max(1.1 * largest, 0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def convergence_figure(runs: Mapping[str, Retrieved], title: str = "Convergence 
         "relative residual, first plane": lambda run: np.asarray(run.residual_curve),
     }
     for axes, (label, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
-        for (name, run), colour in zip(runs.items(), _colours(len(runs)), strict=True):
+        for (name, run), colour in zip(runs.items(), cycle(COLOURS), strict=False):
             values = np.maximum(curve(run), 1e-16)
             iterations = np.arange(len(values))
             axes.semilogy(iterations, values, color=colour, label=name)
@@ -118,7 +119,3 @@ def _extent_um(field: Field) -> tuple[float, float, float, float]:
     (half_y, half_x), (x, y) = field.grid.half_widths_mm, field.grid.centre_mm
     left, right, low, high = (1e3 * edge for edge in (x - half_x, x + half_x, y - half_y, y + half_y))
     return left, right, low, high
-
-
-def _colours(count: int) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(count)]

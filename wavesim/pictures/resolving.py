@@ -111,8 +111,7 @@ def _dress(axes: Any, result: Resolved, threshold: float) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
     axes.grid(alpha=0.3)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _near(tick: float, widths: Sequence[float]) -> bool:

@@ -34,7 +34,7 @@ from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.characteristic import point_characteristic
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
 from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch
-from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil
+from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import Neglected
 from wavesim.scene.placement import NOMINAL, Placement, placed
 
@@ -119,11 +119,6 @@ class PatchChain:
     def patch(self) -> PatchGrid:
         """Samples of the object."""
         return PatchGrid(self.patch_um, self.rays.base.grid.wavelength_um, self.line)
-
-    @property
-    def object_coordinates_um(self) -> Array:
-        """Samples of the patch along each axis, from its middle."""
-        return self.patch.coordinates_um
 
     def bars(self, line_width_um: float, orientation: Orientation = "y", bars: int = 5) -> ComplexArray:
         """Bright bars on a dark ground in the patch's middle; edges are shared between samples.
