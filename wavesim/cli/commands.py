@@ -12,7 +12,6 @@ from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from lensdesign.lens.poses import Pose
 from wavesim.cli.calibrate import calibrate
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
@@ -22,6 +21,7 @@ from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import choose, resolve
 from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
+from wavesim.scene.settings import PoseSettings
 
 app = make_app("Waves through spatial information transfer lenses.")
 for command in (oracle, resolve, choose, compare, image, reconstruct, calibrate, view):
@@ -31,17 +31,13 @@ MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
 
 
 @app.command()
+@with_settings
 def pupil(
     design: Design,
+    mounted: PoseSettings,
     field_mm: Annotated[str, typer.Option(help="Object point: x,y.")] = "0,0",
     wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
     plane_distance_mm: Annotated[float, typer.Option(help="From the exit vertex to the plane.")] = 3.0,
-    decenter_x_mm: Annotated[float, typer.Option(help="Shift of the lens along x.")] = 0.0,
-    decenter_y_mm: Annotated[float, typer.Option(help="Shift of the lens along y.")] = 0.0,
-    despace_mm: Annotated[float, typer.Option(help="Shift of the lens towards the sensor.")] = 0.0,
-    tilt_x_deg: Annotated[float, typer.Option(help="Rotation of the lens about x.")] = 0.0,
-    tilt_y_deg: Annotated[float, typer.Option(help="Rotation of the lens about y.")] = 0.0,
-    pivot_z_mm: Annotated[float, typer.Option(help="Centre of rotation, from the front vertex.")] = 0.0,
     linewidths_um: Annotated[str, typer.Option(help="Line widths, separated by commas.")] = "1.55,0.775,0.6",
     refocus: Annotated[bool, typer.Option(help="Whether to refocus digitally.")] = True,
     samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
@@ -61,7 +57,6 @@ def pupil(
 
     field = numbers(field_mm, "--field-mm", 2)
     widths = numbers(linewidths_um, "--linewidths-um")
-    pose = Pose(decenter_x_mm, decenter_y_mm, despace_mm, tilt_x_deg, tilt_y_deg, pivot_z_mm)
     refuse_no_picture(output)
     lens = load_design(design)
     if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
@@ -70,7 +65,7 @@ def pupil(
             f"{lens.half_field_mm:g} mm, half the design's field_diameter_mm"
         )
     sampler = PupilSampler(lens, field, wavelength_um, plane_distance_mm, samples)
-    registered = (to_best_focus if refocus else remove_shift)(sampler.pupil(pose))
+    registered = (to_best_focus if refocus else remove_shift)(sampler.pupil(mounted.pose))
     summary = {
         "design": lens.title or design.stem,
         "field_mm": list(field),
