@@ -247,7 +247,6 @@ def predicted_relative_error(
     numerical_aperture: float,
     distance_mm: float,
     *,
-    index: float = 1.0,
     pad: Pad = "auto",
 ) -> float:
     """Relative L2 error with which a grid carries a Gaussian beam from its waist in the grid's middle.
@@ -257,10 +256,10 @@ def predicted_relative_error(
 
     Parameters
     ----------
-    grid, wavelength_um, distance_mm, index, pad
+    grid, wavelength_um, distance_mm, pad
         As of :class:`wavesim.fields.passage.Passage`.
     numerical_aperture
-        Index times the sine of the angle at which the intensity is 1/e^2 of that on the axis.
+        Sine of the angle at which the intensity is 1/e^2 of that on the axis.
 
     Returns
     -------
@@ -269,18 +268,17 @@ def predicted_relative_error(
     """
     spread = 1e3 * numerical_aperture / wavelength_um
     waist = 1.0 / (math.pi * spread)
-    sine = numerical_aperture / index
 
     def beam(half: float) -> float:
         # The spectrum is Gaussian in the sine, so that the beam is wider the farther out it is asked for.
-        return math.hypot(waist, sine * math.hypot(half, distance_mm))
+        return math.hypot(waist, numerical_aperture * math.hypot(half, distance_mm))
 
     counts = pad
     if counts == "auto":
-        counts = period_counts(grid, grid, wavelength_um, index, distance_mm)
+        counts = period_counts(grid, grid, wavelength_um, 1.0, distance_mm)
     lost = 0.0
     for count, half in zip(counts, grid.half_widths_mm, strict=True):
-        lost += 2.0 * _outside(0.5 / grid.pitch_mm, spread) + _outside(1e3 * index / wavelength_um, spread)
+        lost += 2.0 * _outside(0.5 / grid.pitch_mm, spread) + _outside(1e3 / wavelength_um, spread)
         lost += _outside(half, waist)
         if count * grid.pitch_mm < 4.0 * half:
             farthest = count * grid.pitch_mm - half

@@ -87,7 +87,7 @@ def plane_wave(
 
 
 def gaussian_beam(
-    grid: Grid, wavelength_um: float, waist_radius_mm: float, beyond_waist_mm: float = 0.0, index: float = 1.0
+    grid: Grid, wavelength_um: float, waist_radius_mm: float, beyond_waist_mm: float = 0.0
 ) -> Field:
     """A paraxial Gaussian beam along the axis through the grid's centre, of amplitude 1 in the waist.
 
@@ -102,8 +102,6 @@ def gaussian_beam(
     beyond_waist_mm
         Distance of the grid behind the waist; negative if the light still converges. The phase of a plane
         wave over it, exp(i k z), is left out.
-    index
-        Of the medium.
 
     Raises
     ------
@@ -113,25 +111,24 @@ def gaussian_beam(
         If the waist is narrower than two samples.
     """
     refuse_not_positive("wavelength_um", wavelength_um)
-    refuse_not_positive("index", index)
     refuse_not_positive("waist_radius_mm", waist_radius_mm)
     if not math.isfinite(beyond_waist_mm):
         raise InputError(f"beyond_waist_mm = {beyond_waist_mm!r}: must be finite")
-    smallest = SMALLEST_WAIST * 1e-3 * wavelength_um / index
+    smallest = SMALLEST_WAIST * 1e-3 * wavelength_um
     if waist_radius_mm < smallest:
         raise InputError(
             f"waist_radius_mm = {waist_radius_mm:g}: a paraxial beam needs {smallest:.4g} mm or more"
         )
     # The spectrum is that of the waist at any distance.
     refuse_finer(grid, 1e3 * waist_radius_mm, "a Gaussian waist")
-    wavenumber = 2e3 * math.pi * index / wavelength_um
+    wavenumber = 2e3 * math.pi / wavelength_um
     spread = complex(waist_radius_mm**2, 2.0 * beyond_waist_mm / wavenumber)
     y, x = grid.y_mm - grid.centre_mm[1], grid.x_mm - grid.centre_mm[0]
     down = cmath.sqrt(waist_radius_mm**2 / spread) * np.exp(-(y**2) / spread)
     if grid.is_line:
-        return Field(grid, down, wavelength_um, index)
+        return Field(grid, down, wavelength_um)
     across = cmath.sqrt(waist_radius_mm**2 / spread) * np.exp(-(x**2) / spread)
-    return Field(grid, np.outer(down, across), wavelength_um, index)
+    return Field(grid, np.outer(down, across), wavelength_um)
 
 
 def measured_field(
@@ -139,7 +136,6 @@ def measured_field(
     grid: Grid,
     wavelength_um: float,
     pitch_um: float | None = None,
-    index: float = 1.0,
 ) -> Field:
     """A complex field from a file about the grid's centre, by cubic splines between its samples.
 
@@ -154,8 +150,6 @@ def measured_field(
         Vacuum wavelength; if the file states one, it must be the same.
     pitch_um
         Between the file's samples; needed unless the file states it.
-    index
-        Of the medium.
 
     Raises
     ------
@@ -180,7 +174,7 @@ def measured_field(
         )
     rows, columns = values.shape
     if (rows, columns) == grid.shape and math.isclose(1e-3 * pitch, grid.pitch_mm, rel_tol=1e-9):
-        return Field(grid, values, wavelength_um, index)
+        return Field(grid, values, wavelength_um)
     source = Grid((rows, columns), 1e-3 * pitch, grid.z_mm, grid.centre_mm)
     for name, have, need in (("x", source.x_mm, grid.x_mm), ("y", source.y_mm, grid.y_mm)):
         if need[-1] - need[0] > (have[-1] - have[0]) * (1.0 + 1e-9):
@@ -189,7 +183,7 @@ def measured_field(
                 f"grid's {need[-1] - need[0]:.4g} mm; give a smaller grid or a larger measurement"
             )
     _tell_fine(values, source, grid)
-    return Field(grid, _splined(values, source, grid), wavelength_um, index)
+    return Field(grid, _splined(values, source, grid), wavelength_um)
 
 
 def field_stop(grid: Grid, shape: StopShape, width_mm: float, edge_mm: float = 0.0) -> Array:

@@ -233,10 +233,8 @@ def iterated(
     return state
 
 
-def retrieval_bytes(
-    shape: tuple[int, ...], distances_mm: Sequence[float], dtype: Any = np.complex64, masked: bool = True
-) -> int:
-    """Most bytes that :func:`retrieve` takes at one time, beside its arguments and with its result.
+def retrieval_bytes(shape: tuple[int, ...], distances_mm: Sequence[float], masked: bool = True) -> int:
+    """Most bytes that :func:`retrieve` takes in single precision, beside its arguments and with its result.
 
     Parameters
     ----------
@@ -244,12 +242,10 @@ def retrieval_bytes(
         Of the grid.
     distances_mm
         Of the recorded planes from the plane sought. One at 0 takes no transforms.
-    dtype
-        Of the field: complex64 for amplitudes of float32.
     masked
         Whether planes have pixels that tell nothing.
     """
-    samples, item = math.prod(shape), np.dtype(dtype).itemsize
+    samples, item = math.prod(shape), np.dtype(np.complex64).itemsize
     carried = sum(distance != 0.0 for distance in distances_mm)
     # This field and the one before; for each plane its field and a quarter of a carrier; rows beside blocks.
     fields = 2.0 + 1.25 * carried + 2.0 * shape[-1] * item / BLOCK_BYTES

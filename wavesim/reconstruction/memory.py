@@ -32,9 +32,8 @@ def reconstruction_bytes(
     kind: Kind = "complex",
     active_width: float = 0.0,
     with_sigma: bool = True,
-    itemsize: int = COMPLEX64,
 ) -> Need:
-    """Memory that :func:`wavesim.reconstruct` takes, beside Python and its libraries (some 0.3 GB).
+    """Memory that :func:`wavesim.reconstruct` takes in complex64, beside Python and libraries (some 0.3 GB).
 
     Parameters
     ----------
@@ -46,8 +45,6 @@ def reconstruction_bytes(
         As of :func:`wavesim.reconstruct`.
     with_sigma
         Whether recorded amplitudes come with standard deviations.
-    itemsize
-        Bytes of a complex sample: 8 for complex64, 16 for complex128.
 
     Returns
     -------
@@ -55,7 +52,7 @@ def reconstruction_bytes(
         Illumination, recorded arrays and last steps are those that can lie in files.
     """
     scene, planes = engine.scene, len(distances_mm)
-    source, behind = itemsize * scene.object_grid.size, itemsize * scene.exit_grid.size
+    source, behind = COMPLEX64 * scene.object_grid.size, COMPLEX64 * scene.exit_grid.size
     step = source // 2 if kind == "amplitude" else source
     far = sum(distance != 0.0 for distance in distances_mm)
     kept = movable(source) + movable(2 * step) + movable(planes * behind * (1.0 if with_sigma else 0.5))

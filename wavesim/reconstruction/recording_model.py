@@ -95,7 +95,7 @@ class RecordingModel:
         missed = sum(behind.replace(plane, self.scale) for plane in self._planes)
         return self._to_object(behind.changed()), self.scale * math.sqrt(missed) / self.size
 
-    def noise_of_step(self, seed: int = 0) -> float:
+    def noise_of_step(self) -> float:
         """Standard deviation that the amplitudes' noise gives a step at scale 1, in either part of it.
 
         One draw of the noise goes back through the lens, so that aperture, windows and weights count as they
@@ -113,7 +113,7 @@ class RecordingModel:
         """
         if any(p.sigma is None for p in self.recorded):
             raise InputError("the weight of the total variation by the noise: needs sigma on every plane")
-        random = np.random.default_rng(seed)
+        random = np.random.default_rng(0)
         shape = self.engine.scene.exit_grid.shape
         total: ComplexArray | None = None
         for plane in self._planes:
