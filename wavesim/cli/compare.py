@@ -41,7 +41,8 @@ def compare(
 
     from lensdesign.lens.scaling import scaled
     from wavesim.evaluation.engines import compare as measure
-    from wavesim.evaluation.engines import exact_case, lens_case, variants
+    from wavesim.evaluation.engines import lens_case, variants
+    from wavesim.oracles.registry import oracle_case
     from wavesim.pictures.comparisons import comparison_figure
     from wavesim.pictures.frames import save
     from wavesim.pictures.result_files import write_csv
@@ -58,7 +59,7 @@ def compare(
         task = bar.add_task("exact solution and true field", total=None)
         size = "" if scale == 1.0 else f", scaled by {scale:g}"
         cases = {
-            f"exact cylinder, radius {radius_mm:g} mm": exact_case(radius_mm),
+            f"exact cylinder, radius {radius_mm:g} mm": oracle_case("cylinder", radius_mm=radius_mm),
             f"{lens.title or design.stem}{size}, patch of {patch_mm:g} mm at {field_mm:g} mm": lens_case(
                 lens, patch_mm, field_mm
             ),

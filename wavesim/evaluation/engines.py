@@ -17,8 +17,9 @@ from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import ENGINES, engine_class
 from wavesim.evaluation.accuracy import hold_against
-from wavesim.fields.field import Field
-from wavesim.oracles.registry import OracleCase, oracle_case
+from wavesim.fields.field import Field, Grid
+from wavesim.objects.targets import band_limit
+from wavesim.oracles.registry import OracleCase
 from wavesim.scene.patches import patch_scene
 
 Progress = Callable[[int, int, str], None]
@@ -102,17 +103,11 @@ def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) 
     return OracleCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
 
 
-def random_field(grid: Any, wavelength_um: float, numerical_aperture: float) -> Field:
+def random_field(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:
     """Speckle that fills a grid and the aperture evenly, of unit mean intensity."""
     rng = np.random.default_rng(SEED)
     values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
-    spectrum = np.fft.fftn(values)
-    squared: Any = 0.0
-    for axis, n in enumerate(grid.shape):
-        cycles = np.fft.fftfreq(n, grid.pitch_mm)
-        squared = squared + cycles.reshape((n,) + (1,) * (len(grid.shape) - axis - 1)) ** 2
-    spectrum *= squared <= (1e3 * numerical_aperture / wavelength_um) ** 2
-    values = np.fft.ifftn(spectrum)
+    values = band_limit(values, grid, wavelength_um, numerical_aperture)
     return Field(grid, values / np.sqrt(np.mean(np.abs(values) ** 2)), wavelength_um)
 
 
@@ -199,11 +194,6 @@ def with_front(rows: list[Measured]) -> list[Measured]:
         replace(r, fastest=leads(r, lambda m: m.seconds), smallest=leads(r, lambda m: m.peak_mb))
         for r in rows
     ]
-
-
-def exact_case(radius_mm: float) -> OracleCase:
-    """The dielectric cylinder."""
-    return oracle_case("cylinder", radius_mm=radius_mm)
 
 
 def families(rows: Sequence[Measured]) -> Iterator[tuple[str, list[Measured]]]:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Orientation, axis_of
+from wavesim.fields.plane_waves import wave_factor
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -148,10 +149,7 @@ class ReconstructionPupil:
     @cached_property
     def phasor(self) -> ComplexArray:
         """exp(i k dV) at the samples, shape (n,); 0 where not valid."""
-        phase = 2.0 * np.pi * self.opd_waves
-        values = np.empty(len(phase), complex)
-        np.cos(phase, out=values.real)
-        np.sin(phase, out=values.imag)
+        values: ComplexArray = wave_factor(2.0 * np.pi * self.opd_waves)
         values[~self.valid] = 0.0
         return values
 
