@@ -19,6 +19,7 @@ from lensdesign.analysis.matching import (
     smallest_exit_beam_diameter_mm,
     spread_limit_sine,
 )
+from lensdesign.fabrication.drawing.tolerances import GENERAL
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.glass import LINE_C_UM, LINE_D_UM, LINE_F_UM, get_material
 from lensdesign.lens.poses import rotation_matrix
@@ -32,7 +33,7 @@ from tolerancing.perturbations.distributions import (
     TruncatedNormal,
     Uniform,
 )
-from tolerancing.perturbations.grades import FRINGE_UM, ISO_10110_11
+from tolerancing.perturbations.grades import FRINGE_UM
 from wavesim.camera.exposures import Electronics, SaturationWarning, expose
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.evaluation.similarity import psnr_db
@@ -249,10 +250,11 @@ class TestStatistics:
             100.0: (0.4, 10.0, 2.0, 10.0),
             300.0: (0.8, 10.0, 2.0, 10.0),
         }
-        assert [row.up_to_mm for row in ISO_10110_11] == list(table)
-        for row in ISO_10110_11:
-            found = row.thickness_mm, row.sagitta_fringes, row.irregularity_fringes, 60.0 * row.tilt_deg
-            assert found == pytest.approx(table[row.up_to_mm])
+        assert list(GENERAL) == list(table)
+        for up_to_mm, row in GENERAL.items():
+            form = row.left
+            found = row.thickness_mm, form.radius_fringes, form.irregularity_fringes, form.centring_arcmin
+            assert found == pytest.approx(table[up_to_mm])
 
     def test_standard_deviations(self) -> None:
         """Of the usual distributions, from their half width or sigma."""

@@ -14,7 +14,7 @@ import tomli_w
 from lensdesign.analysis.matching import match
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from lensdesign.fabrication.drawing.tolerances import GENERAL, DrawingTolerances
+from lensdesign.fabrication.drawing.tolerances import GENERAL, MERCURY_LINE_UM
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 
@@ -61,52 +61,7 @@ PRECISION = Grade(0.1, 0.05, 0.25, 1.0 / 60.0, 0.02, 0.0005, 0.5, 0.05, 0.1, 0.0
 HIGH_PRECISION = Grade(0.025, 0.01, 0.1, 0.5 / 60.0, 0.005, 0.0002, 0.2, 0.01, 0.03, 0.02, 0.1)
 
 
-@dataclass(frozen=True)
-class GeneralTolerance:
-    """Table 1 of ISO 10110-11:1996 for one range of the part's largest dimension.
-
-    Attributes
-    ----------
-    up_to_mm
-        Largest dimension of the part.
-    thickness_mm
-        Of the part's thickness.
-    sagitta_fringes, irregularity_fringes
-        A and B of the form tolerance 3/A(B), in fringe spacings.
-    test_diameter_mm
-        Over which they hold, where the part is larger.
-    tilt_deg
-        Of the centring tolerance 4/.
-    """
-
-    up_to_mm: float
-    thickness_mm: float
-    sagitta_fringes: float
-    irregularity_fringes: float
-    test_diameter_mm: float
-    tilt_deg: float
-
-
-def _general(up_to_mm: float, row: DrawingTolerances) -> GeneralTolerance:
-    form = row.left
-    # The table states all of them.
-    assert row.thickness_mm is not None
-    assert form.radius_fringes is not None
-    assert form.irregularity_fringes is not None
-    assert form.centring_arcmin is not None
-    return GeneralTolerance(
-        up_to_mm=up_to_mm,
-        thickness_mm=row.thickness_mm,
-        sagitta_fringes=form.radius_fringes,
-        irregularity_fringes=form.irregularity_fringes,
-        test_diameter_mm=form.test_diameter_mm or up_to_mm,
-        tilt_deg=form.centring_arcmin / 60.0,
-    )
-
-
-ISO_10110_11 = tuple(_general(up_to_mm, row) for up_to_mm, row in GENERAL.items())
-
-FRINGE_UM = 0.54607 / 2.0
+FRINGE_UM = 0.5 * MERCURY_LINE_UM
 """Fringe spacing of ISO 10110-5: half a wavelength of the green mercury line."""
 
 GRADES: dict[str, Grade | None] = {
@@ -234,30 +189,34 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
             wedge=f"wedge, +-{60.0 * chosen.wedge_deg:g} arc minutes",
         )
     dimension = _largest_dimension_mm(lens, number)
-    row = next((row for row in ISO_10110_11 if dimension <= row.up_to_mm), None)
-    if row is None:
+    up_to_mm = next((most for most in GENERAL if dimension <= most), None)
+    if up_to_mm is None:
         raise InputError(
             f"grade = 'iso10110': surface {number + 1}: the part measures {dimension:.4g} mm; the table of "
-            f"ISO 10110-11 ends at {ISO_10110_11[-1].up_to_mm:g} mm; take another grade"
+            f"ISO 10110-11 ends at {max(GENERAL):g} mm; take another grade"
         )
-    semi_diameter = lens.surfaces[number].semi_diameter_mm or 0.5 * dimension
-    form = f"3/{row.sagitta_fringes:g}({row.irregularity_fringes:g})"
+    thickness, form = GENERAL[up_to_mm].thickness_mm, GENERAL[up_to_mm].left
+    sagitta, irregularity, minutes = form.radius_fringes, form.irregularity_fringes, form.centring_arcmin
+    # The table states all of them.
+    assert thickness is not None
+    assert sagitta is not None
+    assert irregularity is not None
+    assert minutes is not None
+    diameter = 2.0 * (lens.surfaces[number].semi_diameter_mm or 0.5 * dimension)
+    tested = min(diameter, form.test_diameter_mm or up_to_mm)
     values = vars(COMMERCIAL) | {
-        "thickness_mm": row.thickness_mm,
-        "irregularity_pv_waves": row.irregularity_fringes * FRINGE_UM / TEST_WAVELENGTH_UM,
-        "wedge_deg": row.tilt_deg,
+        "thickness_mm": thickness,
+        "irregularity_pv_waves": irregularity * FRINGE_UM / TEST_WAVELENGTH_UM,
+        "wedge_deg": minutes / 60.0,
     }
-    tested = min(2.0 * semi_diameter, row.test_diameter_mm)
-    fringes = (
-        row.sagitta_fringes * FRINGE_UM / (0.5 * TEST_WAVELENGTH_UM) * (2.0 * semi_diameter / tested) ** 2
-    )
+    indication = f"3/{sagitta:g}({irregularity:g})"
     return _Made(
         Grade(**values),
-        radius=f"{form} over {tested:.3g} mm: {row.sagitta_fringes:g} fringes of 546 nm",
-        thickness=f"+-{row.thickness_mm:g} mm for parts up to {row.up_to_mm:g} mm",
-        irregularity=f"surface, {form}: {row.irregularity_fringes:g} fringes of 546 nm",
-        wedge=f"4/{60.0 * row.tilt_deg:g}': surface tilt",
-        sagitta_fringes=fringes,
+        radius=f"{indication} over {tested:.3g} mm: {sagitta:g} fringes of 546 nm",
+        thickness=f"+-{thickness:g} mm for parts up to {up_to_mm:g} mm",
+        irregularity=f"surface, {indication}: {irregularity:g} fringes of 546 nm",
+        wedge=f"4/{minutes:g}': surface tilt",
+        sagitta_fringes=sagitta * FRINGE_UM / (0.5 * TEST_WAVELENGTH_UM) * (diameter / tested) ** 2,
     )
 
 

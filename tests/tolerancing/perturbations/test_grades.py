@@ -11,9 +11,10 @@ from random_lenses import lenses
 
 from lensdesign import DesignError, InputError, Lens, load_design
 from lensdesign.analysis.spread import largest_spread
+from lensdesign.fabrication.drawing.tolerances import GENERAL
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.distributions import DISTRIBUTIONS
-from tolerancing.perturbations.grades import COMMENT_COLUMN, GRADES, GeneralTolerance, starting_study
+from tolerancing.perturbations.grades import COMMENT_COLUMN, GRADES, starting_study
 from tolerancing.perturbations.parameters import perturbation_from_table
 
 
@@ -211,8 +212,4 @@ def test_an_unknown_grade_is_refused():
 
 
 def test_general_tolerances_loosen_with_size():
-    from tolerancing.perturbations.grades import ISO_10110_11
-
-    assert all(isinstance(row, GeneralTolerance) for row in ISO_10110_11)
-    sizes = [row.up_to_mm for row in ISO_10110_11]
-    assert sizes == sorted(sizes) == [10.0, 30.0, 100.0, 300.0]
+    assert sorted(GENERAL) == list(GENERAL) == [10.0, 30.0, 100.0, 300.0]
