@@ -120,18 +120,10 @@ class Summary:
         }
 
 
-def summarize(store: Store, results: TrialResults | None = None) -> Summary:
-    """Summarize a store.
-
-    Parameters
-    ----------
-    store
-        An open store.
-    results
-        Its trials, if they were read already.
-    """
-    results = store.trials() if results is None else results
-    return summary_of(store.record(), store.study, store.nominal(), results, len(store.finished_steps()))
+def summarize(store: Store) -> Summary:
+    """Summarize an open store."""
+    record, steps = store.record(), len(store.finished_steps())
+    return summary_of(record, store.study, store.nominal(), store.trials(), steps)
 
 
 def summary_of(
@@ -161,7 +153,7 @@ def summary_of(
         failed=sum(1 for message in results.messages if message),
         good=yield_of(results.passed),
         merits=tuple(
-            _merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
+            merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
             for k, merit in enumerate(study.merits)
         ),
         steps=steps,
@@ -169,19 +161,27 @@ def summary_of(
     )
 
 
-def _merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
+def merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
+    """Summarize one merit's scores of all trials."""
     known = scores[np.isfinite(scores)]
     nominal = None if nominal is None or np.isnan(nominal) else nominal
     values = np.percentile(known, PERCENTILES) if len(known) else ()
+    mean, deviation = mean_and_deviation(known)
     return MeritSummary(
         merit=merit,
         nominal=nominal,
         good=yield_of(merit.passed(scores)),
         scored=len(known),
-        mean=float(known.mean()) if len(known) else None,
-        standard_deviation=float(known.std(ddof=1)) if len(known) > 1 else None,
+        mean=mean,
+        standard_deviation=deviation,
         percentiles={p: float(v) for p, v in zip(PERCENTILES, values, strict=False)},
     )
+
+
+def mean_and_deviation(known: NDArray[np.float64]) -> tuple[float | None, float | None]:
+    """Mean and standard deviation of values; None of fewer than one, and than two."""
+    mean = float(known.mean()) if len(known) else None
+    return mean, float(known.std(ddof=1)) if len(known) > 1 else None
 
 
 def _yield_text(good: Yield | None) -> str:

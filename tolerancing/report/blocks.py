@@ -190,11 +190,11 @@ def number_text(value: float | None) -> str:
     return f"{value:.4g}".replace("-", "−")
 
 
-def signed_text(value: float | None, digits: int = 3) -> str:
+def signed_text(value: float | None) -> str:
     """A number with its sign; a dash where there is none."""
     if value is None or not np.isfinite(value):
         return "–"
-    return f"{value:+.{digits}g}".replace("-", "−")
+    return f"{value:+.3g}".replace("-", "−")
 
 
 def percent_text(share: float | None) -> str:

@@ -148,14 +148,13 @@ class ReportData:
         )
         return f"trial {self.trial_numbers[place]}: {scores}; {self.causes(place)}"
 
-    def causes(self, place: int, count: int = 3) -> str:
-        """The largest deviations of one trial, in standard deviations."""
+    def causes(self, place: int) -> str:
+        """The three largest deviations of one trial, in standard deviations."""
         found = []
         for p, value in zip(self.study.perturbations, self.results.values[place].tolist(), strict=True):
             spread = p.distribution.standard_deviation or 1.0
             found.append(((value - p.distribution.centre) / spread, p, value))
         found.sort(key=lambda item: -abs(item[0]))
         return ", ".join(
-            f"{p.column} {value:.3g} ({sigmas:+.1f} σ)".replace("-", "−")
-            for sigmas, p, value in found[:count]
+            f"{p.column} {value:.3g} ({sigmas:+.1f} σ)".replace("-", "−") for sigmas, p, value in found[:3]
         )

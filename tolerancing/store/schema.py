@@ -127,7 +127,7 @@ class MeritRecord:
 
 def engine_of(merit: Merit) -> str:
     """What a merit's scores come from: its own word for it, or that of its level."""
-    return str(getattr(merit, "engine", "") or ENGINES[merit.used_level])
+    return str(getattr(merit, "engine", None) or ENGINES.get(merit.used_level, merit.used_level))
 
 
 def merit_record(merit: Merit, nominal: float | None) -> MeritRecord:

@@ -31,7 +31,7 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import fidelity_panel
-from tolerancing.store.schema import ENGINES
+from tolerancing.store.schema import engine_of
 from tolerancing.study.results import WORST
 
 NEGLECTED = {
@@ -152,11 +152,6 @@ def method_section(data: ReportData) -> list[Block]:
             Paragraph("Intervals are those of independent trials; designed draws err by less than they say.")
         )
     return blocks
-
-
-def engine_of(merit: Merit) -> str:
-    """What computes a merit."""
-    return str(getattr(merit, "engine", None) or ENGINES.get(merit.used_level, merit.used_level))
 
 
 def cut_meaning(merit: Merit) -> str:

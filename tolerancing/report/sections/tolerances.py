@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from tolerancing.analysis.parabolas import Sensitivity, compare_with_trials, root_sum_square
+from tolerancing.analysis.summary import mean_and_deviation
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
     Block,
@@ -62,8 +65,7 @@ def _perturbation(data: ReportData, k: int) -> list[str]:
         number_text(p.distribution.largest),
         number_text(p.distribution.standard_deviation),
         p.group or "–",
-        number_text(float(drawn.mean()) if len(drawn) else None),
-        number_text(float(drawn.std(ddof=1)) if len(drawn) > 1 else None),
+        *map(number_text, mean_and_deviation(drawn)),
         number_text(extreme),
     ]
 
@@ -85,15 +87,11 @@ def distribution_text(perturbation: Perturbation) -> str:
 
 
 def _correlations(data: ReportData) -> list[Block]:
-    rows = []
-    for correlation in data.study.correlations:
-        matrix = correlation.full_matrix()
-        rows += [
-            [f"{a} and {b}", f"{matrix[i, j]:+.2f}".replace("-", "−")]
-            for i, a in enumerate(correlation.names)
-            for j, b in enumerate(correlation.names)
-            if i < j
-        ]
+    rows = [
+        [f"{a} and {b}", f"{correlation.full_matrix()[i, j]:+.2f}".replace("-", "−")]
+        for correlation in data.study.correlations
+        for (i, a), (j, b) in combinations(enumerate(correlation.names), 2)
+    ]
     if not rows:
         return []
     return [Heading("Correlations", 3), table(["<Perturbations", "Coefficient"], rows)]
@@ -114,8 +112,7 @@ def _compensators(data: ReportData) -> list[Block]:
                 c.column,
                 c.target,
                 f"±{c.limit:g} {c.unit}".strip(),
-                number_text(float(known.mean()) if len(known) else None),
-                number_text(float(known.std(ddof=1)) if len(known) > 1 else None),
+                *map(number_text, mean_and_deviation(known)),
                 Cell(percent_text(edge), failed=bool(edge)),
             ]
         )

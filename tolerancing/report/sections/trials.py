@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import MOST_TRIALS
 from tolerancing.analysis.response import Response, fit_response
-from tolerancing.analysis.summary import PERCENTILES
-from tolerancing.analysis.yields import yield_of
+from tolerancing.analysis.summary import PERCENTILES, MeritSummary, merit_summary
 from tolerancing.report.blocks import (
     Block,
     Cell,
@@ -43,35 +43,22 @@ def distribution_section(data: ReportData) -> list[Block]:
         return [*blocks, Paragraph("Left out: the store holds no trials.")]
     pairs, singles = [], []
     for k, row in enumerate(data.summary.merits):
-        own, without = distribution_panel(data, row, k), _uncompensated(data, row.merit.column)
+        panel, without = distribution_panel(data, row, k), _uncompensated(data, row.merit.column)
         if without is None:
-            singles.append(own)
+            singles.append(panel)
         else:
-            pairs += [own, distribution_panel(data, row, k, without)]
+            pairs += [panel, distribution_panel(data, row, k, without)]
     note = (
         "Bars: trials; orange: share of trials below; points at the foot: single trials. The limit's bad "
         f"side is shaded. {data.drawn_text}"
     )
     rows = []
     for row in data.summary.merits:
-        column = row.merit.column
-        rows.append(
-            _statistics(column, row.scored, row.mean, row.standard_deviation, row.percentiles, row.good)
-        )
-        without = _uncompensated(data, column)
+        rows.append(_statistics(row.merit.column, row))
+        without = _uncompensated(data, row.merit.column)
         if without is not None:
-            known = without[np.isfinite(without)]
-            values = np.percentile(known, PERCENTILES).tolist() if len(known) else []
-            rows.append(
-                _statistics(
-                    f"{column}, not compensated",
-                    len(known),
-                    float(known.mean()) if len(known) else None,
-                    float(known.std(ddof=1)) if len(known) > 1 else None,
-                    dict(zip(PERCENTILES, values, strict=False)),
-                    yield_of(row.merit.passed(without)),
-                )
-            )
+            own = merit_summary(row.merit, None, without)
+            rows.append(_statistics(f"{row.merit.column}, not compensated", own))
     headings = ["<Merit", "Scored", "Mean", "Std.", *(f"{p} %" for p in PERCENTILES), "Yield"]
     return [
         *blocks,
@@ -81,14 +68,14 @@ def distribution_section(data: ReportData) -> list[Block]:
     ]
 
 
-def _statistics(name, scored, mean, deviation, percentiles, good) -> list[str]:  # type: ignore[no-untyped-def]
+def _statistics(name: str, row: MeritSummary) -> list[str]:
     return [
         name,
-        f"{scored:,}",
-        number_text(mean),
-        number_text(deviation),
-        *(number_text(percentiles.get(p)) for p in PERCENTILES),
-        percent_text(good.share if good else None),
+        f"{row.scored:,}",
+        number_text(row.mean),
+        number_text(row.standard_deviation),
+        *(number_text(row.percentiles.get(p)) for p in PERCENTILES),
+        percent_text(row.good.share if row.good else None),
     ]
 
 
@@ -229,12 +216,8 @@ def pictured_trials(data: ReportData) -> list[int]:
 
 
 def _failures(data: ReportData) -> list[Block]:
-    counts: dict[str, int] = {}
-    for message in data.results.messages:
-        if message:
-            counts[message] = counts.get(message, 0) + 1
+    counts = Counter(message for message in data.results.messages if message)
     if not counts:
         return []
-    most = sorted(counts.items(), key=lambda item: -item[1])[:WORST_TRIALS]
-    rows = [[message, f"{count:,}"] for message, count in most]
+    rows = [[message, f"{count:,}"] for message, count in counts.most_common(WORST_TRIALS)]
     return [Heading("Why trials could not be scored", 3), table(["<Message", "Trials"], rows)]
