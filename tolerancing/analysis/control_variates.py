@@ -280,7 +280,7 @@ def combined_yield(
 
 def _by_counts(worst: NDArray[np.bool_], random: NDArray[np.bool_], total: int) -> tuple[float, float]:
     """Interval of a yield from the worst trials and the number of good random ones alone."""
-    from scipy.special import betaincinv
+    from scipy.stats import binomtest
 
     n, rest = len(random), (total - len(worst)) / total
     share = float(random.mean()) if n else 0.0
@@ -288,12 +288,10 @@ def _by_counts(worst: NDArray[np.bool_], random: NDArray[np.bool_], total: int) 
     low, high = _wilson(estimate, total)
     below, above = estimate - low, high - estimate
     if 0 < n < total - len(worst):
-        good, tail = int(np.count_nonzero(random)), 0.5 - 0.5 * CONFIDENCE
-        least = float(betaincinv(good, n - good + 1, tail)) if good else 0.0
-        most = float(betaincinv(good + 1, n - good, 1.0 - tail)) if good < n else 1.0
+        counted = binomtest(int(np.count_nonzero(random)), n).proportion_ci(CONFIDENCE)
         part = rest * math.sqrt(1.0 - n / (total - len(worst)))
-        below = math.hypot(below, part * (share - least))
-        above = math.hypot(above, part * (most - share))
+        below = math.hypot(below, part * (share - float(counted.low)))
+        above = math.hypot(above, part * (float(counted.high) - share))
     return max(estimate - below, 0.0), min(estimate + above, 1.0)
 
 
@@ -357,17 +355,16 @@ def _weighted_variance(values: Array, weights: Array) -> float:
     """Variance of the population that the weighted values stand for."""
     if len(values) < 2:
         return 0.0
-    mean = np.average(values, weights=weights)
-    return float(np.average((values - mean) ** 2, weights=weights) * len(values) / (len(values) - 1))
+    spread = np.cov(values, aweights=weights, bias=True)
+    return float(spread) * len(values) / (len(values) - 1)
 
 
 def _correlation(x: Array, y: Array, weights: Array) -> float:
     """Weighted correlation; NaN where one of both does not vary."""
     if not weights.sum() > 0.0:
         return math.nan
-    dx, dy = x - np.average(x, weights=weights), y - np.average(y, weights=weights)
-    norm = math.sqrt(float(weights @ (dx * dx)) * float(weights @ (dy * dy)))
-    return float(weights @ (dx * dy)) / norm if norm > 0.0 else math.nan
+    (xx, xy), (_, yy) = np.cov(x, y, aweights=weights, bias=True).tolist()
+    return xy / math.sqrt(xx * yy) if xx * yy > 0.0 else math.nan
 
 
 def _ratio(wide: float, narrow: float) -> float:

@@ -117,31 +117,6 @@ class Comparison:
     good: Yield | None
 
 
-def sensitivity_points(tolerance: ArrayLike) -> Array:
-    """Deltas at which to score the lens: each perturbation alone, at `STEPS` of its tolerance.
-
-    Parameters
-    ----------
-    tolerance : array_like, shape (d,)
-        Largest deviation allowed of each perturbation.
-
-    Returns
-    -------
-    ndarray, shape (4 d, d)
-        The steps of the first perturbation, then those of the second, and so on.
-
-    Raises
-    ------
-    InputError
-        If a tolerance is not above zero.
-    """
-    largest = checked_tolerance(tolerance)
-    d = len(largest)
-    points = np.zeros((d, len(STEPS), d))
-    points[np.arange(d), :, np.arange(d)] = largest[:, None] * np.array(STEPS)
-    return points.reshape(-1, d)
-
-
 def checked_tolerance(tolerance: ArrayLike) -> Array:
     """Tolerances as an array, shape (d,); an `InputError` where one is not above zero and finite."""
     largest = np.atleast_1d(np.asarray(tolerance, float))
@@ -159,7 +134,7 @@ def fit_sensitivity(
     mean: ArrayLike = 0.0,
     kurtosis: ArrayLike = NORMAL_KURTOSIS,
 ) -> Sensitivity:
-    """Sensitivities from the scores at the points of :func:`sensitivity_points`.
+    """Sensitivities from the scores of each perturbation alone, at `STEPS` of its tolerance.
 
     The derivative at nominal is the fourth-order central difference over all four steps, the second-order
     one over the inner two where an outer one has no score. With x = mean + e, and e symmetric about 0 with

@@ -116,11 +116,5 @@ def _on_sensor(rays: RayTrace, shift_mm: Array, tilt_deg: Array) -> Arrival:
 
 def _repeated(rays: RayTrace, trials: int) -> RayTrace:
     """Rays of one lens for as many trials, where no perturbation is of the lens."""
-    return replace(
-        rays,
-        position=np.repeat(rays.position[None], trials, axis=0),
-        direction=np.repeat(rays.direction[None], trials, axis=0),
-        opl=np.repeat(rays.opl[None], trials, axis=0),
-        status=np.repeat(rays.status[None], trials, axis=0),
-        failed_surface=np.repeat(rays.failed_surface[None], trials, axis=0),
-    )
+    held = {name: values for name, values in vars(rays).items() if values is not None}
+    return replace(rays, **{name: np.repeat(values[None], trials, axis=0) for name, values in held.items()})

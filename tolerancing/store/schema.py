@@ -132,15 +132,8 @@ def engine_of(merit: Merit) -> str:
 
 def merit_record(merit: Merit, nominal: float | None) -> MeritRecord:
     """What the store says about a merit whose level is decided."""
-    return MeritRecord(
-        label=merit.label,
-        column=merit.column,
-        level=merit.used_level,
-        engine=engine_of(merit),
-        at_least=merit.at_least,
-        at_most=merit.at_most,
-        nominal=nominal,
-    )
+    limits = (merit.at_least, merit.at_most)
+    return MeritRecord(merit.label, merit.column, merit.used_level, engine_of(merit), *limits, nominal)
 
 
 def number_columns(study: Study) -> tuple[str, ...]:

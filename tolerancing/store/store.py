@@ -42,8 +42,6 @@ from tolerancing.study.study import MOST_TRIALS, Study
 
 __all__ = ["Store", "StudyRecord", "create_store", "open_store"]
 
-Numbers = NDArray[np.int64]
-
 ROWS_AT_ONCE = 20_000
 """Rows that are turned into arrays, or written by an export, at a time."""
 
@@ -191,14 +189,6 @@ class Store:
         """Number of trials that the store holds, of those with lower numbers."""
         return int(self._rows("SELECT count(*) FROM trial WHERE trial < ?", below)[0][0])
 
-    def finished_trials(self) -> Numbers:
-        """Numbers of the trials that the store holds, in order."""
-        return self._numbers("SELECT trial FROM trial ORDER BY trial")
-
-    def finished_dear(self) -> Numbers:
-        """Numbers of the trials that have dear scores, in order."""
-        return self._numbers("SELECT trial FROM dear ORDER BY trial")
-
     def lacking(self, trials: range) -> tuple[int, ...]:
         """Those of some trials that the store does not hold."""
         query = f"SELECT trial FROM trial WHERE trial BETWEEN {trials[0]} AND {trials[-1]}"
@@ -304,9 +294,6 @@ class Store:
             cursor = self._connection.execute(query)
             while rows := cursor.fetchmany(ROWS_AT_ONCE):
                 yield rows
-
-    def _numbers(self, query: str) -> Numbers:
-        return self._array(query).astype(np.int64).reshape(-1)
 
     def _array(self, query: str, count: int | None = None) -> NDArray[np.float64]:
         """Rows of numbers, NaN where there is none; in no more memory than they take, if counted before."""

@@ -68,7 +68,7 @@ def test_broken_run_goes_on_with_what_is_missing(rays, tmp_path):
     with pytest.raises(Killed):
         run_study(rays, path, workers=1, report=kill)
     with open_store(path) as store:
-        assert store.finished_trials().tolist() == list(range(16))
+        assert store.trials().trials.tolist() == list(range(16))
     seen = []
     outcome = run_study(rays, path, workers=1, report=lambda done, total: seen.append((done, total)))
     assert outcome.trials_run == 24

@@ -76,7 +76,7 @@ def test_trials_come_back_as_they_went_in(path):
         assert back.messages[4] == "rays lost"
         assert back.status == ["ok"] * 4 + ["failed", "ok", "ok"]
         assert back.passed.tolist() == [False, True, False, True, False, True, False]
-        assert store.finished_trials().tolist() == list(range(7))
+        assert store.trials().trials.tolist() == list(range(7))
         assert store.lacking(range(2, 10)) == (7, 8, 9)
         assert np.array_equal(store.scores("strehl", 9)[:7], back.scores[:, 1], equal_nan=True)
         assert np.isnan(store.scores("strehl", 9)[7:]).all()
@@ -101,7 +101,7 @@ def test_empty_store_has_arrays_of_the_right_width(path):
         empty, dear = store.trials(), store.dear()
         assert (len(empty), empty.values.shape, empty.scores.shape) == (0, (0, 2), (0, 2))
         assert (len(dear), dear.scores.shape, store.steps()) == (0, (0, 1), [])
-        assert store.finished_trials().tolist() == store.finished_dear().tolist() == []
+        assert list(store.trials().trials) == list(store.dear().trials) == []
 
 
 def test_rows_that_are_there_never_change(path):
@@ -145,7 +145,7 @@ def test_the_record_of_a_trial_tells_all_that_is_known_of_it(path):
     dear = DearResults((1,), ("worst",), np.array([[0.25]]), ("",), np.array([3.0]))
     with open_store(path) as store:
         store.add(some_trials(0, 2), dear)
-        assert store.finished_dear().tolist() == [1]
+        assert store.dear().trials == (1,)
         assert not store.lacks_dear(1)
         assert store.lacks_dear(0)
         back = store.dear()
@@ -216,11 +216,11 @@ def test_full_disk_leaves_whole_batches(path):
         store._connection.execute(f"PRAGMA max_page_count = {pages}")
         with pytest.raises(InputError, match=r"cannot write the store .*full; make room"):
             store.add(some_trials(5, 3000))
-        assert store.finished_trials().tolist() == list(range(5))
+        assert store.trials().trials.tolist() == list(range(5))
     with open_store(path) as store:
-        assert store.finished_trials().tolist() == list(range(5))
+        assert store.trials().trials.tolist() == list(range(5))
         store.add(some_trials(5, 3000))
-        assert len(store.finished_trials()) == 3005
+        assert len(store.trials()) == 3005
     with sqlite3.connect(path) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
