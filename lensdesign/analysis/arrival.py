@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.bundles import launch_compiled, pupil_hexapolar
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.rays import trace_compiled
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 RINGS, ARMS = 8, 32

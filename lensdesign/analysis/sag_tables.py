@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, atomic_path, refuse_not_positive
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.intersection import Figure
 from lensdesign.lens.surface import Surface
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 1_000_000
 ANGLES = 256

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensdesign.analysis.arrival import ArrivalAngles, arrival_angles
+from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
@@ -38,7 +38,6 @@ __all__ = [
     "throughput",
 ]
 
-Array = NDArray[np.float64]
 
 PAPER_DISTANCE_MM = 3.0
 Perturbations = Mapping[int, SurfacePerturbation] | None

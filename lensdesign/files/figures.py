@@ -13,16 +13,15 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM, FigureSource
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
-
-Array = NDArray[np.float64]
 
 UNITS_MM = {"mm": 1.0, "um": 1e-3, "nm": 1e-6, "waves_633nm": 1e-3 * TEST_WAVELENGTH_UM}
 """Units of the values in a grid file, in mm."""

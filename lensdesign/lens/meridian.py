@@ -8,12 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.surface import Surface
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

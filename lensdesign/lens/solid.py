@@ -13,16 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.glass import is_air
 from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
 from lensdesign.lens.shapes.base import azimuths_rad
 from lensdesign.lens.surface import Surface, vertex_z_mm
-
-Array = NDArray[np.float64]
 
 SHARP = Edge()
 """Neither flats, bevels nor flange."""

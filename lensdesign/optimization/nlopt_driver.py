@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-
-Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8
 """A point whose constraints, which are scaled to about 1, stay below this counts as feasible."""

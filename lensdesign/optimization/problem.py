@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.registry import class_with
@@ -17,8 +18,6 @@ from lensdesign.optimization.requirements import Row, State, constraint_rows, go
 from lensdesign.optimization.specification import Specification, VariableRange
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.gradients import Variable, gradient_trace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

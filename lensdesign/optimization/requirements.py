@@ -13,13 +13,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.specification import Specification
 from lensdesign.tracing.gradients import GradientTrace, Variable
-
-Array = NDArray[np.float64]
 
 LIMIT_MARGIN = 3e-5
 """Limits are kept by this relative margin, so that a denser check of the result finds them kept too."""

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
@@ -22,7 +22,6 @@ from lensdesign.optimization.requirements import KEPT, Row
 from lensdesign.optimization.specification import Specification, refuse_impossible
 from lensdesign.optimization.worst_rays import worse_rays
 
-Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 EXCHANGES = 12

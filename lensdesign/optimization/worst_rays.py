@@ -8,10 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.optimization.requirements import Row
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 3e-5
 """Rays that exceed the working set by less than this (scaled) are not worth another round."""

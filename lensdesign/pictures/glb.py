@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.mesh.rings import circle
 from lensdesign.fabrication.mesh.writing import glass_visuals, plain_visuals
@@ -22,7 +23,6 @@ from lensdesign.pictures.scene import ScenePart, scene_parts
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 SCENE_CHORD_ERROR_UM = 1.0

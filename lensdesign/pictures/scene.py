@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.fabrication.mesh.rings import circle
 from lensdesign.lens.lens import Lens
@@ -23,7 +24,6 @@ from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, size
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 PUPIL_RINGS = 2

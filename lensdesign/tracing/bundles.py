@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.rays import trace_compiled
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

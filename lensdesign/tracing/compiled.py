@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.figure import PackedFigures, SurfaceFigure, packed_figures
@@ -17,8 +18,6 @@ from lensdesign.lens.poses import Pose, SurfacePerturbation, trial_count
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.intersection import Figure, sag_and_slopes
 from lensdesign.lens.shapes.registry import code_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

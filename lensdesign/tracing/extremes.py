@@ -12,14 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.bundles import launch_pairs
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 
-Array = NDArray[np.float64]
 Metric = Callable[[RayTrace], Array]
 Evaluate = Callable[[Array], Array]
 

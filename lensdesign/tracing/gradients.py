@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.tracing.bundles import launch_compiled
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.status import Status
-
-Array = NDArray[np.float64]
 
 KINDS = ("thickness", "working_distance", "launch_x", "launch_y")
 """Variables that are no terms of a surface's shape."""

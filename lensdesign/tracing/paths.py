@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
 from lensdesign.tracing.bundles import launch, pupil_rings
 from lensdesign.tracing.rays import trace
 from lensdesign.tracing.status import Status
-
-Array = NDArray[np.float64]
 
 FIELD_SHARES = (0.0, 0.7, 1.0)
 """Object points of the pictures, as shares of the half field."""

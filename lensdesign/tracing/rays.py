@@ -11,13 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.status import Status
-
-Array = NDArray[np.float64]
 
 RAYS_PER_THREAD = 16384
 """Below this many rays a second thread costs more than it saves."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.analysis.response import Response, fit_response
@@ -20,8 +20,6 @@ from tolerancing.store.store import Store
 from tolerancing.study.evaluate import context_of
 from tolerancing.study.files import LoadedStudy, study_from_tables
 from tolerancing.study.study import Study
-
-Array = NDArray[np.float64]
 
 FRESH = 1 << 20
 """First number of the trials that are drawn to verify, beyond those of any store."""

@@ -41,10 +41,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.yields import CONFIDENCE
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FEWEST_RANDOM = 4

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from tolerancing.study.results import TrialResults
 from tolerancing.study.study import Study
-
-Array = NDArray[np.float64]
 
 FEWEST_TRIALS = 8
 """With fewer scores than this a correlation says nothing."""

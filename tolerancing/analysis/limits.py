@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.parabolas import checked_tolerance
 from tolerancing.analysis.response import Scorer
@@ -17,8 +18,6 @@ from tolerancing.merits.base import Merit
 from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
-
-Array = NDArray[np.float64]
 
 _Excess = Callable[[NDArray[np.intp], Array], Array]
 

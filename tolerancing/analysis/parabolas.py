@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.yields import Yield, yield_of
 from tolerancing.merits.base import Merit
 from tolerancing.study.sweep import STEPS
-
-Array = NDArray[np.float64]
 
 NORMAL_KURTOSIS = 3.0
 """Fourth central moment of a normal distribution over its squared variance; a uniform one has 1.8."""

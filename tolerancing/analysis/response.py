@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-
-Array = NDArray[np.float64]
 
 Scorer = Callable[[Array], Array]
 """Deltas from nominal, shape (n, perturbations), to scores, shape (n, merits); NaN where there is none."""

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
 
-Array = NDArray[np.float64]
 Report = Callable[[int], None]
 
 ROWS_AT_ONCE = 64

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.optimization.nlopt_driver import Evaluation, minimize
 from tolerancing.analysis.response import Scorer
 from tolerancing.analysis.yields import CONFIDENCE, Yield, yield_of
 from tolerancing.merits.base import Merit
-
-Array = NDArray[np.float64]
 
 Bound = Literal["low", "share"]
 

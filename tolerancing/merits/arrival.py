@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, rotation_matrix
 from tolerancing.perturbations.batch import PerturbationBatch
 
 if TYPE_CHECKING:
     from lensdesign.tracing.rays import RayTrace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

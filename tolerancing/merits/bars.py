@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from tolerancing.merits.line_pairs import BARS
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from wavesim import Field as LightField
     from wavesim.objects.patch import Patch
 
-Array = NDArray[np.float64]
 Ground = Literal["bright", "dark"]
 Method = Literal["object", "paper"]
 Point = tuple[float, float]

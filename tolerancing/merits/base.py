@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Name, with_unit
 
-Array = NDArray[np.float64]
 Level = Literal["auto", "ray", "pupil", "wave"]
 
 

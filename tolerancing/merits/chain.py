@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -32,7 +32,6 @@ from wavesim.scene.placement import Placement
 if TYPE_CHECKING:
     from wavesim import Recorded
 
-Array = NDArray[np.float64]
 
 FRAMES = 2
 """Keeps the noise of frames apart from that which level ``wave`` of line pairs adds along x and y."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from wavesim import PatchChain, PupilSampler, ReconstructionPupil
     from wavesim.pupil.patch_return import PerturbedPatch
 
-Array = NDArray[np.float64]
 
 ROUNDS = 2
 """Gauss-Newton steps; paths bend little over what a mount allows."""

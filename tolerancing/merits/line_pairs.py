@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import Axis, Orientation, PupilMerit, worse
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from wavesim import ReconstructionPupil
     from wavesim.pupil.patch_return import PerturbedPatch
 
-Array = NDArray[np.float64]
 
 BARS = 5
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
@@ -18,7 +18,6 @@ from tolerancing.perturbations.batch import PerturbationBatch
 if TYPE_CHECKING:
     from wavesim import ReconstructionPupil
 
-Array = NDArray[np.float64]
 Axis = Literal["x", "y"]
 Orientation = Literal["x", "y", "worse"]
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
-
-Array = NDArray[np.float64]
 
 
 class RayMerit(Merit):

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from tolerancing.perturbations.parameters import IRREGULARITIES, LENS_PARAMETERS, PerturbedParameter
 from wavesim.scene.placement import Placement
-
-Array = NDArray[np.float64]
 
 D_LINE_UM = 0.5875618
 """Of helium, at which catalogues state n_d and the Abbe number."""

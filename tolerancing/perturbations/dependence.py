@@ -13,16 +13,15 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Section, tuples
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
 from tolerancing.perturbations.parameters import UNITS, with_unit
 
-Array = NDArray[np.float64]
 Coefficient = Annotated[float, Field(ge=-1.0, le=1.0, allow_inf_nan=False)]
 
 ROUNDING = 1e-9

@@ -16,9 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-
-Array = NDArray[np.float64]
 
 SMALLEST, LARGEST = 2.0**-54, 1.0 - 2.0**-53
 """Ends of all probabilities; a normal distribution has no quantile of 0 or 1."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import RankCorrelation, rank_correlation
 from tolerancing.analysis.parabolas import Sensitivity
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from tolerancing.store.store import StudyRecord
     from tolerancing.study.files import LoadedStudy
 
-Array = NDArray[np.float64]
 
 MOST_POINTS, WORST_POINTS = 1500, 300
 """Trials drawn as points: all, the worst of them, and random ones for the rest."""

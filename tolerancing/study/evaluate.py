@@ -6,8 +6,8 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
@@ -18,8 +18,6 @@ from tolerancing.perturbations.draws import probabilities
 from tolerancing.study.results import DearResults, StepResults, TrialResults
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
-
-Array = NDArray[np.float64]
 
 PROBED_TRIALS = 6
 """Trials that all levels of an ``auto`` merit score."""

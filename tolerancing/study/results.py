@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lensdesign.common.arrays import Array
 
 OK = "ok"
 FAILED = "failed"

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
-
-Array = NDArray[np.float64]
 
 
 def score_batch(

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.fabrication.drawing.strokes import (
     ASCENT,
     CHAIN,
@@ -24,8 +24,6 @@ from lensdesign.fabrication.drawing.strokes import (
 from lensdesign.fabrication.drawing.tolerances import DrawingTolerances
 from lensdesign.lens.edges import Flange
 from lensdesign.lens.solid import Element
-
-Array = NDArray[np.float64]
 
 SCALES = tuple(sorted(m * 10.0**n for m in (1.0, 2.0, 5.0) for n in range(-6, 7)))
 """Of ISO 5455, continued both ways."""

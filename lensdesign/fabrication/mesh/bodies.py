@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
@@ -22,8 +23,6 @@ from lensdesign.tracing.compiled import CompiledSystem, compile_system
 
 if TYPE_CHECKING:
     import trimesh
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

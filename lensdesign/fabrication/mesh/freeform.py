@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.fabrication.mesh.bodies import HeightSurface, LensMesh, PerturbedBodies
 from lensdesign.fabrication.mesh.rings import (
@@ -27,8 +28,6 @@ from lensdesign.fabrication.mesh.rings import (
 )
 from lensdesign.lens.meridian import SurfaceMeridian, ring_volume_mm3
 from lensdesign.lens.solid import Element
-
-Array = NDArray[np.float64]
 
 _DIRECTIONS = 24
 """Meridians that say where the rings have to lie; facets everywhere are measured afterwards."""

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.meridian import SurfaceMeridian
 
-Array = NDArray[np.float64]
 ChordErrors = Callable[[Array], Array]
 """Greatest distance of a meridian from each of its chords between successive parameters 0 ... 1."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.fabrication.mesh.bodies import LensMesh
 from lensdesign.fabrication.mesh.rings import (
@@ -21,8 +21,6 @@ from lensdesign.fabrication.mesh.rings import (
 )
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, smallest_gap
-
-Array = NDArray[np.float64]
 
 
 def symmetric_mesh(element: Element, error_mm: float, count: int) -> LensMesh:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.fabrication.mesh.reading import TriangleMesh
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MOST_AT_ONE_EDGE = 64

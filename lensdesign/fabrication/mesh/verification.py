@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.fabrication.mesh.reading import TriangleMesh
 from lensdesign.fabrication.mesh.topology import closed_bodies, merged
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, SurfaceMeridian, closed_elements
-
-Array = NDArray[np.float64]
 
 BLOCK_POINTS = 200_000
 

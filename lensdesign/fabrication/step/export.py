@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.step.freeform import freeform_solid, surface_error_mm
 from lensdesign.fabrication.step.occ import (
@@ -28,8 +28,6 @@ from lensdesign.fabrication.step.solids import EXACT, element_solid, rim_corners
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element, closed_elements
-
-Array = NDArray[np.float64]
 
 CONIC_ERROR_MM = 1e-9
 """Largest distance allowed between a plane, sphere or conic of the file and the exact surface."""

@@ -10,13 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
-
-Array = NDArray[np.float64]
 
 DEGREE = 5
 ERROR_MM = 1e-7

@@ -12,13 +12,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import Element
-
-Array = NDArray[np.float64]
 
 ASPHERE_ERROR_MM = 1e-7
 """Largest distance of an even asphere's spline from its meridian."""

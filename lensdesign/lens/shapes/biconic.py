@@ -13,7 +13,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from lensdesign.lens.shapes.base import Array, Point, Shape, curvature_of, radius_of
+from lensdesign.common.arrays import Array
+from lensdesign.lens.shapes.base import Point, Shape, curvature_of, radius_of
 from lensdesign.lens.shapes.conic import Conic
 
 

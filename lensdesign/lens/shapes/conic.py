@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from lensdesign.lens.shapes.base import Array, Point, Shape, curvature_of
+from lensdesign.common.arrays import Array
+from lensdesign.lens.shapes.base import Point, Shape, curvature_of
 
 
 class Conic(Shape):

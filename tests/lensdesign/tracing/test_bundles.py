@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from random_lenses import lenses, poses
 
 from lensdesign import Lens, Pose, SurfacePerturbation
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.tracing.bundles import Array, launch, pupil_fan, pupil_hexapolar, pupil_rings
+from lensdesign.tracing.bundles import launch, pupil_fan, pupil_hexapolar, pupil_rings
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import trace, trace_compiled
 

@@ -11,13 +11,9 @@ import math
 from pathlib import Path
 from typing import ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Section
 from lensdesign.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 class Distribution(Section):

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
-from tolerancing.perturbations.distributions.base import Array, Distribution
+from tolerancing.perturbations.distributions.base import Distribution
 
 
 class Bounded(Distribution):

@@ -12,10 +12,11 @@ from typing import Self
 import numpy as np
 from pydantic import PrivateAttr, field_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import as_path
 from lensdesign.common.toml_files import did_you_mean, read_text
 from lensdesign.errors import InputError
-from tolerancing.perturbations.distributions.base import Array, Distribution, check_factor
+from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 MOST_BYTES = 10_000_000
 """Of a file of measured values."""

@@ -8,8 +8,9 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
-from tolerancing.perturbations.distributions.base import Array, Distribution
+from tolerancing.perturbations.distributions.base import Distribution
 
 NARROWEST_LIMIT, WIDEST_LIMIT = 1e-3, 30.0
 """Limits of a truncated normal distribution, in sigma, beyond which it is another distribution."""

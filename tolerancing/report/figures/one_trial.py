@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, atomic_path
 from tolerancing.analysis.trial import SingleTrial
 from tolerancing.merits.line_pairs import LinePairContrast
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 POINTS = 161
 SPREAD_HALF_WIDTH_UM = 6.0

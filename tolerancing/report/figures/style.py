@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -18,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 BLUE, ORANGE, GREEN, RED, GREY = "#2a6f97", "#e07a1f", "#4c956c", "#c1121f", "#6c757d"
 VIOLET, OCHRE = "#7b2d8b", "#b08900"

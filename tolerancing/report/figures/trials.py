@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from tolerancing.analysis.summary import MeritSummary
 from tolerancing.merits.base import Merit
 from tolerancing.report.blocks import Panel
@@ -20,7 +21,6 @@ from tolerancing.report.figures.style import (
     ORANGE,
     RED,
     SERIES,
-    Array,
     axis_label,
     draw_limit,
     merit_label,

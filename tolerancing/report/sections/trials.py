@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import MOST_TRIALS
 from tolerancing.analysis.response import Response, fit_response
@@ -25,7 +26,7 @@ from tolerancing.report.blocks import (
     table,
 )
 from tolerancing.report.data import ReportData
-from tolerancing.report.figures.trials import Array, distribution_panel, scale_panel, scatter_panels
+from tolerancing.report.figures.trials import distribution_panel, scale_panel, scatter_panels
 
 WORST_TRIALS = 12
 MOST_SCATTERS = 8
