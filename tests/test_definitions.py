@@ -37,7 +37,8 @@ from tolerancing.perturbations.grades import FRINGE_UM
 from wavesim.camera.exposures import Electronics, SaturationWarning, expose
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.evaluation.similarity import psnr_db
-from wavesim.fields.field import correlation, relative_error
+from wavesim.fields.field import Grid, correlation, relative_error
+from wavesim.fields.passage import Passage
 from wavesim.objects.usaf import usaf_elements, usaf_line_width_um
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, strehl
 from wavesim.rays.interfaces import transmission
@@ -114,6 +115,19 @@ class TestSurfaces:
         assert te == pytest.approx([1.0 - (1.25 / 3.25) ** 2])
         mean = transmission("bare", 1.0, n, incidence, refraction, False) ** 2 * flux
         assert mean == pytest.approx(0.5 * (1.0 + te))
+
+
+class TestFreeSpace:
+    """A wave along +z is exp(+i k z): time runs as exp(-i w t)."""
+
+    def test_a_plane_wave_under_an_angle(self) -> None:
+        """Over z a plane wave gains exp(2 pi i z sqrt(1 / wavelength^2 - f^2)) (Section 2.B's P)."""
+        grid, wavelength, z = Grid((64, 64), 0.5e-3, 0.0), 0.5, 3.3e-3
+        frequency = 8.0 / (64 * 0.5e-3)  # a whole number of periods
+        wave = np.broadcast_to(np.exp(2j * np.pi * frequency * grid.x_mm), grid.shape)
+        found = Passage(grid, grid.at(z), wavelength, pad=(64, 64), band_limit=False).forward(wave)
+        gained = np.exp(2j * np.pi * z * math.sqrt((1e3 / wavelength) ** 2 - frequency**2))
+        assert found == pytest.approx(gained * wave, abs=1e-9)
 
 
 class TestRetrieval:

@@ -11,7 +11,7 @@ from benchmarks.mutations import MUTATIONS, Mutation
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.what)
 def test_every_mutation_has_its_line_and_its_tests(mutation: Mutation) -> None:
     mutation.mutated(ROOT)
-    for path in mutation.tests:
+    for path in mutation.tests.split():
         assert (ROOT / path).is_file()
 
 
