@@ -18,20 +18,20 @@ from typing import Any
 
 from lensdesign.errors import MaterialError
 
-_LINE = re.compile(r'^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *"?(.*?)"? *$', re.MULTILINE)
+_LINE = re.compile(r"^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *(.*)$", re.MULTILINE)
 _TAG = re.compile(r"<[^>]+>")
 
 
 @dataclass(frozen=True)
 class Page:
-    """One page of the catalogue: the names of its shelf, book and page, and where its data lie."""
+    """One page of the catalogue: the names of its shelf, book and page, and the file that has its data."""
 
     shelf: str
     book: str
     page: str
     book_name: str
     name: str
-    path: Path
+    file: str
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,11 @@ def database_version() -> str:
 @lru_cache(maxsize=1)
 def database_pages() -> dict[tuple[str, str, str], Page]:
     """All pages of the catalogue by shelf, book and page, in its order; of two the same the first."""
-    database = _folder() / "database"
-    text = (database / "catalog-nk.yml").read_text(encoding="utf-8")
+    text = (_folder() / "database" / "catalog-nk.yml").read_text(encoding="utf-8")
     pages: dict[tuple[str, str, str], Page] = {}
     shelf = book = page = book_name = name = ""
-    for key, value in _LINE.findall(text):
+    for key, quoted in _LINE.findall(text):
+        value = quoted.rstrip(" ").strip('"')
         if key == "SHELF":
             shelf, book = value, ""
         elif key == "BOOK":
@@ -103,8 +103,7 @@ def database_pages() -> dict[tuple[str, str, str], Page]:
         elif key == "name":
             book_name = _TAG.sub("", value)
         else:
-            found = Page(shelf, book, page, book_name, name, database / "data" / value)
-            pages.setdefault((shelf, book, page), found)
+            pages.setdefault((shelf, book, page), Page(shelf, book, page, book_name, name, value))
     return pages
 
 
@@ -119,7 +118,8 @@ def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float]]:
     import yaml
 
     loader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-    data = yaml.load(page.path.read_text(encoding="utf-8"), Loader=loader)["DATA"]
+    path = _folder() / "database" / "data" / page.file
+    data = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)["DATA"]
     for part in data:
         kind, _, detail = part["type"].partition(" ")
         if kind == "formula" and detail in ("1", "2", "3", "5"):
