@@ -17,10 +17,9 @@ from lensdesign.analysis.spread import (
     Spread,
     Throughput,
     edge_thickness_mm,
-    footprint,
-    largest_spread,
     observation_distance_mm,
     rms_spot_diameter,
+    spread_and_footprints,
     throughput,
 )
 from lensdesign.files.design import load_design
@@ -113,14 +112,14 @@ def check_design(lens: Lens | str | os.PathLike[str]) -> CheckReport:
 
 def _trace(lens: Lens, wavelength_um: float) -> _Traced:
     matching = match(lens, wavelength_um)
-    spread = largest_spread(lens, wavelength_um)
-    footprints = tuple(footprint(lens, wavelength_um, d) for d in lens.sensor.plane_distances_mm)
+    planes_mm = (0.0, *lens.sensor.plane_distances_mm)
+    spread, (at_exit, *footprints) = spread_and_footprints(lens, wavelength_um, planes_mm)
     passes = throughput(lens, wavelength_um)
     plane_mm = observation_distance_mm(lens)
     spots = [rms_spot_diameter(lens, wavelength_um, h, plane_mm) for h in _spot_heights(lens)]
     paraxial = first_order(lens, wavelength_um)
     _, rim = launch(lens, [0.0, 0.0], [0.0, 1.0], wavelength_um)
-    beam = 2.0 * footprint(lens, wavelength_um, 0.0).radius_mm
+    beam = 2.0 * at_exit.radius_mm
     narrowest = smallest_exit_beam_diameter_mm(
         lens.object.field_diameter_mm, lens.object.numerical_aperture, _sine(spread.spread_deg)
     )
@@ -140,7 +139,7 @@ def _trace(lens: Lens, wavelength_um: float) -> _Traced:
         smallest_exit_beam_diameter_mm=matching.smallest_exit_beam_diameter_mm,
         etendue_share=narrowest / beam,
     )
-    return _Traced(matching, spread, footprints, passes, row)
+    return _Traced(matching, spread, tuple(footprints), passes, row)
 
 
 def _constraint(

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, islice
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from lensdesign.lens.poses import Pose, SurfacePerturbation
 from lensdesign.lens.solid import glass_element
 from lensdesign.tracing.bundles import launch_pairs, pupil_rings
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.extremes import Extremes, extremes
+from lensdesign.tracing.extremes import Extremes, Metric, extremes
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "largest_spread",
     "observation_distance_mm",
     "rms_spot_diameter",
+    "spread_and_footprints",
     "throughput",
 ]
 
@@ -151,21 +153,8 @@ def largest_spread(
     InputError
         If a field height lies outside the field, or a perturbation holds arrays of trials.
     """
-    wavelength_um = _wavelength(lens, wavelength_um)
-    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
-    heights = _heights(lens, field_heights_mm)
-    found = extremes(
-        lens, system, _angle, heights, symmetric=symmetric, between_heights=field_heights_mm is None
-    )
-    _refuse_dark(found, lens, wavelength_um)
-    return Spread(
-        spread_deg=math.degrees(found.value),
-        field_mm=found.field_mm,
-        pupil=found.pupil,
-        field_heights_mm=tuple(heights.tolist()),
-        per_field_deg=tuple(np.rad2deg(found.values).tolist()),
-        throughput=throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations).throughput,
-    )
+    (found,), passes = _largest(lens, [_angle], wavelength_um, field_heights_mm, pose, surface_perturbations)
+    return _spread(found, passes)
 
 
 def footprint(
@@ -184,31 +173,23 @@ def footprint(
     DesignError
         If no ray passes the lens.
     """
-    wavelength_um = _wavelength(lens, wavelength_um)
-    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
-    plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
-    found = extremes(lens, system, _radius, _heights(lens, None), plane_z_mm, symmetric=symmetric)
-    _refuse_dark(found, lens, wavelength_um)
-    half_side = 0.5 * min(lens.sensor.size_mm)
-    margin = half_side - found.value
-    if not all(surface.shape.ROTATIONAL for surface in lens.surfaces):
-        sides = (
-            extremes(
-                lens, system, partial(_off, axis), _heights(lens, None), plane_z_mm, symmetric=False
-            ).value
-            for axis in (0, 1)
-        )
-        margin = min(0.5 * size - side for size, side in zip(lens.sensor.size_mm, sides, strict=True))
-    return Footprint(
-        plane_distance_mm=plane_distance_mm,
-        radius_mm=found.value,
-        field_mm=found.field_mm,
-        pupil=found.pupil,
-        sensor_half_side_mm=half_side,
-        inside=margin >= 0.0,
-        margin_mm=margin,
-        throughput=throughput(lens, wavelength_um, None, pose, surface_perturbations).throughput,
+    metrics = _reaches(lens, plane_distance_mm)
+    found, passes = _largest(lens, metrics, wavelength_um, None, pose, surface_perturbations)
+    return _footprint(lens, plane_distance_mm, found, passes)
+
+
+def spread_and_footprints(
+    lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float]
+) -> tuple[Spread, tuple[Footprint, ...]]:
+    """As :func:`largest_spread`, and :func:`footprint` on each plane; sought at once, which is faster."""
+    reaches = [_reaches(lens, distance) for distance in plane_distances_mm]
+    (angle, *rest), passes = _largest(lens, [_angle, *chain(*reaches)], wavelength_um)
+    found = iter(rest)
+    footprints = tuple(
+        _footprint(lens, distance, list(islice(found, len(metrics))), passes)
+        for distance, metrics in zip(plane_distances_mm, reaches, strict=True)
     )
+    return _spread(angle, passes), footprints
 
 
 def rms_spot_diameter(
@@ -298,17 +279,75 @@ def edge_thickness_mm(lens: Lens) -> float | None:
     return min((e.edge_thickness_mm for e in elements), default=None)
 
 
-def _angle(rays: RayTrace) -> Array:
-    return np.arctan2(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), rays.direction[..., 2])
+def _largest(
+    lens: Lens,
+    metrics: Sequence[Metric],
+    wavelength_um: float | None,
+    field_heights_mm: Sequence[float] | None = None,
+    pose: Pose = Pose(),
+    surface_perturbations: Perturbations = None,
+) -> tuple[tuple[Extremes, ...], Throughput]:
+    """Extremes of metrics over field and pupil, and the throughput that they stand on."""
+    wavelength_um = _wavelength(lens, wavelength_um)
+    system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
+    heights = _heights(lens, field_heights_mm)
+    found = extremes(
+        lens, system, metrics, heights, symmetric=symmetric, between_heights=field_heights_mm is None
+    )
+    if any(math.isnan(f.value) for f in found):
+        raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
+    return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations)
 
 
-def _radius(rays: RayTrace) -> Array:
-    return np.hypot(rays.position[..., 0], rays.position[..., 1])
+def _spread(found: Extremes, passes: Throughput) -> Spread:
+    return Spread(
+        spread_deg=math.degrees(found.value),
+        field_mm=found.field_mm,
+        pupil=found.pupil,
+        field_heights_mm=passes.field_heights_mm,
+        per_field_deg=tuple(np.rad2deg(found.values).tolist()),
+        throughput=passes.throughput,
+    )
 
 
-def _off(axis: int, rays: RayTrace) -> Array:
-    """Distance from the axis along x or y."""
-    return np.abs(rays.position[..., axis])
+def _footprint(
+    lens: Lens, plane_distance_mm: float, found: Sequence[Extremes], passes: Throughput
+) -> Footprint:
+    """From the extremes of the metrics of :func:`_reaches`."""
+    widest, *sides = found
+    half_side = 0.5 * min(lens.sensor.size_mm)
+    margin = half_side - widest.value
+    if sides:
+        margin = min(0.5 * size - side.value for size, side in zip(lens.sensor.size_mm, sides, strict=True))
+    return Footprint(
+        plane_distance_mm=plane_distance_mm,
+        radius_mm=widest.value,
+        field_mm=widest.field_mm,
+        pupil=widest.pupil,
+        sensor_half_side_mm=half_side,
+        inside=margin >= 0.0,
+        margin_mm=margin,
+        throughput=passes.throughput,
+    )
+
+
+def _angle(_position: Array, direction: Array) -> Array:
+    return np.arctan2(np.hypot(direction[..., 0], direction[..., 1]), direction[..., 2])
+
+
+def _reaches(lens: Lens, plane_distance_mm: float) -> list[Metric]:
+    """Distance from the axis on a plane; of a lens that is none of revolution, those along x and y, too."""
+    plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
+    round_one = all(surface.shape.ROTATIONAL for surface in lens.surfaces)
+    weights = [(1.0, 1.0)] if round_one else [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]
+
+    def reach(along: tuple[float, float], position: Array, direction: Array) -> Array:
+        forward = direction[..., 2] > 0.0
+        way = (plane_z_mm - position[..., 2]) / np.where(forward, direction[..., 2], 1.0)
+        x, y = (along[i] * (position[..., i] + way * direction[..., i]) for i in (0, 1))
+        return np.where(forward, np.hypot(x, y), -np.inf)
+
+    return [partial(reach, along) for along in weights]
 
 
 def _wavelength(lens: Lens, wavelength_um: float | None) -> float:
@@ -344,11 +383,6 @@ def _trace(
         system, fields, pupil, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
     )
     return trace_compiled(system, origins, directions, plane_z_mm)
-
-
-def _refuse_dark(found: Extremes, lens: Lens, wavelength_um: float) -> None:
-    if math.isnan(found.value):
-        raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
 
 
 def _dark(which: str, wavelength_um: float) -> str:

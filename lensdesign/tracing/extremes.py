@@ -1,4 +1,4 @@
-"""The worst ray of a lens: the largest value of a ray metric over field and pupil, refined until it stands.
+"""The worst rays of a lens: the largest values of ray metrics over field and pupil, refined until they stand.
 
 A dense sampling finds where the largest values lie; a direct search then follows each of them. It polls
 random directions (every direction comes up in the end, as in mesh-adaptive direct search: Audet and Dennis,
@@ -8,7 +8,7 @@ step whenever no direction is better. Maxima inside the pupil or the field are f
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +17,10 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.bundles import launch_pairs
 from lensdesign.tracing.compiled import CompiledSystem
-from lensdesign.tracing.rays import RayTrace, trace_compiled
+from lensdesign.tracing.rays import trace_compiled
 
-Metric = Callable[[RayTrace], Array]
+Metric = Callable[[Array, Array], Array]
+"""Value of each ray from where it leaves the last surface, and its direction; of shape (..., 3) each."""
 Evaluate = Callable[[Array], Array]
 
 FIELD, PUPIL = slice(0, 2), slice(2, 4)
@@ -55,45 +56,54 @@ class Extremes:
 def extremes(
     lens: Lens,
     system: CompiledSystem,
-    metric: Metric,
+    metrics: Sequence[Metric],
     heights_mm: Array,
-    plane_z_mm: float | None = None,
     *,
     symmetric: bool = True,
     between_heights: bool = True,
-) -> Extremes:
-    """Find the largest value of a metric over field and pupil.
+) -> tuple[Extremes, ...]:
+    """Find the largest value of each metric over field and pupil.
+
+    All are sought at once: small bundles cost a call of the tracer each, however few their rays.
 
     Parameters
     ----------
     lens, system
         The nominal lens and what was compiled from it (one trial).
-    metric
-        Value of each ray from its trace; values of failed rays do not count.
+    metrics
+        What is sought; values of failed rays do not count.
     heights_mm
         Field heights of the table.
-    plane_z_mm
-        Plane on which rays end; None ends them on the last surface.
     symmetric
         Whether the system is rotationally symmetric: fields then lie along y, half of the pupil does.
     between_heights
         Whether the largest value is sought between the heights of the table, too.
+
+    Returns
+    -------
+    tuple of Extremes, one for each metric
     """
 
     def evaluate(coordinates: Array) -> Array:
+        """Values of shape (metrics, ...) at coordinates of shape (metrics or 1, ..., 4)."""
+        flat = coordinates.reshape(-1, 4)
         origins, directions = launch_pairs(
             system,
-            coordinates[:, FIELD],
-            coordinates[:, PUPIL],
+            flat[:, FIELD],
+            flat[:, PUPIL],
             lens.object_z_mm,
             lens.stop_index,
             lens.stop_semi_diameter_mm,
         )
-        rays = trace_compiled(system, origins, directions, plane_z_mm)
-        return np.where(rays.ok, metric(rays), -np.inf)
+        rays = trace_compiled(system, origins, directions)
+        wide = (len(metrics), *coordinates.shape[1:-1], 3)
+        position = np.broadcast_to(rays.position.reshape(*coordinates.shape[:-1], 3), wide)
+        direction = np.broadcast_to(rays.direction.reshape(*coordinates.shape[:-1], 3), wide)
+        values = [metric(*ends) for metric, *ends in zip(metrics, position, direction, strict=True)]
+        return np.where(rays.ok.reshape(coordinates.shape[:-1]), values, -np.inf)
 
     starts = _starts(evaluate, heights_mm, symmetric)
-    per_height = len(starts) // len(heights_mm)
+    per_height = starts.shape[1] // len(heights_mm)
     heights = np.repeat(heights_mm, per_height)
     spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
     around = 0.0 if symmetric else 2.0 * np.pi / AZIMUTHS * lens.half_field_mm
@@ -101,10 +111,15 @@ def extremes(
     best, values = _climb(
         evaluate, starts, np.array([around, around, *pupil_steps]), lambda u: _project(u, heights)
     )
-    table = values.reshape(len(heights_mm), per_height).max(axis=1)
+    tables = values.reshape(len(metrics), len(heights_mm), per_height).max(axis=2)
     if between_heights:
         steps = np.array([around, max(around, spacing), *pupil_steps])
         best, values = _climb(evaluate, best, steps, lambda u: _project(u, None, lens.half_field_mm))
+    return tuple(_extremes(*found) for found in zip(tables, best, values, strict=True))
+
+
+def _extremes(table: Array, best: Array, values: Array) -> Extremes:
+    """What was found for one metric."""
     worst = int(np.argmax(values))
     fx, fy, px, py = (float(v) for v in best[worst])
     return Extremes(
@@ -116,7 +131,7 @@ def extremes(
 
 
 def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
-    """For each height the best sample on the rim of the stop and the best inside, height by height."""
+    """For each metric and height the best sample on the rim of the stop and the best inside."""
     azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     radii = np.linspace(0.0, 1.0, round(1.0 / PUPIL_STEP) + 1)
     angles = np.linspace(0.0, np.pi, 25) if symmetric else 2.0 * np.pi * np.arange(48) / 48
@@ -125,48 +140,53 @@ def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
         [height * np.sin(azimuth), height * np.cos(azimuth), radius * np.sin(angle), radius * np.cos(angle)],
         axis=-1,
     )
-    values = evaluate(coordinates.reshape(-1, 4)).reshape(height.shape)
-    starts = []
-    for i in range(len(heights_mm)):
-        for part in (slice(-1, None), slice(0, -1)):
-            some = values[i, :, part]
-            where = np.unravel_index(np.argmax(some), some.shape)
-            starts.append(coordinates[i, :, part][where])
-    return np.array(starts)
+    parts = [slice(-1, None), slice(0, -1)]
+    values = evaluate(coordinates[None])
+    starts = [
+        coordinates[i, :, part].reshape(-1, 4)[np.argmax(values[m, i, :, part])]
+        for m in range(len(values))
+        for i in range(len(heights_mm))
+        for part in parts
+    ]
+    return np.reshape(starts, (len(values), -1, 4))
 
 
 def _project(coordinates: Array, heights_mm: Array | None, half_field_mm: float = 0.0) -> Array:
-    """Put stop points back into the stop, and object points back to their heights or into the field."""
-    result = coordinates.copy()
-    field = np.hypot(coordinates[..., 0:1], coordinates[..., 1:2])
+    """Put stop points back into the stop, and object points back to their heights or into the field.
+
+    Coordinates of shape (metrics, starts, polled, 4), overwritten; a height for each start.
+    """
+    fx, fy, px, py = np.moveaxis(coordinates, -1, 0)
+    field = np.hypot(fx, fy)
     if heights_mm is None:
         scale = np.minimum(1.0, half_field_mm / np.maximum(field, 1e-300))
     else:
-        own = heights_mm.reshape(-1, *(1,) * (coordinates.ndim - 1))
-        scale = np.where(field > 0.0, own / np.maximum(field, 1e-300), 1.0)
-    result[..., FIELD] *= scale
-    result[..., PUPIL] /= np.maximum(1.0, np.hypot(coordinates[..., 2:3], coordinates[..., 3:4]))
-    return result
+        scale = np.where(field > 0.0, heights_mm[:, None] / np.maximum(field, 1e-300), 1.0)
+    share = np.maximum(1.0, np.hypot(px, py))
+    fx *= scale
+    fy *= scale
+    px /= share
+    py /= share
+    return coordinates
 
 
 def _climb(
     evaluate: Evaluate, starts: Array, steps: Array, project: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """Direct search for the largest value from every start at once."""
+    """Direct search for the largest value from every start (metrics, starts, 4) at once."""
     rng = np.random.default_rng(0)
     best, values = starts.copy(), evaluate(starts)
-    size = np.full(len(starts), 0.5)
-    rows = np.arange(len(starts))
+    size = np.full(values.shape, 0.5)
     for _ in range(MOST_STEPS):
         if np.all(size < FINEST_STEP):
             break
         direction = rng.normal(size=(POLLED // 2, 4)) * (steps > 0.0)
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         polled = np.concatenate([direction, -direction]) * steps
-        trial = project(best[:, None] + size[:, None, None] * polled)
-        found = evaluate(trial.reshape(-1, 4)).reshape(trial.shape[:-1])
-        choice = np.argmax(found, axis=1)
-        better = found[rows, choice] > values
-        best[better], values[better] = trial[rows, choice][better], found[rows, choice][better]
+        trial = project(best[..., None, :] + size[..., None, None] * polled)
+        found = evaluate(trial)
+        choice = (*np.indices(size.shape, sparse=True), np.argmax(found, axis=-1))
+        better = found[choice] > values
+        best[better], values[better] = trial[choice][better], found[choice][better]
         size = np.where(better, np.minimum(1.0, 1.5 * size), 0.7 * size)
     return best, values
