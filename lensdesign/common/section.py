@@ -48,6 +48,11 @@ def tuples(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
+def rows(value: Any) -> Any:
+    """A list of lists as a tuple of tuples."""
+    return tuple(tuples(row) for row in value) if isinstance(value, list | tuple) else value
+
+
 def as_path(value: Any) -> Any:
     """A path in a file is a string."""
     if "\0" in str(value):

@@ -12,6 +12,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.tracing.paths import FIELD_COLORS
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MARKERS = "os^Dv"
@@ -33,9 +34,7 @@ def spread_figure(lens: Lens) -> Figure:
     DesignError
         If no ray passes at one of the wavelengths.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.6, 4.6), layout="constrained", facecolor="white")
+    figure = white_figure((7.6, 4.6))
     axes = figure.add_subplot()
     wavelengths = sorted(lens.wavelengths_um, reverse=True)
     largest = 0.0
@@ -61,14 +60,26 @@ def spread_figure(lens: Lens) -> Figure:
     axes.set_ylim(0.0, 1.12 * largest)
     axes.grid(color="#E4E4E4", lw=0.6)
     axes.set_axisbelow(True)
-    axes.set_xlabel("field height (mm)", fontsize=9)
-    axes.set_ylabel("largest spread angle (deg)", fontsize=9)
-    axes.tick_params(labelsize=8, direction="in")
+    label_axes(axes, "field height (mm)", "largest spread angle (deg)")
     figure.suptitle(f"Spread behind the lens; pixels of {lens.sensor.pixel_pitch_um:g} µm", fontsize=10)
     figure.legend(
         loc="outside lower center", ncols=max(2, min(3, len(wavelengths))), frameon=False, fontsize=9
     )
     return figure
+
+
+def white_figure(size_inches: tuple[float, float]) -> Figure:
+    """An empty figure that lays itself out."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size_inches, layout="constrained", facecolor="white")
+
+
+def label_axes(axes: Axes, x: str, y: str) -> None:
+    """Names of both axes, and ticks that point inside."""
+    axes.set_xlabel(x, fontsize=9)
+    axes.set_ylabel(y, fontsize=9)
+    axes.tick_params(labelsize=8, direction="in")
 
 
 def _colors(count: int) -> Sequence[str | tuple[float, ...]]:

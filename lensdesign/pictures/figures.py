@@ -11,6 +11,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
+from lensdesign.pictures.charts import label_axes, white_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,8 +34,6 @@ def figure_map(lens: Lens, surface: int) -> Figure:
     InputError
         If the surface has no measured figure, or it cannot be read.
     """
-    from matplotlib.figure import Figure
-
     own = lens.surfaces[surface]
     figure, semi = surface_figure(own), own.semi_diameter_mm
     if figure is None or semi is None:
@@ -48,14 +47,12 @@ def figure_map(lens: Lens, surface: int) -> Figure:
     shown = np.full(x.shape, np.nan)
     shown[inside] = waves - fitted(waves, points, weights, "tilt") @ terms(points, "tilt")
     pv, rms = pv_rms_waves(figure, semi, "tilt")
-    picture = Figure(figsize=(5.6, 4.6), layout="constrained", facecolor="white")
+    picture = white_figure((5.6, 4.6))
     axes = picture.add_subplot()
     image = axes.imshow(shown, origin="lower", extent=(-semi, semi, -semi, semi), cmap="turbo")
     bar = picture.colorbar(image, ax=axes, shrink=0.9)
     bar.set_label(rf"sag error (waves, $\lambda$ = {1e3 * TEST_WAVELENGTH_UM:.1f} nm)", fontsize=9)
     bar.ax.tick_params(labelsize=8)
-    axes.set_xlabel("x (mm)", fontsize=9)
-    axes.set_ylabel("y (mm)", fontsize=9)
-    axes.tick_params(labelsize=8, direction="in")
+    label_axes(axes, "x (mm)", "y (mm)")
     axes.set_title(rf"Surface {surface + 1}: PV {pv:.3f} $\lambda$, RMS {rms:.3f} $\lambda$", fontsize=10)
     return picture

@@ -23,7 +23,7 @@ from lensdesign.analysis.spread import (
 )
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
-from lensdesign.pictures.charts import spread_figure
+from lensdesign.pictures.charts import label_axes, spread_figure, white_figure
 from lensdesign.pictures.figures import figure_map
 from lensdesign.pictures.layout import layout_figure
 from lensdesign.pictures.scene3d import RenderingError, render_lens
@@ -135,7 +135,7 @@ def spot_figure(lens: Lens, plane_distance_mm: float | None = None) -> Figure:
         If no ray of a field passes.
     """
     plane_distance_mm = observation_distance_mm(lens) if plane_distance_mm is None else plane_distance_mm
-    figure = _figure((9.6, 3.9))
+    figure = white_figure((9.6, 3.9))
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     wavelength_um, pupil = lens.wavelengths_um[0], pupil_hexapolar(14).points
     reach = 0.0
@@ -152,7 +152,7 @@ def spot_figure(lens: Lens, plane_distance_mm: float | None = None) -> Figure:
         axes.set_title(
             f"field height {height:.3g} mm{passed}\nRMS diameter {_length(spot.rms_diameter_mm)}", fontsize=9
         )
-        _label(axes, "x − centroid (mm)", "y − centroid (mm)")
+        label_axes(axes, "x − centroid (mm)", "y − centroid (mm)")
         axes.label_outer()
     for axes in panels:
         axes.locator_params(nbins=5)
@@ -189,7 +189,7 @@ def incidence_figure(
     reach = 1.12 * max(math.degrees(math.asin(limit_sine)), largest)
     columns = min(4, len(arrivals))
     rows = math.ceil(len(arrivals) / columns)
-    figure = _figure((2.6 * columns + 0.6, 3.1 * rows + 0.9))
+    figure = white_figure((2.6 * columns + 0.6, 3.1 * rows + 0.9))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes in panels[len(arrivals) :]:
         axes.remove()
@@ -197,7 +197,7 @@ def incidence_figure(
         _draw_arrivals(axes, arrival, limit_sine)
         axes.set_aspect("equal")
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-        _label(axes, r"$\theta_x$ (deg)", r"$\theta_y$ (deg)")
+        label_axes(axes, r"$\theta_x$ (deg)", r"$\theta_y$ (deg)")
         axes.label_outer()
     handles: dict[str, Any] = {}
     for axes in panels[: len(arrivals)]:
@@ -230,25 +230,10 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     if not np.all(within):
         axes.plot(*points[~within].T, "D", color=FIELD_COLORS[0], ms=2.6, mew=0.0, label="beyond the limit")
     x, y = arrival.sensor_point_mm
-    axes.set_title(f"({x:g}, {y:g}) mm\n{_arrival_note(arrival)}", fontsize=9)
-
-
-def _arrival_note(arrival: ArrivalAngles) -> str:
-    if not np.any(arrival.ok):
-        return "no light arrives"
-    return f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.share:.0f} % of the field"
-
-
-def _figure(size_inches: tuple[float, float]) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=size_inches, layout="constrained", facecolor="white")
-
-
-def _label(axes: Axes, x: str, y: str) -> None:
-    axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(y, fontsize=9)
-    axes.tick_params(labelsize=8, direction="in")
+    note = "no light arrives"
+    if np.any(arrival.ok):
+        note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.share:.0f} % of the field"
+    axes.set_title(f"({x:g}, {y:g}) mm\n{note}", fontsize=9)
 
 
 def _length(value_mm: float) -> str:

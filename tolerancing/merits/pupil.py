@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Positive, tuples
+from lensdesign.common.section import Finite, Positive, rows, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context, Points
@@ -42,10 +42,7 @@ class PupilMerit(Merit):
 
     _lists = field_validator("field_mm", mode="before")(tuples)
 
-    @field_validator("field_points_mm", mode="before")
-    @classmethod
-    def _points(cls, value: Any) -> Any:
-        return tuple(tuples(point) for point in value) if isinstance(value, list) else value
+    _points = field_validator("field_points_mm", mode="before")(rows)
 
     @model_validator(mode="after")
     def _one_way(self) -> PupilMerit:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Positive, tuples
+from lensdesign.common.section import Finite, Positive, rows
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context, Points
@@ -30,10 +30,7 @@ class RayMerit(Merit):
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256
 
-    @field_validator("field_points_mm", mode="before")
-    @classmethod
-    def _lists(cls, value: Any) -> Any:
-        return tuple(tuples(point) for point in value) if isinstance(value, list) else value
+    _lists = field_validator("field_points_mm", mode="before")(rows)
 
     def check(self, lens: Lens) -> None:
         for point in self.field_points_mm:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Section, tuples
+from lensdesign.common.section import Section, rows, tuples
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import DesignError
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
@@ -50,10 +50,7 @@ class Correlation(Section):
 
     _lists = field_validator("names", mode="before")(tuples)
 
-    @field_validator("matrix", mode="before")
-    @classmethod
-    def _rows(cls, value: Any) -> Any:
-        return tuple(tuples(row) for row in value) if isinstance(value, list | tuple) else value
+    _rows = field_validator("matrix", mode="before")(rows)
 
     @field_validator("names")
     @classmethod
