@@ -350,13 +350,13 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _similar(name: str, entries: Sequence[_Entry], limit: int = 5) -> list[_Entry]:
+def _similar(name: str, entries: Sequence[_Entry]) -> list[_Entry]:
     """Entries with the same letters and digits, then those that contain them, then close spellings."""
     asked = _plain(name)
     plain = [(_plain(entry.name), entry) for entry in entries]
     containing = [pair for pair in plain if asked and asked in pair[0]]
     containing.sort(key=lambda pair: len(pair[0]))
-    close = difflib.get_close_matches(asked, dict.fromkeys(key for key, _ in plain), n=limit)
+    close = difflib.get_close_matches(asked, dict.fromkeys(key for key, _ in plain), n=5)
     first = dict(reversed(plain))
     ranked = [entry for _, entry in containing] + [first[key] for key in close]
-    return list({(entry.name, entry.catalog): entry for entry in ranked}.values())[:limit]
+    return list({(entry.name, entry.catalog): entry for entry in ranked}.values())[:5]

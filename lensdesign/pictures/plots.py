@@ -165,7 +165,6 @@ def spot_figure(lens: Lens, plane_distance_mm: float | None = None) -> Figure:
 def incidence_figure(
     lens: Lens,
     sensor_points_mm: Sequence[tuple[float, float]] | None = None,
-    plane_distance_mm: float | None = None,
 ) -> Figure:
     """Angles in which light of the whole object disc arrives at points of the sensor (Fig. 2d).
 
@@ -174,11 +173,10 @@ def incidence_figure(
     lens
         Any lens.
     sensor_points_mm
-        x and y of the points; None takes four along y, in the paper's proportions to the sensor.
-    plane_distance_mm
-        Their plane, from the exit vertex; None as in :func:`spot_figure`.
+        x and y of the points, in the plane that :func:`spot_figure` takes; None takes four along y, in the
+        paper's proportions to the sensor.
     """
-    plane_distance_mm = observation_distance_mm(lens) if plane_distance_mm is None else plane_distance_mm
+    plane_distance_mm = observation_distance_mm(lens)
     if sensor_points_mm is None:
         half_mm = 0.5 * min(lens.sensor.size_mm)
         sensor_points_mm = [(0.0, float(f"{half_mm * share:.3g}")) for share in SENSOR_SHARES]

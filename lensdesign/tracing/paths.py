@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -20,10 +20,8 @@ FIELD_COLORS = ("#D55E00", "#009E73", "#0072B2")
 """Red, green and blue that colour-blind readers can tell apart (Okabe and Ito)."""
 
 
-def ray_paths(
-    lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike, wavelength_um: float | None = None
-) -> NDArray[np.float64]:
-    """Corners of rays from an object point through stop points to the last sensor plane.
+def ray_paths(lens: Lens, field_mm: tuple[float, float], pupil_points: ArrayLike) -> Array:
+    """Corners of rays of the first wavelength from an object point through stop points to the last plane.
 
     Parameters
     ----------
@@ -33,8 +31,6 @@ def ray_paths(
         x and y of the object point.
     pupil_points
         Points on the stop as shares of its semi-diameter, shape (n, 2).
-    wavelength_um
-        Vacuum wavelength; None takes the lens's first.
 
     Returns
     -------
@@ -42,7 +38,7 @@ def ray_paths(
         Object point, a point on each surface, and one on the plane, in mm. A failed ray ends where it
         failed, or before that at the ground edge of the glass: its last corners coincide.
     """
-    wavelength_um = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    wavelength_um = lens.wavelengths_um[0]
     origins, directions = launch(lens, [field_mm], pupil_points, wavelength_um)
     rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=lens.sensor_z_mm[-1], record_hits=True)
     assert rays.hits is not None  # asked for above

@@ -178,7 +178,9 @@ def compensate(pupils: Sequence[ReconstructionPupil], models: Sequence[ModelPupi
             slopes = np.where(rest.valid, model.slopes, 0.0) / len(rest.valid)
             matrix += slopes @ model.slopes.T
             wanted += slopes @ registered(rest)
-        triangle = np.linalg.cholesky(_regular(matrix))
+        # Directions that do next to nothing are held where they are.
+        floor = 1e-9 * np.trace(matrix) / len(matrix) + np.finfo(float).tiny
+        triangle = np.linalg.cholesky(matrix + floor * np.eye(len(matrix)))
         bounds = (-1.0 - shares, 1.0 - shares)
         change = lsq_linear(triangle.T, np.linalg.solve(triangle, wanted), bounds=bounds, method="bvls").x
         shares = np.clip(shares + change, -1.0, 1.0)
@@ -191,9 +193,3 @@ def less_model(pupil: ReconstructionPupil, model: ModelPupils, values: Array) ->
         return pupil
     own = model.pupil(values)
     return replace(pupil, opd_mm=pupil.opd_mm - own.opd_mm, valid=pupil.valid & own.valid)
-
-
-def _regular(matrix: Array) -> Array:
-    """A positive definite matrix: directions that do next to nothing are held where they are."""
-    floor = 1e-9 * np.trace(matrix) / len(matrix) + np.finfo(float).tiny
-    return np.asarray(matrix + floor * np.eye(len(matrix)))

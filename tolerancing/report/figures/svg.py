@@ -8,36 +8,23 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from tolerancing.report.blocks import Panel, plain
-from tolerancing.report.figures.style import (
-    BLUE,
-    EDGE,
-    GREEN,
-    GREY,
-    GRID,
-    INK,
-    OCHRE,
-    ORANGE,
-    PAPER,
-    RED,
-    TICKS,
-    VIOLET,
-)
+from tolerancing.report.figures import style
 
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 
 COLORS = {
-    INK: "ink",
-    TICKS: "soft",
-    EDGE: "edge",
-    GRID: "grid",
-    PAPER: "paper",
-    BLUE: "blue",
-    ORANGE: "orange",
-    GREEN: "green",
-    RED: "red",
-    GREY: "soft",
-    VIOLET: "violet",
-    OCHRE: "ochre",
+    style.INK: "ink",
+    style.TICKS: "soft",
+    style.EDGE: "edge",
+    style.GRID: "grid",
+    style.PAPER: "paper",
+    style.BLUE: "blue",
+    style.ORANGE: "orange",
+    style.GREEN: "green",
+    style.RED: "red",
+    style.GREY: "soft",
+    style.VIOLET: "violet",
+    style.OCHRE: "ochre",
     # Of the layout.
     "#cfe3f1": "glass",
     "#333333": "ink",
@@ -161,10 +148,10 @@ def _rename(root: ElementTree.Element, prefix: str) -> None:
 
 def _restyle(element: ElementTree.Element) -> None:
     """Colours of the page, fewer digits, fonts that every system has something like."""
-    style = element.get("style")
-    if style:
-        style = _COLOR.sub(_variable, style)
-        element.set("style", _FONTS.sub("'DejaVu Sans', Verdana, sans-serif", style).replace("; ", ";"))
+    look = element.get("style")
+    if look:
+        look = _COLOR.sub(_variable, look)
+        element.set("style", _FONTS.sub("'DejaVu Sans', Verdana, sans-serif", look).replace("; ", ";"))
     for name in ("d", "points", "x", "y", "transform"):
         value = element.get(name)
         if value is not None:
