@@ -20,8 +20,9 @@ from tolerancing.merits.pupil import Axis
 from wavesim.scene.placement import Placement
 
 if TYPE_CHECKING:
-    from wavesim import Engine, PupilSampler, Recorded, Scene
+    from wavesim import Engine, PupilSampler, Recorded
     from wavesim import Field as LightField
+    from wavesim.camera import Recording
     from wavesim.objects.patch import Patch
 
 Ground = Literal["bright", "dark"]
@@ -137,27 +138,21 @@ class Chain:
         scene = replace(scene, object_grid=grid.at(grid.z_mm + refocus_mm))
         return engine_for(scene, "eikonal", error=TILE_ERROR)
 
-    def scene(self, system: Placement) -> Scene:
-        """Between the object and the sensor's first plane, both where they really are."""
-        from wavesim import Scene
-        from wavesim.camera.sensor import sensor_grid
-        from wavesim.camera.windows import OVERSAMPLING
-        from wavesim.scene.scene import placed_scene
+    @cached_property
+    def behind(self) -> LightField:
+        """The light behind the object."""
+        return self.light.with_values(self.light.values * self.transmission)
 
-        # The placement's changes of index hold those that its wavelength brings.
-        indices = self.lens.indices(self.patch.wavelength_um)[1:].tolist()
-        surfaces = tuple(
-            surface if surface.material is None else surface.replaced(material=index)
-            for surface, index in zip(self.lens.surfaces, indices, strict=True)
-        )
-        first_z = self.lens.exit_vertex_z_mm + self.planes_mm[0] + system.plane_distances_mm[0]
-        nominal = Scene(
-            self.lens.replaced(surfaces=surfaces),
-            self.patch.grid,
-            replace(sensor_grid(self.sensor, first_z, OVERSAMPLING), centre_mm=system.sensor_shift_mm[:2]),
-            self.patch.wavelength_um,
-        )
-        return placed_scene(nominal, system)
+    def recording(
+        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
+    ) -> Recording:
+        """How a perturbed system records; parameters are those of :meth:`recorded`."""
+        from wavesim import Electronics
+        from wavesim.camera import Recording
+
+        full_well = {} if electrons is None else {"full_well_electrons": electrons / FULL_WELL_SHARE}
+        electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
+        return Recording(self.planes_mm, electronics, noise, FULL_WELL_SHARE, placement=system)
 
     def recorded(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
@@ -180,50 +175,28 @@ class Chain:
         InputError, SamplingError
             If no light arrives, or samples cannot hold it on its way.
         """
-        from wavesim import Field, SamplingWarning
-        from wavesim.camera import FootprintWarning, SaturationWarning
+        from wavesim import Recorded, SamplingWarning
+        from wavesim.camera import FootprintWarning, SaturationWarning, image_patch, recorded_planes
+        from wavesim.camera.mounting import light_on
+        from wavesim.camera.recording import fields_on_sensor, recorded_scene
+        from wavesim.camera.sensor import light_on_pixels
         from wavesim.engines.choosing import engine_for
-        from wavesim.fields.passage import propagate
 
-        scene = self.scene(system)
-        behind = Field(scene.object_grid, self.light.values * self.transmission, scene.wavelength_um)
-        pixels = []
+        recording = self.recording(system, electrons, bits, noise)
+        behind, windows = light_on(self.behind, system), [self.sensor] * len(self.planes_mm)
         with warnings.catch_warnings():
             for told in (FootprintWarning, SamplingWarning, SaturationWarning):
                 warnings.simplefilter("ignore", told)
-            first = engine_for(scene, "eikonal", error=TILE_ERROR).forward(behind)
-            for distance, delta in zip(self.planes_mm, system.plane_distances_mm, strict=True):
-                z_mm = self.lens.exit_vertex_z_mm + distance + delta
-                there = first if z_mm == first.grid.z_mm else propagate(first, first.grid.at(z_mm))
-                pixels.append(_on_sensor(there, system.sensor_tilt_deg))
-            return self._amplitudes(pixels, electrons, bits, noise)
-
-    def _amplitudes(
-        self, fields: Sequence[LightField], electrons: float | None, bits: int, noise: np.random.SeedSequence
-    ) -> list[Recorded]:
-        """What pixels tell of fields on the sensor."""
-        from wavesim import Electronics, Recorded
-        from wavesim.camera import record
-        from wavesim.camera.frame_sets import recorded_planes
-        from wavesim.camera.sensor import light_on_pixels
-
-        planes = list(zip(fields, self.planes_mm, noise.spawn(len(fields)), strict=True))
-        if electrons is None:
-            return [
-                Recorded(z - self.planes_mm[0], np.sqrt(light_on_pixels(f, self.sensor)).astype(np.float32))
-                for f, z, _ in planes
-            ]
-        electronics = Electronics(
-            full_well_electrons=electrons / FULL_WELL_SHARE,
-            bits=bits,
-            offset_counts=min(64.0, 2.0**bits / 16.0),
-        )
-        return recorded_planes(
-            [
-                record(f, self.sensor, z, electronics, own, brightest_share=FULL_WELL_SHARE)
-                for f, z, own in planes
-            ]
-        )
+            scene = recorded_scene(self.lens, self.patch, self.sensor, recording)
+            engine = engine_for(scene, "eikonal", error=TILE_ERROR)
+            if electrons is not None:
+                return recorded_planes(image_patch(engine, behind, self.sensor, windows, recording)[0])
+            fields = fields_on_sensor(engine, behind, windows, recording)
+            lit = [light_on_pixels(field, self.sensor) for field in fields]
+        return [
+            Recorded(distance - self.planes_mm[0], np.sqrt(light).astype(np.float32))
+            for distance, light in zip(self.planes_mm, lit, strict=True)
+        ]
 
     def reconstructed(
         self, planes: Sequence[Recorded], refocus_um: float, method: Method, iterations: int
@@ -346,15 +319,3 @@ class Chain:
         bright, dark = (bars, gaps) if self.ground == "dark" else (gaps, bars)
         light = np.maximum(bright + dark, DARK * np.max(power))
         return float(np.max(np.mean((bright - dark) / light, axis=1)))
-
-
-def _on_sensor(field: LightField, tilt_deg: tuple[float, float]) -> LightField:
-    """A field in the frame of a sensor whose middle is that of the field's grid."""
-    from wavesim.fields.passage import propagate
-
-    own = replace(field.grid, centre_mm=(0.0, 0.0))
-    if not any(tilt_deg):
-        return replace(field, grid=own)
-    tilt = (math.radians(tilt_deg[0]), math.radians(tilt_deg[1]))
-    tilted = propagate(field, own.at(0.0), target_tilt_rad=tilt, coarse_output=True)
-    return replace(tilted, grid=own)

@@ -161,9 +161,11 @@ def _generator(seed: Seed) -> np.random.Generator:
         raise InputError(f"seed = {seed!r}: must be a whole number from 0, or a SeedSequence") from None
 
 
-def plane_seeds(seed: int | None, planes: int) -> Sequence[Seed | None]:
+def plane_seeds(seed: Seed | None, planes: int) -> Sequence[Seed | None]:
     """Independent seeds for frames of several planes: one seed for all would repeat the noise."""
-    return [None] * planes if seed is None else np.random.SeedSequence(seed).spawn(planes)
+    if seed is None:
+        return [None] * planes
+    return (seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)).spawn(planes)
 
 
 def exposure_seeds(seed: Seed | None, exposures: int) -> Sequence[Seed | None]:

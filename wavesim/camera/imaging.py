@@ -11,14 +11,14 @@ from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
+from lensdesign.lens.poses import Pose
 from wavesim.camera.exposures import Electronics
 from wavesim.camera.frames import Frame
-from wavesim.camera.recording import PARTS, Progress, Recording, image_patch, imaging_need
+from wavesim.camera.mounting import light_on
+from wavesim.camera.recording import PARTS, Progress, Recording, image_patch, imaging_need, recorded_scene
 from wavesim.camera.windows import (
-    OVERSAMPLING,
     check_footprint,
     diversity,
-    exit_scene,
     imaging_error,
     light_window,
     sensor_window,
@@ -30,6 +30,7 @@ from wavesim.objects.patch import Patch, Target, lit, lit_patch, make_target
 from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.engine import Engine
+from wavesim.scene.placement import Placement, placed
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ImageSettings, SettingError
 
@@ -95,6 +96,7 @@ def image(
     thing: str | Field = "usaf",
     settings: ImageSettings | None = None,
     *,
+    placement: Placement | Pose | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     before: Callable[[Memory], None] | None = None,
@@ -111,6 +113,9 @@ def image(
         those of the patch.
     settings
         All that may be set; defaults if left out.
+    placement
+        How lens, object, sensor and light are not as designed, in place of the settings' decenter, tilt and
+        despace. Frames say of their planes what the stage says, and of the light its own wavelength.
     folder
         Where finished parts of a whole field are kept, so that a run which was cut off goes on
         (:func:`wavesim.camera.recording.drop_parts` removes them), and arrays that memory does not hold.
@@ -127,15 +132,18 @@ def image(
         If a setting is not usable, or samples or memory do not hold what is asked for.
     """
     settings = (settings or ImageSettings()).replaced(**changes)
-    recording, pose = _recording(lens, settings), settings.pose
+    if placement is not None and settings.pose != Pose():
+        raise SettingError("{placement} says how the lens is mounted: give no decenter, tilt or despace")
+    place = placed(settings.pose if placement is None else placement)
+    recording = _recording(lens, settings, place)
     patch, light = _patch_and_light(lens, thing, settings)
     planes = recording.plane_distances_mm
     target = _target(lens, patch, thing, settings)
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
-    sensor = sensor_window(lens, patch, planes, pixels, pose)
-    check_footprint(lens, patch, sensor, planes, pose)
-    windows = [light_window(lens, patch, sensor, plane, pose) for plane in planes]
-    behind = light.with_values(light.values * target.transmission.values)
+    sensor = sensor_window(lens, patch, planes, pixels, place)
+    check_footprint(lens, patch, sensor, planes, place)
+    windows = [light_window(lens, patch, sensor, plane, place) for plane in planes]
+    behind = light_on(light.with_values(light.values * target.transmission.values), place)
     del light
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as take:
@@ -148,7 +156,7 @@ def image(
             )
             return take(made)
 
-        engine = make(exit_scene(lens, patch, windows[0], planes[0], pose, OVERSAMPLING))
+        engine = make(recorded_scene(lens, patch, windows[0], recording))
         memory = Memory(imaging_need(engine, sensor, windows, recording), limit)
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
         if before is not None:
@@ -191,7 +199,7 @@ def _target(lens: Lens, patch: Patch, thing: str | Field, settings: ImageSetting
     )
 
 
-def _recording(lens: Lens, settings: ImageSettings) -> Recording:
+def _recording(lens: Lens, settings: ImageSettings, placement: Placement) -> Recording:
     """Planes, electronics, noise and errors of the stage."""
     planes, errors = settings.planes_mm or lens.sensor.plane_distances_mm, settings.stage_error_mm
     if len(errors) not in (1, len(planes)):
@@ -213,4 +221,5 @@ def _recording(lens: Lens, settings: ImageSettings) -> Recording:
         errors * len(planes) if len(errors) == 1 else errors,
         settings.shift_um,
         settings.exposures,
+        placement,
     )

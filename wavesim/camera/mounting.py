@@ -21,6 +21,7 @@ from lensdesign.lens.poses import Pose
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
 from wavesim.scene.placement import Placement
+from wavesim.scene.scene import placed_object
 
 DECENTERS = ("decenter_x_mm", "decenter_y_mm")
 TILTS = ("tilt_x_deg", "tilt_y_deg")
@@ -75,14 +76,16 @@ def read_mounting(path: str | os.PathLike[str]) -> Placement:
 
 def light_on(nominal: Field, mounting: Placement) -> Field:
     """The light on the object where it is; the object takes its light with it."""
-    grid = nominal.grid.at(nominal.grid.z_mm + mounting.object_shift_mm[2])
-    return Field(grid, nominal.values, nominal.wavelength_um, nominal.index)
+    wavelength = mounting.wavelength_um or nominal.wavelength_um
+    return Field(placed_object(nominal.grid, mounting), nominal.values, wavelength, nominal.index)
 
 
 def planes_at(nominal: Sequence[Recorded], mounting: Placement) -> list[Recorded]:
     """The recorded planes where they are."""
-    deltas = (*mounting.plane_distances_mm, *[0.0] * len(nominal))
-    return [replace(p, distance_mm=p.distance_mm + d) for p, d in zip(nominal, deltas, strict=False)]
+    return [
+        replace(plane, distance_mm=plane.distance_mm + mounting.plane_distance_mm(n))
+        for n, plane in enumerate(nominal)
+    ]
 
 
 def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.float64]:

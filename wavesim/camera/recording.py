@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -20,17 +20,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Sensor
-from wavesim.camera.exposures import Electronics, plane_seeds
+from lensdesign.lens.lens import Lens, Sensor
+from wavesim.camera.exposures import Electronics, Seed, plane_seeds
 from wavesim.camera.frames import Array, Frame
 from wavesim.camera.pixel_light import PixelLight
-from wavesim.camera.sensor import frames_of_light, light_on_pixels, sensor_grid, tell_footprint
+from wavesim.camera.sensor import (
+    frames_of_light,
+    light_on_pixels,
+    on_sensor,
+    sensor_grid,
+    tell_footprint,
+)
 from wavesim.camera.windows import OVERSAMPLING
 from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
-from wavesim.objects.patch import LIGHT_BYTES
+from wavesim.objects.patch import LIGHT_BYTES, Patch
 from wavesim.runtime.checkpoint import key_of
 from wavesim.runtime.memory import (
     BASE_BYTES,
@@ -45,7 +51,8 @@ from wavesim.runtime.memory import (
 )
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Tiled
-from wavesim.scene.scene import Scene
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
 
 BAND_ROWS = 1024
 """Of a plane's samples, made at one time."""
@@ -67,7 +74,7 @@ class Recording:
         From the exit vertex, as the stage states them, increasing.
     electronics : Electronics
         Full well, noise and quantisation.
-    seed : int or None
+    seed : int, numpy.random.SeedSequence or None
         Of the noise; None for none.
     brightest_share
         Of full well, in the brightest pixel of a frame with an exposure of 1.
@@ -77,23 +84,29 @@ class Recording:
         By how much the sensor moves from one plane to the next.
     exposures : tuple of float
         Of the frames of each plane, in units of the one that puts `brightest_share` into the brightest pixel.
+    placement : Placement
+        How far the planes and the sensor's middle are from where they should be, beside all this, and the
+        sensor's tilt.
     """
 
     plane_distances_mm: tuple[float, ...]
     electronics: Electronics
-    seed: int | None = 0
+    seed: Seed | None = 0
     brightest_share: float = 0.8
     stage_errors_mm: tuple[float, ...] = ()
     shift_um: tuple[float, float] = (0.0, 0.0)
     exposures: tuple[float, ...] = (1.0,)
+    placement: Placement = NOMINAL
 
     def error_mm(self, number: int) -> float:
         """How much farther from the lens a plane is than stated."""
-        return self.stage_errors_mm[number] if self.stage_errors_mm else 0.0
+        of_stage = self.stage_errors_mm[number] if self.stage_errors_mm else 0.0
+        return of_stage + self.placement.plane_distance_mm(number)
 
     def place_um(self, number: int) -> tuple[float, float]:
         """Where the sensor's middle is on a plane (x, y)."""
-        return number * self.shift_um[0], number * self.shift_um[1]
+        x_mm, y_mm, _ = self.placement.sensor_shift_mm
+        return number * self.shift_um[0] + 1e3 * x_mm, number * self.shift_um[1] + 1e3 * y_mm
 
 
 def image_patch(
@@ -113,7 +126,7 @@ def image_patch(
     Parameters
     ----------
     engine
-        From the patch to the first plane's window (:func:`exit_scene`).
+        From the patch to the first plane's window (:func:`recorded_scene`).
     behind_object
         Illumination times transmission.
     sensor
@@ -146,31 +159,33 @@ def image_patch(
     """
     if isinstance(engine, Tiled) and make is None:
         raise InputError(f"make: engine {engine.name} needs one for each plane")
+    if isinstance(engine, Tiled) and any(recording.placement.sensor_tilt_deg):
+        raise InputError(f"sensor_tilt_deg: engine {engine.name} records on upright planes alone")
     tell = progress or (lambda what, done, count: None)
-    scene = engine.scene
-    first, frames, share = None, list[Frame](), 0.0
+    scene, frames, share = engine.scene, list[Frame](), 0.0
+    fields, width = None, recording.electronics.active_width
     if not isinstance(engine, Tiled):
         tell("through the lens", 0, len(windows))
-        first = engine.forward(behind_object)
-        limit = 500.0 / sensor.pixel_pitch_um
-        share = spectrum_support(first.values, first.grid.pitch_mm, limit).share_beyond
+        fields = fields_on_sensor(engine, behind_object, windows, recording)
     for number, seed in enumerate(plane_seeds(recording.seed, len(windows))):
-        if first is not None:
+        if fields is not None:
+            field = next(fields)
             tell(f"plane {number + 1}", number, len(windows))
-            intensity = _light_from_first(first, number, sensor, windows, recording)
+            if number == 0:
+                limit = 500.0 / sensor.pixel_pitch_um
+                share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
+            intensity = light_on_pixels(field, sensor, active_width=width, oversampling=OVERSAMPLING)
+            del field  # the next plane's takes as much
         else:
-            here = replace(scene, exit_grid=_plane_grid(scene, number, windows, recording))
+            here = replace(scene, exit_grid=_plane_grid(scene.lens, windows[number], number, recording))
             assert make is not None
             own = engine if here.exit_grid == scene.exit_grid else make(here)
             assert isinstance(own, Tiled)
-            light = PixelLight(
-                sensor, np.complex64, OVERSAMPLING, recording.electronics.active_width, scratch
-            )
             intensity, beyond = _light_in_bands(
                 own,
                 behind_object,
                 sensor,
-                light,
+                PixelLight(sensor, np.complex64, OVERSAMPLING, width, scratch),
                 _parts(folder, number, own, behind_object),
                 lambda *told, n=number: tell(f"plane {n + 1}", *told),
             )
@@ -193,29 +208,46 @@ def drop_parts(folder: Path) -> None:
     shutil.rmtree(folder / PARTS, ignore_errors=True)
 
 
-def _light_from_first(
-    first: Field, number: int, sensor: Sensor, windows: Sequence[Sensor], recording: Recording
-) -> Array:
-    """Light on the pixels of one plane, carried there from the first one through free space."""
-    planes = recording.plane_distances_mm
-    grid = sensor_grid(windows[number], first.grid.z_mm + planes[number] - planes[0], OVERSAMPLING)
-    return light_on_pixels(
-        first if grid == first.grid else propagate(first, grid),
-        sensor,
-        active_width=recording.electronics.active_width,
-        oversampling=OVERSAMPLING,
-        stage_error_mm=recording.error_mm(number),
-        shift_um=recording.place_um(number),
-    )
-
-
-def _plane_grid(scene: Scene, number: int, windows: Sequence[Sensor], recording: Recording) -> Grid:
-    """Samples of a plane where the stage and the sensor truly stand."""
-    planes = recording.plane_distances_mm
-    z_mm = scene.exit_grid.z_mm + planes[number] - planes[0] + recording.error_mm(number)
+def _plane_grid(lens: Lens, window: Sensor, number: int, recording: Recording) -> Grid:
+    """Samples of a window on a plane where the stage and the sensor truly stand, the sensor's tilt aside."""
+    z_mm = lens.exit_vertex_z_mm + recording.plane_distances_mm[number] + recording.error_mm(number)
     x_um, y_um = recording.place_um(number)
-    grid = sensor_grid(windows[number], z_mm, OVERSAMPLING)
-    return replace(grid, centre_mm=(1e-3 * x_um, 1e-3 * y_um))
+    return replace(sensor_grid(window, z_mm, OVERSAMPLING), centre_mm=(1e-3 * x_um, 1e-3 * y_um))
+
+
+def recorded_scene(lens: Lens, patch: Patch, window: Sensor, recording: Recording) -> Scene:
+    """The scene between a patch and a window on the first plane, all where they truly are."""
+    nominal = Scene(lens, patch.grid, _plane_grid(lens, window, 0, recording), patch.wavelength_um)
+    return placed_scene(nominal, recording.placement)
+
+
+def fields_on_sensor(
+    engine: Engine, behind_object: Field, windows: Sequence[Sensor], recording: Recording
+) -> Iterator[Field]:
+    """Carry light from behind the object to each plane, through free space from the engine's exit grid.
+
+    Parameters
+    ----------
+    engine
+        To the first plane's window (:func:`recorded_scene`).
+    behind_object, windows, recording
+        As of :func:`image_patch`.
+
+    Yields
+    ------
+    Field
+        On the window, in the frame of the sensor.
+
+    Raises
+    ------
+    InputError, SamplingError
+        If samples cannot hold the light on its way.
+    """
+    first = engine.forward(behind_object)
+    for number, window in enumerate(windows):
+        grid = _plane_grid(engine.scene.lens, window, number, recording)
+        tilt_deg = recording.placement.sensor_tilt_deg
+        yield on_sensor(first if grid == first.grid else propagate(first, grid), tilt_deg)
 
 
 def _light_in_bands(

@@ -50,6 +50,29 @@ def sensor_grid(sensor: Sensor, z_mm: float, oversampling: int = 1) -> Grid:
     return Grid(shape, 1e-3 * sensor.pixel_pitch_um / oversampling, z_mm)
 
 
+def on_sensor(field: Field, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Field:
+    """A field in the frame of a sensor whose middle is that of the field's grid.
+
+    Parameters
+    ----------
+    field
+        On an upright plane.
+    tilt_deg : (x, y)
+        Of the sensor, as of :class:`wavesim.scene.Placement`.
+
+    Raises
+    ------
+    SamplingError
+        If the field's samples cannot hold it on a plane so tilted.
+    """
+    own = replace(field.grid, centre_mm=(0.0, 0.0))
+    if not any(tilt_deg):
+        return replace(field, grid=own)
+    tilt = (math.radians(tilt_deg[0]), math.radians(tilt_deg[1]))
+    tilted = propagate(field, own.at(0.0), target_tilt_rad=tilt, coarse_output=True)
+    return replace(tilted, grid=own)
+
+
 def light_on_pixels(
     field: Field,
     sensor: Sensor,

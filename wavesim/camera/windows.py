@@ -17,6 +17,7 @@ from lensdesign.lens.poses import Pose
 from wavesim.camera.sensor import FootprintWarning, sensor_grid
 from wavesim.engines.registry import AUTO, settings_of
 from wavesim.objects.patch import Patch
+from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.scene import Scene
 
 WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
@@ -54,17 +55,26 @@ def imaging_error(name: str, error: float | None = None) -> float | None:
     return TILE_ERROR if "error" in settings_of(name) else None
 
 
-def footprint_mm(lens: Lens, patch: Patch, plane_distance_mm: float, pose: Pose = Pose()) -> float:
-    """Diameter of the smallest disc about the axis that holds a patch's light on a plane, by rays.
+def footprint_mm(
+    lens: Lens, patch: Patch, plane_distance_mm: float, placement: Placement | Pose = NOMINAL
+) -> float:
+    """Diameter of a disc about the sensor's middle that holds a patch's light on a plane, by rays.
+
+    The smallest one where object and sensor stand in their places.
 
     Raises
     ------
     DesignError
         If no ray passes the lens.
     """
-    space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm)
+    place = placed(placement)
+    x, y, z = place.object_shift_mm
+    # Light of a displaced object crosses the design's object plane so much beside the field stop.
+    beside = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
+    space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm + 2.0 * beside)
     lit = lens.replaced(object=space)
-    return 2.0 * footprint(lit, patch.wavelength_um, plane_distance_mm, pose).radius_mm
+    found = footprint(lit, patch.wavelength_um, plane_distance_mm, place.pose, place.surface_perturbations)
+    return 2.0 * (found.radius_mm + math.hypot(*place.sensor_shift_mm[:2]))
 
 
 def sensor_window(
@@ -72,7 +82,7 @@ def sensor_window(
     patch: Patch,
     plane_distances_mm: Sequence[float],
     pixels: int | tuple[int, int] | None = None,
-    pose: Pose = Pose(),
+    placement: Placement | Pose = NOMINAL,
 ) -> Sensor:
     """The middle of the design's sensor, as much of it as a patch's light falls on.
 
@@ -84,8 +94,8 @@ def sensor_window(
         Recording planes, from the exit vertex.
     pixels
         Along each side, or across and down; left out, what just holds the footprint on all planes.
-    pose
-        Of the lens as mounted.
+    placement
+        Where lens, object and sensor are.
 
     Raises
     ------
@@ -103,14 +113,18 @@ def sensor_window(
     if pixels is not None and not 1 <= pixels <= min(whole.pixels):
         raise InputError(f"pixels = {pixels}: must be from 1 to the sensor's {min(whole.pixels)}")
     if pixels is None:
-        widest = max(footprint_mm(lens, patch, z, pose) for z in plane_distances_mm)
+        widest = max(footprint_mm(lens, patch, z, placement) for z in plane_distances_mm)
         pixels = scipy.fft.next_fast_len(math.ceil(1e3 * WINDOW_MARGIN * widest / whole.pixel_pitch_um))
     across, down = (min(pixels, most) for most in whole.pixels)
     return whole.replaced(pixels=(across, down), plane_distances_mm=tuple(sorted(plane_distances_mm)))
 
 
 def check_footprint(
-    lens: Lens, patch: Patch, sensor: Sensor, plane_distances_mm: Sequence[float], pose: Pose = Pose()
+    lens: Lens,
+    patch: Patch,
+    sensor: Sensor,
+    plane_distances_mm: Sequence[float],
+    placement: Placement | Pose = NOMINAL,
 ) -> None:
     """Tell where a patch's light falls beside the pixels.
 
@@ -125,7 +139,7 @@ def check_footprint(
         If a part of it does.
     """
     for distance in plane_distances_mm:
-        width = footprint_mm(lens, patch, distance, pose)
+        width = footprint_mm(lens, patch, distance, placement)
         lost = _share_beside(width, sensor.size_mm)
         if lost <= 0.0:
             continue
@@ -209,9 +223,11 @@ def exit_scene(
     return Scene(lens, patch.grid, grid, patch.wavelength_um, pose)
 
 
-def light_window(lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, pose: Pose) -> Sensor:
+def light_window(
+    lens: Lens, patch: Patch, sensor: Sensor, distance_mm: float, placement: Placement | Pose = NOMINAL
+) -> Sensor:
     """A sensor window, widened where a patch's light on a plane is wider, so that none of it is lost."""
-    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, pose)
+    width = WINDOW_MARGIN * footprint_mm(lens, patch, distance_mm, placement)
     needed = scipy.fft.next_fast_len(math.ceil(1e3 * width / sensor.pixel_pitch_um))
     across, down = (max(n, needed) for n in sensor.pixels)
     return sensor.replaced(pixels=(across, down))

@@ -30,7 +30,7 @@ class Placement:
         way.
     plane_distances_mm : tuple of float
         How much farther from the lens each plane is in which the sensor records; planes beyond the list are
-        where they should be.
+        where the sensor's shift along z takes them.
     sensor_tilt_deg : (x, y)
         Right-handed rotation of the sensor about x, then about the y axis that turned with it, about the
         middle of its plane.
@@ -56,6 +56,11 @@ class Placement:
         _refuse("sensor_shift_mm", self.sensor_shift_mm, 3, "three finite numbers, x, y and z")
         _refuse("sensor_tilt_deg", self.sensor_tilt_deg, 2, "two finite numbers, about x and y")
         _refuse("plane_distances_mm", self.plane_distances_mm, None, "finite numbers")
+
+    def plane_distance_mm(self, number: int) -> float:
+        """How much farther from the lens a plane is, by its number from 0."""
+        told = number < len(self.plane_distances_mm)
+        return self.plane_distances_mm[number] if told else self.sensor_shift_mm[2]
 
 
 NOMINAL = Placement()

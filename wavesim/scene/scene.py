@@ -82,16 +82,33 @@ class Scene:
 
 def placed_scene(nominal: Scene, placement: Placement) -> Scene:
     """The scene with lens, object and light as they are; the exit grid stays where it is."""
-    x, y, z = placement.object_shift_mm
-    grid = nominal.object_grid
-    centre = grid.centre_mm[0] + x, grid.centre_mm[1] + y
+    wavelength = placement.wavelength_um or nominal.wavelength_um
+    same = wavelength == nominal.wavelength_um
     return replace(
         nominal,
-        object_grid=replace(grid, z_mm=grid.z_mm + z, centre_mm=centre),
-        wavelength_um=placement.wavelength_um or nominal.wavelength_um,
+        lens=nominal.lens if same else _with_indices_of(nominal.lens, nominal.wavelength_um),
+        object_grid=placed_object(nominal.object_grid, placement),
+        wavelength_um=wavelength,
         pose=placement.pose,
         surface_perturbations=placement.surface_perturbations,
     )
+
+
+def placed_object(nominal: Grid, placement: Placement) -> Grid:
+    """The object's samples where they are."""
+    x, y, z = placement.object_shift_mm
+    centre = nominal.centre_mm[0] + x, nominal.centre_mm[1] + y
+    return replace(nominal, z_mm=nominal.z_mm + z, centre_mm=centre)
+
+
+def _with_indices_of(lens: Lens, wavelength_um: float) -> Lens:
+    """A lens whose indices are those of one wavelength at all: its placement says how they change."""
+    indices = lens.indices(wavelength_um)[1:].tolist()
+    surfaces = (
+        surface if surface.material is None else surface.replaced(material=index)
+        for surface, index in zip(lens.surfaces, indices, strict=True)
+    )
+    return lens.replaced(surfaces=tuple(surfaces))
 
 
 def wavelength_of(lens: Lens, wavelength_um: float | None) -> float:

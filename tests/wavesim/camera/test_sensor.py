@@ -24,9 +24,10 @@ from wavesim.camera.exposures import (
 )
 from wavesim.camera.frames import Frame, FrameSettings
 from wavesim.camera.pixel_light import means_over_pixels
-from wavesim.camera.sensor import FootprintWarning, light_on_pixels, pixel_mtf, record, sensor_grid
+from wavesim.camera.sensor import FootprintWarning, light_on_pixels, on_sensor, pixel_mtf, record, sensor_grid
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
+from wavesim.objects.illumination import plane_wave
 
 PITCH_UM = 3.2
 SENSOR = Sensor(pixel_pitch_um=PITCH_UM, pixels=(48, 40), plane_distances_mm=(3.0,))
@@ -330,3 +331,20 @@ def test_bad_light_is_refused() -> None:
         expose(uniform(1.0, 2), 1.0, Electronics(bits=4), None)
     with pytest.raises(InputError, match="plane_distance_mm"):
         record(field, SENSOR, math.nan, Electronics(), None)
+
+
+def test_sensor_turns_about_its_own_middle() -> None:
+    """The spot of a leaning beam widens with the angle at which it falls on the turned sensor."""
+    grid = Grid((256, 256), 1.6e-3, 0.2, (0.004, 0.0))
+    x, y = grid.x_mm - grid.centre_mm[0], grid.y_mm[:, None]
+    spot = plane_wave(grid, 0.532, tilt_x_deg=4.0)
+    spot = spot.with_values(spot.values * np.exp(-(x**2 + y**2) / 0.06**2))
+
+    def width(field: Field) -> float:
+        power = np.abs(field.values) ** 2
+        assert field.grid.centre_mm == (0.0, 0.0)
+        return float(np.sqrt((power.sum(axis=0) * field.grid.x_mm**2).sum() / power.sum()))
+
+    wider = width(on_sensor(spot, (0.0, 10.0))) / width(on_sensor(spot))
+    expected = np.cos(np.radians(4.0)) / np.cos(np.radians(4.0) - np.radians(10.0))
+    assert wider == pytest.approx(expected, rel=2e-3)

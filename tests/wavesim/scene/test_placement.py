@@ -36,6 +36,13 @@ def test_a_scene_follows_lens_object_and_light_and_keeps_its_exit_grid() -> None
     assert (there.pose, there.surface_perturbations) == (Pose(tilt_x_deg=0.1), bent)
     assert (there.wavelength_um, there.exit_grid) == (0.54, scene.exit_grid)
     assert placed_scene(scene, NOMINAL) == scene
+    # Only surface perturbations change indices.
+    assert there.system.index[0].tolist() == TWIN.indices(scene.wavelength_um).tolist()
+
+
+def test_planes_beyond_the_list_are_where_the_sensor_is() -> None:
+    there = Placement(sensor_shift_mm=(0.0, 0.0, 0.02), plane_distances_mm=(0.01,))
+    assert [there.plane_distance_mm(number) for number in range(3)] == [0.01, 0.02, 0.02]
 
 
 @pytest.mark.parametrize(
