@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError, refuse_not_whole
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.response import RealArray, Response, mounting_response
@@ -100,6 +101,20 @@ class Calibrated:
     at_reach: tuple[str, ...]
     stopped_because: str
     misfit_of_noise: float | None
+
+    def __repr__(self) -> str:
+        return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Lens as mounted", self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        values = values_of(self.mounting, self.parameters).tolist()
+        noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
+        told = [(name, f"{value:.5g}") for name, value in zip(self.parameters, values, strict=True)]
+        told.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
+        told.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
+        return told + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
 
 
 def eikonal_tiles(scene: Scene) -> Engine:

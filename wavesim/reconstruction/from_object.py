@@ -24,6 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
@@ -76,6 +77,20 @@ class Reconstructed:
     residual_maps: tuple[NDArray[np.floating[Any]], ...]
     scale: float
     stopped_early: bool
+
+    def __repr__(self) -> str:
+        return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Reconstructed object", self._rows(), html_picture(self.transmission.values))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        grid, stopped = self.transmission.grid, ", stopped early" if self.stopped_early else ""
+        return [
+            ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} um"),
+            ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{stopped}"),
+            ("planes", f"{len(self.residual_maps)}, scale {self.scale:.4g}"),
+        ]
 
 
 @dataclass(frozen=True, eq=False)

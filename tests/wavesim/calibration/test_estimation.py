@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,9 @@ def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
     assert found.misfit < 0.05 * found.misfit_before
     assert found.stopped_because == "converged"
     assert found.at_reach == ()
+    assert repr(found).startswith("Calibrated(decenter_x_mm 0.00")
+    assert f"{len(found.trail)} mountings, converged" in found._repr_html_()
+    assert "at the border tilt_x_deg" in repr(replace(found, at_reach=("tilt_x_deg",)))
 
 
 def test_an_unknown_object_tells_them_too(bench: Bench) -> None:

@@ -81,6 +81,8 @@ def test_an_amplitude_object_comes_back(case: Case) -> None:
     size = np.sqrt(sum(np.sum(p.amplitude.astype(float) ** 2) for p in case.recorded))
     left = np.sqrt(sum(np.sum(m.astype(float) ** 2) for m in found.residual_maps)) / size
     assert left == pytest.approx(found.misfit[-1], rel=0.5)
+    assert repr(found).startswith("Reconstructed(samples 120 x 120 of 0.42 um, iterations ")
+    assert "data:image/png;base64," in found._repr_html_()
 
 
 def test_a_complex_object_is_found_to_the_data(case: Case) -> None:
