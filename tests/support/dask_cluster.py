@@ -14,9 +14,8 @@ class Cluster:
         self.folder, self.processes = folder, []
         file = folder / "scheduler.json"
         self.start("dask_scheduler", "--port", "0", "--scheduler-file", str(file))
-        deadline = time.monotonic() + 30.0
-        while not file.exists():
-            assert time.monotonic() < deadline
+        while not file.exists() or not file.read_text().endswith("}"):  # it appears before it is written
+            assert self.processes[0].poll() is None, (folder / "log").read_text()
             time.sleep(0.02)
         self.address = json.loads(file.read_text())["address"]
 

@@ -117,7 +117,8 @@ class Shape(ABC):
     @property
     def edge_radius_mm(self) -> float:
         """Radial height at which the surface ends (its tangent stands upright); inf if it never does."""
-        largest = float(np.max(self.ends(), initial=0.0))
+        with np.errstate(over="ignore"):
+            largest = float(np.max(self.ends(), initial=0.0))
         return 1.0 / math.sqrt(largest) if largest > 0.0 else math.inf
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Array:

@@ -254,7 +254,7 @@ def chromium(page: Path, *options: str) -> str:
     flags = ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle"]
     flags += ["--use-angle=swiftshader", f"--user-data-dir={page.parent / 'profile'}", *options]
     run = [program, *flags, "--virtual-time-budget=3000", "--dump-dom", page.as_uri()]
-    return subprocess.run(run, capture_output=True, text=True, timeout=120, check=True).stdout
+    return subprocess.run(run, capture_output=True, text=True, timeout=600, check=True).stdout
 
 
 def test_a_browser_runs_the_page(paper_lens: Lens, tmp_path: Path) -> None:

@@ -264,7 +264,7 @@ def browse(path: Path, places: list[str]) -> dict[str, Any]:
     flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1000,800"]
     flags += [f"--user-data-dir={path.parent / 'profile'}", "--virtual-time-budget=60000", "--dump-dom"]
     done = subprocess.run(
-        [program, *flags, path.as_uri()], capture_output=True, text=True, timeout=120, check=True
+        [program, *flags, path.as_uri()], capture_output=True, text=True, timeout=600, check=True
     )
     found = re.search(r'<pre id="notes">(.*?)</pre>', done.stdout, re.DOTALL)
     assert found is not None
