@@ -50,7 +50,6 @@ from wavesim.engines.slices.steps import Through
 from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
 from wavesim.engines.surfaces.samples import other_transmission
 from wavesim.fields.guards import SamplingWarning
-from wavesim.fields.passage import Passage
 from wavesim.runtime.arrays import in_double
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
@@ -154,12 +153,6 @@ class AnnularSlices(Engine):
         rays = self._fan if self.spacing != "equal" else ()
         return cutting_planes(self.scene, rays, heights_mm, self.slices, self.spacing, self._oblique)
 
-    def _transfers(self, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
-        scene, grid, media = self.scene, self.working.grid, self.working.media
-        into = Passage(scene.object_grid, grid.at(start_mm), scene.wavelength_um, media[0].index)
-        out = Passage(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, media[-1].index)
-        return into, out
-
     @cached_property
     def _prepared(self) -> Through:
         self._refuse_total_reflection()
@@ -187,12 +180,12 @@ class AnnularSlices(Engine):
 
     def _forward(self, values: Any) -> Any:
         inner = self._prepared
-        into, out = self._transfers(inner.start_mm, inner.end_mm)
+        into, out = self.working.transfers(self.scene, inner.start_mm, inner.end_mm)
         return out.forward(inner.forward(into.forward(in_double(values))))
 
     def _adjoint(self, values: Any) -> Any:
         inner = self._prepared
-        into, out = self._transfers(inner.start_mm, inner.end_mm)
+        into, out = self.working.transfers(self.scene, inner.start_mm, inner.end_mm)
         return into.adjoint(inner.adjoint(out.adjoint(in_double(values))))
 
     @cached_property
@@ -264,7 +257,7 @@ class AnnularSlices(Engine):
     def cost(self) -> Cost:
         working = self.working
         size, samples = working.grid.size, working.samples_on_surfaces
-        into, out = self._transfers(working.heights_mm[0][0], working.heights_mm[-1][1])
+        into, out = working.transfers(self.scene, working.heights_mm[0][0], working.heights_mm[-1][1])
         count = sum(self.slices if high > low else 1 for low, high in working.heights_mm)
         each = 2.0 * fft_seconds(size, working.grid.is_line) + 4.0 * pass_seconds(size)
         if self.spacing != "equal":

@@ -22,6 +22,7 @@ from lensdesign.tracing.status import Status
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
+from wavesim.fields.passage import Passage
 from wavesim.rays.interfaces import refuse_skew, surface_map
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
@@ -73,6 +74,12 @@ class WorkingGrid:
         if grid.is_line:
             return [min(grid.size, math.ceil(2.0 * r / grid.pitch_mm)) for r in self.reach_mm]
         return [min(grid.size, math.ceil(math.pi * (r / grid.pitch_mm) ** 2)) for r in self.reach_mm]
+
+    def transfers(self, scene: Scene, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
+        """From the object to the grid's first plane, and from its last one to the exit."""
+        into = Passage(scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index)
+        out = Passage(self.grid.at(end_mm), scene.exit_grid, scene.wavelength_um, self.media[-1].index)
+        return into, out
 
 
 @dataclass(frozen=True)

@@ -78,9 +78,7 @@ class Medium:
 
     def transverse(self, axis: int) -> Array:
         """Wave numbers along one axis of the grid, shaped to broadcast."""
-        n = self.grid.shape[axis]
-        k = 2.0 * np.pi * scipy.fft.fftfreq(n, self.grid.pitch_mm)
-        return np.asarray(k.reshape((n,) + (1,) * (len(self.grid.shape) - axis - 1)))
+        return np.asarray(2.0 * np.pi * fft_frequencies(self.grid.shape, self.grid.pitch_mm)[axis])
 
     def over(self, distance_mm: float) -> ComplexArray:
         """Factor of each plane wave over a distance."""

@@ -142,7 +142,7 @@ class WavePropagation(Engine):
         low, high = working.heights_mm[0][0], min(working.heights_mm[-1][1], self.scene.exit_grid.z_mm)
         seconds, peak = passage_cost(working, self._steps_mm, self.interface)
         setup, setup_peak = setup_cost(working)
-        for transfer in self._transfers(low, high):
+        for transfer in working.transfers(self.scene, low, high):
             seconds += transfer.seconds
             peak = max(peak, transfer.peak_bytes)
         return Cost(seconds, setup, max(peak, setup_peak))
@@ -180,7 +180,7 @@ class WavePropagation(Engine):
             inner = Substep(working.media, surfaces, self._steps_mm, self.scene.exit_grid.z_mm)
         else:
             inner = Staircase(working, surfaces, self._steps_mm[0])
-        into, out_of = self._transfers(inner.start_mm, inner.end_mm)
+        into, out_of = working.transfers(self.scene, inner.start_mm, inner.end_mm)
         return into, inner, out_of
 
     def _forward(self, values: Any) -> Any:
@@ -207,15 +207,6 @@ class WavePropagation(Engine):
                 f"the staircase makes {after / before:.3g} times the energy that it was given: it scatters "
                 "too much of this light; take interface = substep"
             )
-
-    def _transfers(self, start_mm: float, end_mm: float) -> tuple[Passage, Passage]:
-        """From the object to the first plane, and from the last plane to the exit."""
-        scene, grid = self.scene, self.working.grid
-        first, last = self.working.media[0], self.working.media[-1]
-        return (
-            Passage(scene.object_grid, grid.at(start_mm), scene.wavelength_um, first.index),
-            Passage(grid.at(end_mm), scene.exit_grid, scene.wavelength_um, last.index),
-        )
 
     @cached_property
     def _steps_mm(self) -> list[float]:
