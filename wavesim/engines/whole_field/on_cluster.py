@@ -53,44 +53,21 @@ class ScenePacket:
     key: str
 
 
-class TileCluster:
-    """A connection through which engines have their super-tiles done."""
-
-    def __init__(self, cluster: Cluster) -> None:
-        self._cluster = cluster
-
-    def take(self, engine: Engine) -> None:
-        """Have an engine's super-tiles done by the cluster from now on.
-
-        Raises
-        ------
-        InputError
-            If the engine has none.
-        """
-        tiles = refuse_no_tiles(engine)
-        packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
-        sent = self._cluster.send(packet)
-
-        def perform(way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
-            return self._in_order(sent, way, tasks)
-
-        tiles.perform = perform
-
-    def _in_order(self, sent: Any, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
-        """Results in the order of tasks, so that sums do not depend on who is quick."""
-        waiting, pending = iter(tasks), deque[tuple[int, "Future[Any]"]]()
-        try:
-            while True:
-                room = TASKS_IN_FLIGHT * max(self._cluster.threads(), 1) - len(pending)
-                for number, values in islice(waiting, max(room, 0)):
-                    pending.append((number, self._cluster.submit(work, sent, way, number, values)))
-                if not pending:
-                    return
-                number, future = pending.popleft()
-                yield number, result_of(future)
-        finally:
-            for _, future in pending:
-                future.cancel()
+def _in_order(cluster: Cluster, sent: Any, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
+    """Results in the order of tasks, so that sums do not depend on who is quick."""
+    waiting, pending = iter(tasks), deque[tuple[int, "Future[Any]"]]()
+    try:
+        while True:
+            room = TASKS_IN_FLIGHT * max(cluster.threads(), 1) - len(pending)
+            for number, values in islice(waiting, max(room, 0)):
+                pending.append((number, cluster.submit(work, sent, way, number, values)))
+            if not pending:
+                return
+            number, future = pending.popleft()
+            yield number, result_of(future)
+    finally:
+        for _, future in pending:
+            future.cancel()
 
 
 def refuse_no_tiles(engine: Engine) -> TwoLevelTiles:
@@ -107,8 +84,10 @@ def refuse_no_tiles(engine: Engine) -> TwoLevelTiles:
 
 
 @contextmanager
-def tile_cluster(address: str) -> Iterator[TileCluster]:
-    """A cluster that does super-tiles; its workers may come and go.
+def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
+    """What has an engine's super-tiles done by a cluster, whose workers may come and go, and returns it.
+
+    Without an address, the engine stays as it is.
 
     Parameters
     ----------
@@ -118,30 +97,20 @@ def tile_cluster(address: str) -> Iterator[TileCluster]:
     Raises
     ------
     InputError
-        As of :func:`lensdesign.common.clusters.open_cluster`.
+        As of :func:`lensdesign.common.clusters.open_cluster`, or if an engine has no super-tiles.
     ClusterError
         While it is used, if the scheduler goes away or a task ends several workers.
-    """
-    with open_cluster(address) as cluster:
-        yield TileCluster(cluster)
-
-
-@contextmanager
-def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
-    """What hands an engine's tiles to a cluster and returns it; without an address, it stays as it is.
-
-    Raises
-    ------
-    InputError, ClusterError
-        As of :func:`tile_cluster`.
     """
     if address is None:
         yield lambda engine: engine
         return
-    with tile_cluster(address) as tiles:
+    with open_cluster(address) as cluster:
 
         def take(engine: Engine) -> Engine:
-            tiles.take(engine)
+            tiles = refuse_no_tiles(engine)
+            packet = ScenePacket(toolkit_version(), engine.scene, engine.settings(), engine.key())
+            sent = cluster.send(packet)
+            tiles.perform = lambda way, tasks: _in_order(cluster, sent, way, tasks)
             return engine
 
         yield take

@@ -17,7 +17,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
 from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.on_cluster import ScenePacket, tile_cluster, work
+from wavesim.engines.whole_field.on_cluster import ScenePacket, refuse_no_tiles, tiles_in, work
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -49,8 +49,8 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
     away = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
     away.report = lambda done, _: first.kill() if done == 3 else None
     field, back = noise(scene.object_grid), noise(scene.exit_grid)
-    with tile_cluster(cluster.address) as tiles:
-        tiles.take(away)
+    with tiles_in(cluster.address) as take:
+        take(away)
         there = away.forward(field).values
         returned = away.adjoint(back).values
     assert len(here.groups) > 3
@@ -64,8 +64,8 @@ def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene
     engine = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
     engine.report = lambda done, _: cluster.close() if done == 2 else None
     sums: dict[int, Any] = {}
-    with tile_cluster(cluster.address) as tiles:
-        tiles.take(engine)
+    with tiles_in(cluster.address) as take:
+        take(engine)
         bands = engine.forward_in_bands(noise(scene.object_grid), 100, sums)
         with pytest.raises(ClusterError, match="scheduler is gone"):
             next(bands)
@@ -74,9 +74,7 @@ def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene
 
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
     with pytest.raises(InputError, match="a cluster needs engine two-level"):
-        cluster_tiles.TileCluster.take(
-            object.__new__(cluster_tiles.TileCluster), engine_for(scene, "no-lens")
-        )
+        refuse_no_tiles(engine_for(scene, "no-lens"))
 
 
 def test_a_worker_does_what_is_done_here(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
