@@ -1,6 +1,8 @@
-"""Texts from files as terminals, figures and spreadsheets may have them."""
+"""Texts from files and numbers, as terminals, figures, spreadsheets and JSON may have them."""
 
 from __future__ import annotations
+
+import math
 
 LONGEST_TEXT = 2000
 
@@ -23,3 +25,8 @@ def visible(text: str) -> str:
     """
     kept = text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
+
+
+def finite_or_none(value: float) -> float | None:
+    """JSON knows no infinity, and nothing that is not a number."""
+    return value if math.isfinite(value) else None

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from lensdesign.common.console import message_console, print_json
-from lensdesign.common.text import visible
+from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design
@@ -75,7 +74,10 @@ def compare(
         if maps:
             written += _maps(lens, output, bar, task)
     if as_json:
-        measured = [{name: _plain(value) for name, value in vars(row).items()} for row in rows]
+        measured = [
+            {name: finite_or_none(v) if isinstance(v, float) else v for name, v in vars(row).items()}
+            for row in rows
+        ]
         print_json({"measured": measured, "written": [str(path) for path in written]})
         return
     _print_front(rows)
@@ -102,11 +104,6 @@ def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:
     picture = output / "failure_maps.png"
     save(failure_figure(found, "Where methods fail, and where their guards speak"), picture, PICTURE_DPI)
     return [picture, *written]
-
-
-def _plain(value: Any) -> Any:
-    """JSON knows no infinity, and nothing that is not a number."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _print_front(rows: list[Any]) -> None:

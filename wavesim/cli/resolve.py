@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, numbers, print_warnings, refuse_no_picture, settings_text
@@ -219,11 +220,6 @@ def choose(
 
 
 def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
-    import math
-
-    def plain(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
     return {
         "engine": choice.chosen.engine,
         "settings": choice.chosen.settings,
@@ -233,8 +229,8 @@ def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
             {
                 "engine": p.engine,
                 "settings": p.settings,
-                "relative_error": plain(p.relative_error),
-                "seconds": plain(p.seconds),
+                "relative_error": finite_or_none(p.relative_error),
+                "seconds": finite_or_none(p.seconds),
                 "setup_seconds": p.setup_seconds,
                 "peak_mb": 1e-6 * p.peak_bytes,
                 "neglected": p.neglected,

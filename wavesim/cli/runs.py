@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.console import progress_bar
+from lensdesign.common.text import finite_or_none
 
 if TYPE_CHECKING:
     from wavesim.camera.recording import Progress
@@ -59,13 +60,10 @@ def memory_teller(folder: Path) -> Callable[[Memory], None]:
 
 def engine_summary(engine: Engine) -> dict[str, Any]:
     """What an engine is and says of itself, ready for JSON."""
-    import math
-
-    error = engine.predicted_error()
     return {
         "name": engine.name,
         "settings": engine.settings(),
-        "predicted_error": error if math.isfinite(error) else None,
+        "predicted_error": finite_or_none(engine.predicted_error()),
     }
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.text import finite_or_none
 from wavesim.evaluation.metrics import as_passed, bar_contrast, object_correlation, smallest_resolved_element
 from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field
@@ -63,7 +64,7 @@ def truth_figures(
         "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),
         "ssim": ssim(*pair, full_scale=brightest, support=inside),
     }
-    return {name: _plain(value) for name, value in figures.items()}
+    return {name: finite_or_none(value) for name, value in figures.items()}
 
 
 def _product(a: Any, b: Any, inside: Any) -> complex:
@@ -103,8 +104,8 @@ def chart_figures(transmission: Field, elements: Sequence[UsafElement], ground: 
                 "group": one.element.group,
                 "element": one.element.element,
                 "line_width_um": one.element.line_width_um,
-                "contrast_x": _plain(one.x.contrast),
-                "contrast_y": _plain(one.y.contrast),
+                "contrast_x": finite_or_none(one.x.contrast),
+                "contrast_y": finite_or_none(one.y.contrast),
                 "resolved": one.resolved(),
             }
             for one in sorted(contrasts, key=lambda one: -one.element.line_width_um)
@@ -146,8 +147,3 @@ def plane_figures(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | N
         "noise": None if sigma is None else math.sqrt(noise / size),
         "correlation": float(about_means[0, 1]) / spread if spread > 0.0 else 0.0,
     }
-
-
-def _plain(value: float) -> float | None:
-    """JSON knows no infinity, and nothing that is not a number."""
-    return value if math.isfinite(value) else None
