@@ -1,6 +1,5 @@
-"""What the tests of every engine measure: the adjoint, memory and time."""
+"""What the tests of every engine measure: the adjoint and memory."""
 
-import timeit
 import tracemalloc
 from collections.abc import Callable
 
@@ -31,8 +30,3 @@ def peak_bytes(run: Callable[[], object]) -> int:
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-
-
-def best_seconds(run: Callable[[], object], repeat: int) -> float:
-    """Of several runs, the fastest."""
-    return min(timeit.repeat(run, number=1, repeat=repeat))

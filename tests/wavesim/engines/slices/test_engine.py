@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from engine_checks import best_seconds, dot_product_mismatch, peak_bytes
+from engine_checks import dot_product_mismatch, peak_bytes
 from numpy.typing import NDArray
 from places import DESIGNS
 from scipy.interpolate import CubicSpline
@@ -354,12 +354,12 @@ def test_predicts_its_memory(where: str) -> None:
 
 @pytest.mark.parametrize("spacing", ["equal", "equal-phase"])
 def test_predicts_its_time(paper_line: Scene, spacing: str) -> None:
-    engine = AnnularSlices(paper_line, 20, "oblique", spacing)  # type: ignore[arg-type]
-    source = line_source(paper_line.object_grid)
-    engine.forward(source)
-    seconds = best_seconds(lambda: engine.forward(source), 3)
-    # Within a factor 3 on an idle machine (benchmarks.chooser); tests share theirs.
-    assert seconds / 10.0 < engine.cost().seconds < 10.0 * seconds
+    """It grows with the slices; benchmarks.chooser holds it against the time that is taken."""
+    few, many = (
+        AnnularSlices(paper_line, n, "oblique", spacing).cost().seconds  # type: ignore[arg-type]
+        for n in (20, 60)
+    )
+    assert 2.0 * few < many < 4.0 * few
 
 
 def test_settings(paper_line: Scene) -> None:
