@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError, refuse_not_whole
 from lensdesign.lens.lens import Lens
@@ -46,7 +47,6 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.placement import NOMINAL, Placement
 from wavesim.scene.scene import Scene, placed_scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
 Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 
-Array = NDArray[np.float64]
 RealArray = NDArray[np.floating]
 
 LARGEST_STEP, SMALLEST_STEP = 0.5, 1e-4

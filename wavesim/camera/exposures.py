@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive, Section
 from lensdesign.errors import InputError, refuse_not_positive
-from wavesim.camera.frames import Array, Bits, Counts, Frame, NotNegative, Offset
+from wavesim.camera.frames import Bits, Counts, Frame, NotNegative, Offset
 from wavesim.runtime.threads import row_blocks
 
 Seed = int | np.random.SeedSequence

@@ -23,7 +23,6 @@ from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.uint16]
 Bits = Annotated[int, Setting(ge=1, le=16)]
 Offset = Annotated[float, Setting(ge=0.0, le=65535.0)]

@@ -13,8 +13,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Sensor
-from wavesim.camera.frames import Array
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
 

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim.camera.exposures import Electronics, Seed, plane_seeds
-from wavesim.camera.frames import Array, Frame
+from wavesim.camera.frames import Frame
 from wavesim.camera.pixel_light import PixelLight
 from wavesim.camera.sensor import (
     frames_of_light,

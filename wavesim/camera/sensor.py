@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_whole
 from lensdesign.lens.lens import Sensor
 from wavesim.camera.exposures import (
@@ -25,7 +26,7 @@ from wavesim.camera.exposures import (
     exposure_for,
     exposure_seeds,
 )
-from wavesim.camera.frames import Array, Frame, FrameSettings
+from wavesim.camera.frames import Frame, FrameSettings
 from wavesim.camera.pixel_light import PixelLight
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate

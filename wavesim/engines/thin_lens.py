@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.analysis.paraxial import cardinal_points
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.tracing.bundles import launch_compiled, pupil_fan
@@ -33,8 +34,6 @@ from wavesim.runtime.arrays import in_double
 from wavesim.runtime.speed import exponential_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 FINENESS, WINDOW_MARGIN = 0.9, 1.02
 """Pitch chosen, as a share of the coarsest that holds the field; window, as a multiple of the stop."""

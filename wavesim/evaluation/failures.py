@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
@@ -21,8 +22,6 @@ from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.engine import Engine
-
-Array = NDArray[np.float64]
 
 SILENT, WARNED, REFUSED = 0, 1, 2
 

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_other
 from wavesim.evaluation.similarity import Mask, Picture
 from wavesim.fields.coverage import refuse_finer
-from wavesim.fields.field import Array, Field, Grid
+from wavesim.fields.field import Field, Grid
 from wavesim.objects.bar_sets import SetContrast, set_contrast
 from wavesim.objects.targets import Ground, band_limit
 from wavesim.objects.usaf import UsafElement

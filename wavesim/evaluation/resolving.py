@@ -16,6 +16,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
@@ -26,7 +27,6 @@ from wavesim.scene.engine import Engine
 from wavesim.scene.patches import exit_grid
 from wavesim.scene.scene import Scene, wavelength_of
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 OBJECT_PITCH_WAVES = 0.1

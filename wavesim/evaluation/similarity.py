@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
-from wavesim.fields.field import Array
 from wavesim.runtime.threads import row_blocks
 
 Picture = NDArray[Any]

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive
-from wavesim.fields.field import Array, Grid, Orientation, axis_of
+from wavesim.fields.field import Grid, Orientation, axis_of
 
 SAMPLES_PER_FEATURE = 2.0
 """Fewest samples across the narrowest feature of an object; fewer would not show it."""

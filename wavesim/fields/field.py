@@ -14,12 +14,11 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.runtime.arrays import array_module
 
-Array = NDArray[np.float64]
 Orientation = Literal["x", "y"]
 
 ON_SAMPLE = 1e-6

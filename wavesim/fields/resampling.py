@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import i0
 
+from lensdesign.common.arrays import Array
 from wavesim.fields import resampling_kernel
 from wavesim.runtime.threads import share
-
-Array = NDArray[np.float64]
 
 OVERSAMPLING = 1.6
 """Of the coarse samples, over the Nyquist rate of what they hold."""

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
-from wavesim.fields.field import Array
 from wavesim.fields.plane_waves import fft_frequencies
 
 BLOCK = 512

@@ -18,8 +18,8 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
@@ -35,8 +35,6 @@ from wavesim.fields.plane_waves import (
 )
 from wavesim.fields.windowed import chirp_z_transform
 from wavesim.runtime.arrays import array_module, fftn
-
-Array = NDArray[np.float64]
 
 ACCURACY = 1e-13
 """Of the non-uniform Fourier sums."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from wavesim.fields.coverage import Rectangle, bar_rectangles, rectangle_coverage
-from wavesim.fields.field import Array, Grid, Orientation, axis_of
+from wavesim.fields.field import Grid, Orientation, axis_of
 from wavesim.objects.targets import Ground
 from wavesim.objects.usaf import BARS, UsafElement
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_other
 from wavesim.fields.coverage import (
@@ -24,7 +25,7 @@ from wavesim.fields.coverage import (
     refuse_finer,
     refuse_line,
 )
-from wavesim.fields.field import Array, Field, Grid
+from wavesim.fields.field import Field, Grid
 from wavesim.fields.guards import tell
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.objects.targets import ComplexArray

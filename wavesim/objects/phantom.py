@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import refuse_not_positive, refuse_not_whole
 from wavesim.fields.coverage import refuse_finer, refuse_line
-from wavesim.fields.field import Array, Grid
+from wavesim.fields.field import Grid
 from wavesim.objects.targets import ComplexArray, band_limit
 
 Thickness = NDArray[np.float32]

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.fields.coverage import (
@@ -29,7 +30,7 @@ from wavesim.fields.coverage import (
     refuse_line,
     refuse_outside,
 )
-from wavesim.fields.field import Array, Grid, Orientation
+from wavesim.fields.field import Grid, Orientation
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.threads import row_blocks

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SPREAD_CUT = 8.5

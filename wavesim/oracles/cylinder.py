@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import hankel1, jv, yv
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
@@ -30,7 +31,6 @@ from wavesim.oracles.beam import Beam
 from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 RadialFunctions = tuple[Array, Array, Array, Array]
 

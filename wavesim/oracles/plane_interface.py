@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
@@ -20,8 +21,6 @@ from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import SPREAD_CUT, Beam, superpose
 from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 STOP_SPREADS = 5.0
 """What the scene's stop takes in to both sides of the beam, in units of its spread."""

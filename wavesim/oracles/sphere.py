@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.special import j0, jv, roots_legendre, yv
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.beam import SPREAD_CUT, WAIST_CUT
@@ -32,7 +33,6 @@ from wavesim.oracles.cylinder import (
 from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STOP_SPREADS = 4.5

@@ -12,16 +12,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 from wavesim.fields.field import Field, Grid
 from wavesim.oracles.registry import OracleCase
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 SCENE_INDEX = 1.5195
 NUMERICAL_APERTURE = 0.5

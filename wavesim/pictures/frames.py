@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import atomic_path
 from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
 from wavesim.camera.recorded import Array as Floats
-from wavesim.fields.field import Array, Field
+from wavesim.fields.field import Field
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

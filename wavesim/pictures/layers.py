@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
-from wavesim.fields.field import Array
 from wavesim.pictures.frames import phase_reach
 from wavesim.pictures.pyramid import Function, Level, halved, picture_levels
 

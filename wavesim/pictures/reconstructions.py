@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
-from wavesim.fields.field import Array, Field
+from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import Retrieved, agreement
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
@@ -24,8 +25,6 @@ from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil
 from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import NOMINAL, Placement, placed
-
-Array = NDArray[np.float64]
 
 DIFFERENCE_STEP = 1e-4
 """Of direction cosines, for central differences of traces; their error is some 1e-8 of the derivative."""

@@ -19,9 +19,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from wavesim.fields.field import Orientation, axis_of
-from wavesim.pupil.pupil import Array, ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
+from wavesim.pupil.pupil import ComplexArray, PupilGrid, ReconstructionPupil, plane_waves, refuse_wide
 
 
 def line_pair_contrast(

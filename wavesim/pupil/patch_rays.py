@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
@@ -22,8 +23,6 @@ from wavesim.pupil.characteristic import PointCharacteristic, point_characterist
 from wavesim.pupil.ray_aiming import Aimed, AimingMap, shoot
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.placement import Placement
-
-Array = NDArray[np.float64]
 
 STEP = 1e-5
 """Of direction cosines, for one-sided differences; their error is some 1e-5 of the derivative."""

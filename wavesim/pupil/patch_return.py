@@ -11,10 +11,11 @@ import finufft  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
-from wavesim.pupil.pupil import Array, ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
+from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
 
 Registration = Literal["none", "shift", "focus"]
 

@@ -18,11 +18,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.fields.plane_waves import wave_factor
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 from wavesim.scene.placement import Placement
-
-Array = NDArray[np.float64]
 
 PATH_TOLERANCE_WAVES = 1e-4
 """What aiming at a sensor point may leave in an optical path difference."""

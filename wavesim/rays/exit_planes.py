@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
 from wavesim.fields.passage import Passage
 from wavesim.rays.maps import refuse_fold, sample_points
 from wavesim.rays.ray_bundles import FoldError, RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 CANDIDATES = 33
 """Planes between exit vertex and exit grid that are looked at where rays fold on the exit grid."""

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.tracing.bundles import launch_compiled
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 from wavesim.scene.scene import Coating, Scene
-
-Array = NDArray[np.float64]
 
 HEIGHT_TOLERANCE_MM = 1e-12
 FAN_RAYS = 801

@@ -16,11 +16,10 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 PATH_TOLERANCE_WAVES = 1e-4
 AMPLITUDE_TOLERANCE = 1e-4

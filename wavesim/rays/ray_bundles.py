@@ -15,14 +15,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.tracing.bundles import launch_pairs
 from lensdesign.tracing.rays import RayTrace, trace_compiled
 from lensdesign.tracing.status import Status
 from wavesim.rays.interfaces import refuse_skew, transmission
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 STEP = 3e-4
 """In stop coordinates, for central differences of rays; their error is some 1e-8 of the derivative."""

@@ -16,9 +16,10 @@ from typing import Literal
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_whole
 from wavesim.camera.recorded import Recorded
-from wavesim.fields.field import Array, Field
+from wavesim.fields.field import Field
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RealArray, RecordingModel
 from wavesim.scene.engine import Engine

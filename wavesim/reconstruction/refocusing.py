@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import svdvals
 from scipy.optimize import minimize_scalar
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 from wavesim.fields.free_space import SameSamples
 from wavesim.fields.passage import propagate
-
-Array = NDArray[np.float64]
 
 PADDING = 2
 """Times the field's samples, so that what leaves one side stays off the other."""

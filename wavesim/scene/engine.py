@@ -22,7 +22,6 @@ from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
 
 Way = Literal["forward", "adjoint"]

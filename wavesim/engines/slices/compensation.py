@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
 from wavesim.rays.maps import fit_map
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 LINE_ORDER, PLANE_ORDER = 30, 12
 """Of the polynomials over the footprint."""

@@ -28,6 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_other
 from wavesim.engines.slices.compensation import (
     CentreRays,
@@ -56,7 +57,6 @@ from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 CompensationKind = Literal["vertical", "oblique"]
 

@@ -14,13 +14,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
 from wavesim.engines.slices.compensation import CentreRays
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.rays.interfaces import surface_map
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 Spacing = Literal["equal", "paper", "equal-phase"]
 
 BINS = 512

@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.tracing.bundles import launch_compiled, pupil_fan, pupil_rings
 from lensdesign.tracing.rays import trace_compiled
@@ -26,8 +26,6 @@ from wavesim.fields.passage import Passage
 from wavesim.rays.interfaces import refuse_skew, surface_map
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 BAND_MARGIN, REACH_MARGIN, WINDOW_MARGIN = 1.1, 1.05, 1.02
 FRESNEL_ZONES = 4.0

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval2d, chebvander2d
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.tracing.compiled import CompiledSystem
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 DEGREE = 10
 """Of the polynomials in x and y for a surface's transmission."""

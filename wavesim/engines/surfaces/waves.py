@@ -23,11 +23,11 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.surfaces.samples import SurfaceSamples
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies, wave_factor
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
 from wavesim.engines.tiles.operator import Tile
 from wavesim.fields.field import Grid
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import shoot
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 SHARED_ZONES = 2.5
 """Tiles whose centres lie within so many Fresnel zones of the stop share one edge.

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.residual import Separable
 from wavesim.fields.resampling import (
     OVERSAMPLING,
@@ -30,8 +31,6 @@ from wavesim.rays.ray_bundles import RayBundle
 from wavesim.runtime.device import Precision, folded, fourier_plan
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 BAND_MARGIN = 1.1
 """Of the coarse grid's band, for the slow factors beside the Fourier kernel."""

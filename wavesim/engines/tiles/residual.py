@@ -18,11 +18,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.rays.maps import RayMap, RayMapError, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Quadratic = Literal["mean", "low-rank"]
 

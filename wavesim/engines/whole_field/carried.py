@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collector, expander
 from wavesim.fields.resampling import Kernel, Weights, interpolation
 from wavesim.fields.resampling_kernel import collect_along_y
 from wavesim.runtime.threads import share
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

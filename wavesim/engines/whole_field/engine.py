@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.engines.tiles.edge import edge_error, rim_share
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
@@ -40,8 +41,6 @@ from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Neglected, Task, Tiled, Way
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 ZONES = 0.74
 """Widths of tiles over sqrt(wavelength x working distance) / NA: few terms follow what such tiles omit."""

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.residual import MAX_RANK, Separable, at_tile_nodes, tile_residual
 from wavesim.engines.whole_field.ray_maps import OverField, Region, field_terms, fit_over_field, solve
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 SENSOR_ORDER, FIELD_ORDER = 12, 4
 

@@ -17,11 +17,10 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
+from lensdesign.common.arrays import Array
 from wavesim.rays.maps import RayMapError, SmoothMap, refuse_fold
 from wavesim.rays.ray_bundles import RayBundle, open_pupil, trace_bundle
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 REACH = 1.05
 """Share of the way to the aperture's edge up to which rays are fitted: interpolation looks beyond it."""

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
 from wavesim.engines.whole_field.carried import Carried, Ways, ways_between
 from wavesim.engines.whole_field.factors import FieldFactors
@@ -24,8 +25,6 @@ from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.device import Device, Precision, folded
 from wavesim.scene.engine import Way
 from wavesim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 TAPER = 3.0
 """Samples of a super-tile's grid over which the aperture's edge rises."""

@@ -17,10 +17,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.engines.surfaces.waves import SurfaceSamples
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
