@@ -88,8 +88,8 @@ MUTATIONS = (
     Mutation(
         "Eq. 2: the angle to one axis only",
         "lensdesign/analysis/spread.py",
-        "np.hypot(rays.direction[..., 0], rays.direction[..., 1])",
-        "np.abs(rays.direction[..., 1])",
+        "np.hypot(direction[..., 0], direction[..., 1])",
+        "np.abs(direction[..., 1])",
         "tests/lensdesign/analysis/test_spread.py",
     ),
     # Surfaces and rays
@@ -336,8 +336,8 @@ MUTATIONS = (
     Mutation(
         "fringes of a whole wave",
         "tolerancing/perturbations/grades.py",
-        "FRINGE_UM = 0.54607 / 2.0",
-        "FRINGE_UM = 0.54607",
+        "FRINGE_UM = 0.5 * MERCURY_LINE_UM",
+        "FRINGE_UM = MERCURY_LINE_UM",
     ),
     Mutation(
         "radius in fringes of h^2 dR / R^2",
