@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
@@ -16,7 +13,7 @@ from wavesim.camera.frames import Frame
 from wavesim.camera.windows import check_diversity, check_footprint
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, lit_patch
-from wavesim.runtime.checkpoint import key_of
+from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.scene.settings import PatchSettings
 
 
@@ -60,12 +57,6 @@ def framed_patch(lens: Lens, frames: Sequence[Frame], settings: PatchSettings, p
 def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *told: str | bytes) -> str:
     """Digest of all that a result depends on, under which parts of a run are kept."""
     pictures = [
-        part for frame in frames for part in (_digest(frame.counts), frame.settings.model_dump_json())
+        part for frame in frames for part in (digest_of(frame.counts), frame.settings.model_dump_json())
     ]
-    return key_of(lens.model_dump_json(), _digest(light.values), *told, *pictures)
-
-
-def _digest(values: Any) -> str:
-    """Of an array, without a copy of it."""
-    data: Any = np.ascontiguousarray(values)
-    return hashlib.sha256(data).hexdigest()
+    return key_of(lens.model_dump_json(), digest_of(light.values), *told, *pictures)

@@ -12,7 +12,6 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.objects.patch import LIGHT_BYTES, Patch
-from wavesim.runtime.checkpoint import key_of
+from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.runtime.memory import (
     BASE_BYTES,
     COMPLEX64,
@@ -290,7 +289,7 @@ def _parts(
     """Where super-tiles' fields of one plane are kept."""
     if folder is None:
         return {}
-    lit = sha256(np.ascontiguousarray(field.values).data.cast("B")).hexdigest()
+    lit = digest_of(field.values)
     kept = KeptTiles(folder / PARTS / f"plane_{number + 1}", key_of(engine.key(), lit))
     try:
         kept.refuse_no_room(engine.sums_bytes)

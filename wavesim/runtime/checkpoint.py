@@ -69,3 +69,9 @@ def key_of(*parts: bytes | str) -> str:
         data = part.encode() if isinstance(part, str) else part
         digest.update(len(data).to_bytes(8, "big") + data)
     return digest.hexdigest()
+
+
+def digest_of(values: Any) -> str:
+    """Of an array's values, without a copy of them where they lie in one piece."""
+    data: Any = np.ascontiguousarray(values)
+    return hashlib.sha256(data).hexdigest()
