@@ -40,10 +40,7 @@ def read_lens_file(
     InputError
         Also if no format has the suffix.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in LENS_FORMATS:
-        raise InputError(f"cannot read {path}: the name must end in {' or '.join(LENS_FORMATS)}")
-    found: Imported = getattr(files, LENS_FORMATS[suffix].reader)(path, supplement, lossy)
+    found: Imported = getattr(files, _format_of(path, "read").reader)(path, supplement, lossy)
     return found
 
 
@@ -55,7 +52,11 @@ def write_lens_file(lens: Lens, path: str | os.PathLike[str]) -> None:
     InputError
         Also if no format has the suffix.
     """
+    getattr(files, _format_of(path, "write").writer)(lens, path)
+
+
+def _format_of(path: str | os.PathLike[str], verb: str) -> LensFormat:
     suffix = Path(path).suffix.lower()
     if suffix not in LENS_FORMATS:
-        raise InputError(f"cannot write {path}: the name must end in {' or '.join(LENS_FORMATS)}")
-    getattr(files, LENS_FORMATS[suffix].writer)(lens, path)
+        raise InputError(f"cannot {verb} {path}: the name must end in {' or '.join(LENS_FORMATS)}")
+    return LENS_FORMATS[suffix]
