@@ -97,7 +97,7 @@ def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.floa
             return 0.0 - mounting.object_shift_mm[2]
         if plane is None:
             return float(getattr(mounting.pose, name))
-        return mounting.plane_distances_mm[plane] if plane < len(mounting.plane_distances_mm) else 0.0
+        return mounting.plane_distance_mm(plane)
 
     return np.array([value(name) for name in parameters])
 
