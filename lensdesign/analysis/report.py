@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from lensdesign.analysis.form_error import FormError
 from lensdesign.common.notebook import html_table
+from lensdesign.common.text import finite_or_none
 
 
 @dataclass(frozen=True)
@@ -174,4 +174,4 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return finite_or_none(value)

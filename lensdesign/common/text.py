@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
+
+T = TypeVar("T")
 
 LONGEST_TEXT = 2000
 
@@ -27,6 +30,6 @@ def visible(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
 
 
-def finite_or_none(value: float) -> float | None:
-    """JSON knows no infinity, and nothing that is not a number."""
-    return value if math.isfinite(value) else None
+def finite_or_none(value: T) -> T | None:
+    """JSON knows no infinity, and nothing that is not a number; whatever is no float stays as it is."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -74,10 +74,7 @@ def compare(
         if maps:
             written += _maps(lens, output, bar, task)
     if as_json:
-        measured = [
-            {name: finite_or_none(v) if isinstance(v, float) else v for name, v in vars(row).items()}
-            for row in rows
-        ]
+        measured = [{name: finite_or_none(v) for name, v in vars(row).items()} for row in rows]
         print_json({"measured": measured, "written": [str(path) for path in written]})
         return
     _print_front(rows)
