@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import TransferLensError
+from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -16,7 +16,7 @@ from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
 from tolerancing.study.results import DearResults, StepResults, TrialResults
-from tolerancing.study.scoring import score_batch
+from tolerancing.study.scoring import fault_text, score_batch
 from tolerancing.study.study import Study
 
 PROBED_TRIALS = 6
@@ -98,14 +98,24 @@ def nominal_scores(context: Context, study: Study) -> dict[str, float]:
 
     Raises
     ------
-    TransferLensError
-        If the nominal lens itself cannot be scored.
+    InputError
+        If the nominal lens itself cannot be scored, whatever a merit raises.
     """
     batch = context.perturbed(study.perturbations, np.zeros((1, len(study.perturbations))))
     merits = {m.label: m for m in study.all_merits}
     merits |= {m.label: m for part in (*study.sweeps, *study.grids) for m in part.line_pairs()}
-    scores = {label: float(merit.scores(context, batch)[0]) for label, merit in merits.items()}
+    scores = {label: _nominal_score(merit, context, batch) for label, merit in merits.items()}
     return {merit.label: scores[merit.label] for merit in study.all_merits}
+
+
+def _nominal_score(merit: Merit, context: Context, batch: PerturbationBatch) -> float:
+    try:
+        return float(merit.scores(context, batch)[0])
+    except Exception as error:
+        raise InputError(
+            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(merit, error)}; nothing was run: "
+            "mend the merit or the design"
+        ) from error
 
 
 def decide_levels(lens: Lens, study: Study) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,11 +39,19 @@ def _score_singly(
     for k, merit in enumerate(merits):
         try:
             scores[0, k] = merit.scores(context, batch)[0]
-        except TransferLensError as error:
-            faults.append(f"{merit.label}: {error}")
         except Exception as error:
-            faults.append(f"{merit.label}: {type(error).__name__}: {error}")
+            faults.append(f"{merit.label}: {fault_text(merit, error)}")
     return scores, ("; ".join(dict.fromkeys(faults)) or _missing(merits, scores[0]),)
+
+
+def fault_text(merit: Merit, error: Exception) -> str:
+    """What went wrong in a merit, with the line of a user's own file that it went wrong in."""
+    if isinstance(error, TransferLensError):
+        return str(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame.lineno for frame in frames if frame.filename == merit.file_name]
+    place = f" ({merit.file_name}, line {own[-1]})" if own else ""
+    return f"{type(error).__name__}: {error}{place}"
 
 
 def _missing(merits: Sequence[Merit], scores: Array) -> str:

@@ -92,6 +92,20 @@ def test_faulty_study_is_one_message_and_status_2(command, write_study, ray_stud
     assert not (tmp_path / "a.store").exists()
 
 
+def test_a_merit_that_raises_for_the_nominal_lens_is_one_message_and_status_2(
+    command, write_study, ray_study, tmp_path
+):
+    (tmp_path / "mine.py").write_text("def ratio(trial):\n    raise LookupError('no ratio')\n")
+    merit = '[[merit]]\nkind = "python"\nname = "ratio"\nfunction = "mine.py:ratio"\nat_least = 1.0\n'
+    ran = command("run", write_study(ray_study + merit), "--store", tmp_path / "a.store", "--workers", "1")
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert ran.stderr == (
+        "error: merit 'ratio' cannot score the nominal lens: LookupError: no ratio "
+        "(mine.py, line 2); nothing was run: mend the merit or the design\n"
+    )
+    assert not (tmp_path / "a.store").exists()
+
+
 def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
     store, picture = tmp_path / "a.store", tmp_path / "trial.svg"
     command("run", write_study(full_study), "--store", store, "--workers", "1", "--trials", "4")

@@ -75,7 +75,7 @@ def test_what_it_raises_and_nan_are_that_trials_failure(tmp_path, context, batch
         "",
         "",
         "python: mine.py:fussy returned NaN",
-        "python: RuntimeError: too steep",
+        "python: RuntimeError: too steep (mine.py, line 20)",
         "python: mine.py:fussy returned str: must be a number",
     )
 
