@@ -67,7 +67,11 @@ class PlaneFrames:
 
 
 def read_frames(
-    paths: Sequence[Path], settings: FrameSetSettings | None = None, **changes: Any
+    paths: Sequence[Path],
+    settings: FrameSetSettings | None = None,
+    *,
+    lens: Lens | None = None,
+    **changes: Any,
 ) -> tuple[Frame, ...]:
     """Frames in the order of their planes, those of one plane by exposure, checked to belong together.
 
@@ -77,6 +81,10 @@ def read_frames(
         TIFF files.
     settings
         What stands in for what they do not say.
+    lens
+        The design, whose pixel pitch, wavelength and planes are taken where neither files nor settings say
+        them: the wavelength of a design that has one, its planes in the order of the files if there are as
+        many.
     **changes
         Settings by name, in place of those of `settings`.
 
@@ -91,12 +99,15 @@ def read_frames(
     -----
     SaturationWarning
         If a few pixels are clipped in all frames of a plane.
+    AssumedWarning
+        For each frame, what was taken of the design.
     """
     given = _given(len(paths), (settings or FrameSetSettings()).replaced(**changes))
     for number, path in enumerate(paths):
         if path in paths[:number]:
             raise InputError(f"{path}: is named twice: a frame counts once")
-    frames = [read_frame(path, **own) for path, own in zip(paths, given, strict=True)]
+    assumed = _assumed(len(paths), lens)
+    frames = [read_frame(path, known, **own) for path, known, own in zip(paths, assumed, given, strict=True)]
     _refuse_unlike(paths, frames)
     order = sorted(
         zip(paths, frames, strict=True),
@@ -121,6 +132,19 @@ def _given(count: int, settings: FrameSetSettings) -> list[dict[str, Any]]:
         {name: value[frame] if isinstance(value, tuple) else value for name, value in told.items()}
         for frame in range(count)
     ]
+
+
+def _assumed(count: int, lens: Lens | None) -> list[dict[str, Any]]:
+    """For each frame, what a design says of it."""
+    if lens is None:
+        return [{}] * count
+    told: dict[str, Any] = {"pixel_pitch_um": lens.sensor.pixel_pitch_um}
+    if len(lens.wavelengths_um) == 1:
+        told["wavelength_um"] = lens.wavelengths_um[0]
+    planes = lens.sensor.plane_distances_mm
+    if len(planes) != count:
+        return [told] * count
+    return [told | {"plane_distance_mm": distance} for distance in planes]
 
 
 def _refuse_unlike(paths: Sequence[Path], frames: Sequence[Frame]) -> None:

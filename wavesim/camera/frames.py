@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -22,6 +23,7 @@ from lensdesign.common.input_files import check_input
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
+from wavesim.scene.settings import SettingError
 
 Counts = NDArray[np.uint16]
 Bits = Annotated[int, Setting(ge=1, le=16)]
@@ -35,6 +37,10 @@ DESCRIPTION, PHOTOMETRIC = 270, 262
 WHITE_IS_ZERO = 0
 GREY_MODES = ("L", "I;16", "I;16B")
 """Pillow's names for whole numbers without sign, of 16 bits at most."""
+
+
+class AssumedWarning(UserWarning):
+    """A frame does not say how it was recorded, and what its design says was taken."""
 
 
 class FrameSettings(Section):
@@ -164,13 +170,15 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
         )
 
 
-def read_frame(path: str | os.PathLike[str], **given: Any) -> Frame:
+def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None = None, **given: Any) -> Frame:
     """Read a frame from a grey TIFF of 8, 12 or 16 bits.
 
     Parameters
     ----------
     path
         The file.
+    assumed
+        Settings of the design, for what neither the file nor `given` says.
     given
         Settings by their names in :class:`FrameSettings`. They stand in for what the file does not say, and
         come before what it says.
@@ -180,6 +188,11 @@ def read_frame(path: str | os.PathLike[str], **given: Any) -> Frame:
     InputError
         If the file cannot be read, is damaged or no grey picture of whole numbers, or if settings are
         lacking or not allowed.
+
+    Warns
+    -----
+    AssumedWarning
+        Naming what was assumed.
     """
     path = Path(path)
     counts, description = _read_tiff(path)
@@ -189,8 +202,14 @@ def read_frame(path: str | os.PathLike[str], **given: Any) -> Frame:
         if name not in fields:
             raise InputError(f"{path}: {name}: no setting of a frame{did_you_mean(name, fields)}")
     lacking = [name for name, field in fields.items() if field.is_required() and name not in settings]
-    if lacking:
-        raise InputError(f"{path} does not say how it was recorded; to be given: {', '.join(lacking)}")
+    taken = {name: assumed[name] for name in lacking if name in assumed} if assumed else {}
+    asked = ", ".join(f"{{{name}}}" for name in lacking if name not in taken)
+    if asked:
+        raise SettingError(f"{path} does not say how it was recorded; to be given: {asked}")
+    if taken:
+        said = ", ".join(f"{name} = {value:g}" for name, value in taken.items())
+        warnings.warn(f"{path} does not say how it was recorded; of the design: {said}", AssumedWarning, 3)
+        settings |= taken
     try:
         return Frame(counts, validate(FrameSettings, settings, path))
     except InputError as error:

@@ -195,6 +195,7 @@ def _target(lens: Lens, patch: Patch, thing: str | Field, settings: ImageSetting
         numerical_aperture=lens.object.numerical_aperture,
         seed=settings.seed,
         picture_pixel_um=settings.picture_pixel_um,
+        picture_width_mm=settings.picture_width_mm,
         chart_at_mm=settings.chart_at_mm,
     )
 

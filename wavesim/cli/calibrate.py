@@ -45,7 +45,7 @@ def calibrate(
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        pictures = read_frames(frames, of_frames)
+        pictures = read_frames(frames, of_frames, lens=lens)
         found = calibrate_frames(lens, pictures, settings, known=known, folder=output, progress=tell)
     (output / CHECKPOINT).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))

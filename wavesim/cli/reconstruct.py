@@ -62,7 +62,7 @@ def reconstruct(
             found = reconstruct_frames(
                 lens,
                 # Given away: nothing here may hold them to the end.
-                read_frames(frames, of_frames),
+                read_frames(frames, of_frames, lens=lens),
                 settings,
                 truth=truth,
                 calibration=mounting,

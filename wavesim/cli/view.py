@@ -16,7 +16,7 @@ RESULTS = {"reconstruction.npz": "", "object.npz": "true"}
 SUMMARIES = ("reconstruction.json", "image.json")
 """Of which the title is taken."""
 
-CAMERA = {
+CAMERA: dict[str, Any] = {
     "plane_distance_mm": 0.0,
     "wavelength_um": 1.0,
     "exposure": 1.0,

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from zipfile import is_zipfile
 
 import numpy as np
@@ -19,7 +19,6 @@ import scipy.fft
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
-from wavesim.fields.coverage import rectangle
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.files import read_centre_um
 from wavesim.objects.illumination import (
@@ -27,10 +26,16 @@ from wavesim.objects.illumination import (
     gaussian_beam,
     measured_field,
     plane_wave,
-    refuse_larger_than_stop,
 )
 from wavesim.objects.phantom import tissue_phantom
-from wavesim.objects.targets import Ground, phase_target, picture_target, read_grey, siemens_star
+from wavesim.objects.targets import (
+    Ground,
+    phase_target,
+    picture_pixel,
+    picture_target,
+    read_grey,
+    siemens_star,
+)
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
 from wavesim.scene.patches import OBJECT_FINENESS
 from wavesim.scene.scene import wavelength_of
@@ -192,6 +197,7 @@ def make_target(
     numerical_aperture: float,
     seed: int = 0,
     picture_pixel_um: float | None = None,
+    picture_width_mm: float | None = None,
     chart_at_mm: Sequence[tuple[float, float]] = (),
 ) -> Target:
     """An object on a patch: a chart, a star, a phase target, tissue, or a picture.
@@ -206,8 +212,10 @@ def make_target(
         Bright or dark field, of charts and stars.
     numerical_aperture, seed
         Of the tissue's band limit, and of its random shapes.
-    picture_pixel_um
-        Side of a picture's pixel on the object.
+    picture_pixel_um, picture_width_mm
+        Side of a picture's pixel on the object, or width of all of it; without both its corners touch the
+        field stop. Where only its pixels are given they must be no finer than the samples; else they are
+        averaged.
     chart_at_mm
         Points (x, y) about which fine groups of the USAF chart stand beside the chart in the middle.
 
@@ -233,13 +241,11 @@ def make_target(
             f"object = {name!r}: allowed: {', '.join(known)}, or the file of a picture"
             f"{did_you_mean(name, known)}"
         )
-    elif picture_pixel_um is None:
-        raise InputError(f"object = {name!r}: a picture needs picture_pixel_um, the side of its pixels")
     else:
         rows, columns = read_grey(name).shape
-        sides = (1e-3 * picture_pixel_um * columns, 1e-3 * picture_pixel_um * rows)
-        refuse_larger_than_stop(rectangle(grid.centre_mm, *sides), "disc", stop_mm)
-        values = picture_target(name, grid, picture_pixel_um)
+        pixel_um = picture_pixel((rows, columns), stop_mm, picture_pixel_um, picture_width_mm)
+        finer: Literal["refuse", "average"] = "average" if picture_pixel_um is None else "refuse"
+        values = picture_target(name, grid, pixel_um, finer=finer)
     transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
     return Target(name, transmission, elements, ground)
 

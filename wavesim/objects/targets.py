@@ -207,15 +207,16 @@ def picture_target(
     pixel_um: float,
     quantity: Literal["intensity", "amplitude", "phase"] = "intensity",
     phase_rad: float = math.pi,
+    finer: Literal["refuse", "average"] = "refuse",
 ) -> ComplexArray:
-    """Transmission from a grey picture about the grid's centre; its pixels are integrated over the cells.
+    """Transmission from a picture about the grid's centre; its pixels are integrated over the cells.
 
     The first row lies at the smallest y. Beyond the picture the object is opaque, or clear for a phase.
 
     Parameters
     ----------
     path
-        PNG, TIFF or another format that Pillow reads; one grey channel of 8 or 16 bits.
+        PNG, TIFF or another format that Pillow reads (:func:`read_grey`).
     grid
         A plane.
     pixel_um
@@ -224,23 +225,26 @@ def picture_target(
         What grey values stand for, as parts of full scale (255 or 65535).
     phase_rad
         Of full scale, where they stand for a phase.
+    finer
+        What becomes of pixels finer than the pitch, whose detail is averaged away.
 
     Raises
     ------
     InputError
         If the file is no such picture, or a value is not usable, or the picture is larger than the grid.
     SamplingError
-        If pixels are smaller than the pitch, so that detail would be averaged away.
+        If pixels are smaller than the pitch, and are not to be averaged.
     """
     refuse_line(grid)
     refuse_not_positive("pixel_um", pixel_um)
     refuse_other("quantity", quantity, ("intensity", "amplitude", "phase"))
+    refuse_other("finer", finer, ("refuse", "average"))
     if not math.isfinite(phase_rad):
         raise InputError(f"phase_rad = {phase_rad!r}: must be finite")
     grey = read_grey(path)
     pixel = 1e-3 * pixel_um
     rows, columns = grey.shape
-    if pixel < grid.pitch_mm * ROUNDING:
+    if finer == "refuse" and pixel < grid.pitch_mm * ROUNDING:
         raise SamplingError(
             f"pixel_um = {pixel_um:g}: finer than the grid's pitch of {1e3 * grid.pitch_mm:.4g} um; "
             "give a finer grid, or a picture with larger pixels"
@@ -254,13 +258,54 @@ def picture_target(
     return np.asarray(down @ shown @ across.T + (quantity == "phase"))
 
 
-def read_grey(path: str | os.PathLike[str]) -> Array:
-    """Grey values of a picture as parts of full scale, of shape (rows, columns).
+def picture_pixel(
+    shape: tuple[int, int], stop_mm: float, pixel_um: float | None = None, width_mm: float | None = None
+) -> float:
+    """Side of a picture's pixel on the object in um: as given, or so that the picture fits a field stop.
+
+    Parameters
+    ----------
+    shape
+        Rows and columns.
+    stop_mm
+        Diameter of the round field stop.
+    pixel_um, width_mm
+        Side of a pixel, or width of the picture; left out, its corners touch the stop.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or does not hold one grey picture of 8 or 16 bits.
+        If both are given, one is not usable, or the picture is larger than the stop.
+    """
+    rows, columns = shape
+    largest_um = 1e3 * stop_mm / math.hypot(rows, columns)
+    if pixel_um is not None and width_mm is not None:
+        raise InputError("picture_pixel_um, picture_width_mm: give one of them")
+    if width_mm is not None:
+        name, given, um = "picture_width_mm", width_mm, 1e3 / columns
+    elif pixel_um is not None:
+        name, given, um = "picture_pixel_um", pixel_um, 1.0
+    else:
+        return largest_um
+    refuse_not_positive(name, given)
+    if given * um > largest_um * (1.0 + 1e-9):
+        raise InputError(
+            f"{name} = {given:g}: the picture's {columns} x {rows} pixels reach beyond the field stop of "
+            f"{stop_mm:g} mm; give {largest_um / um:.4g} at most, which it is if left out"
+        )
+    return given * um
+
+
+def read_grey(path: str | os.PathLike[str]) -> Array:
+    """Grey values of a picture as parts of full scale, of shape (rows, columns).
+
+    One channel of 8 or 16 bits is taken as it is; of colours, palettes and black and white the luma of ITU-R
+    BT.601, of 8 bits.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or does not hold one picture of such kinds without transparency.
     """
     from PIL import Image
 
@@ -270,7 +315,9 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
     try:
         with Image.open(place) as picture:
             mode, frames = picture.mode, getattr(picture, "n_frames", 1)
-            values: Any = np.asarray(picture, float) if mode in full_scale and frames == 1 else None
+            grey = picture if mode in full_scale or frames != 1 else _luma(picture)
+            values: Any = None if grey is None or frames != 1 else np.asarray(grey, float)
+            scale = full_scale.get(mode, 255.0)
     # Of damaged files the readers below raise errors of many kinds.
     except Exception as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -278,8 +325,20 @@ def read_grey(path: str | os.PathLike[str]) -> Array:
     if frames != 1:
         raise InputError(f"picture {place}: holds {frames} pictures; give a file with one")
     if values is None:
-        raise InputError(f"picture {place}: has mode {mode}; give one grey channel of 8 or 16 bits")
-    return np.asarray(values / full_scale[mode])
+        raise InputError(
+            f"picture {place}: has mode {mode}; give grey of 8 or 16 bits, or opaque colours of 8"
+        )
+    return np.asarray(values / scale)
+
+
+def _luma(picture: Any) -> Any:
+    """Grey of 8 bits; None for kinds that it does not keep, and pictures that are not opaque."""
+    if picture.mode not in ("1", "LA", "P", "RGB", "RGBA"):
+        return None
+    clear = picture.mode in ("LA", "RGBA") or "transparency" in picture.info
+    if clear and picture.convert("RGBA").getextrema()[3][0] < 255:
+        return None
+    return picture.convert("L")
 
 
 def band_limit(

@@ -194,7 +194,8 @@ class ImageSettings(PoseSettings, MachineSettings, EngineSettings, CameraSetting
     wavelength_um: float | None = Field(None, description="Left out: the design's first.")
     ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark.")
     chart_at_mm: Points = ()
-    picture_pixel_um: float | None = Field(None, description="FILE: side of its pixels.")
+    picture_pixel_um: Size | None = Field(None, description="FILE: side of its pixels; left out, it fits.")
+    picture_width_mm: Size | None = Field(None, description="FILE: its width; left out, it fits the stop.")
 
 
 class FrameSetSettings(Section):

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Sensor
+from lensdesign.lens.lens import Lens, Sensor
 from wavesim.camera.exposures import (
     Electronics,
     SaturationWarning,
@@ -23,7 +24,7 @@ from wavesim.camera.exposures import (
     merged_intensity,
 )
 from wavesim.camera.frame_sets import planes_of_frames, read_frames, recorded_planes
-from wavesim.camera.frames import Frame, FrameSettings, write_frame
+from wavesim.camera.frames import AssumedWarning, Frame, FrameSettings, write_frame
 from wavesim.camera.sensor import frames_of_light, light_on_pixels, record, sensor_grid
 from wavesim.fields.field import Field
 from wavesim.runtime.threads import BLOCK
@@ -195,6 +196,29 @@ def test_frames_of_a_plane_are_read_together(tmp_path: Path) -> None:
     assert alone.sigma is not None
     assert recorded[0].sigma is not None
     assert np.median(alone.sigma[:, :80] / recorded[0].sigma[:, :80]) > 3.0
+
+
+def test_what_a_lab_s_frames_do_not_say_is_taken_of_the_design_and_told(
+    tmp_path: Path, paper_lens: Lens
+) -> None:
+    paths = [tmp_path / "near.tif", tmp_path / "far.tif"]
+    for path in paths:
+        Image.fromarray(frame_of(LIGHT, 1.0, 0).counts).save(path)
+    asked = {"bits": 16, "offset_counts": 100.0, "gain_electrons_per_count": 1.0, "exposure": (1.0, 1.0)}
+    with pytest.raises(InputError, match=r"near\.tif does not say .*; to be given: exposure, bits,"):
+        read_frames(paths, lens=paper_lens)
+    with pytest.warns(AssumedWarning) as told:
+        frames = read_frames(paths, lens=paper_lens, **asked)
+    near, far = paper_lens.sensor.plane_distances_mm
+    assert [frame.settings.plane_distance_mm for frame in frames] == [near, far]
+    assert {frame.settings.wavelength_um for frame in frames} == {paper_lens.wavelengths_um[0]}
+    assert f"plane_distance_mm = {far:g}" in str(told[1].message)
+    assert "far.tif" in str(told[1].message)
+    with pytest.raises(InputError, match=r"near\.tif .*to be given: plane_distance_mm$"):
+        read_frames(paths[:1], lens=paper_lens, **asked | {"exposure": (1.0,)})
+    colours = paper_lens.model_copy(update={"wavelengths_um": (0.5, 0.6)})
+    with pytest.raises(InputError, match=r"to be given: wavelength_um$"):
+        read_frames(paths, lens=colours, **asked)
 
 
 def test_other_pictures_and_wrong_exposures_of_a_plane_are_refused(tmp_path: Path) -> None:

@@ -125,6 +125,32 @@ def test_a_chart_beside_takes_fewer_groups_where_there_is_less_room() -> None:
         usaf_charts_of(object_patch(PAPER, 0.4, object_pitch_um=1.5), [(0.15, 0.0)])
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(7, 3), (40, 400), (300, 200)])
+def test_a_picture_of_any_size_is_fitted_into_the_field_stop(tmp_path: Path, rows: int, columns: int) -> None:
+    path = tmp_path / "picture.png"
+    Image.fromarray(np.full((rows, columns), 255, np.uint8)).save(path)
+    patch = object_patch(TWIN, 0.1, 0.08)
+
+    def sides(**size: float) -> tuple[float, float]:
+        values = make_target(patch, str(path), numerical_aperture=0.5, **size).transmission.values.real
+        return tuple(patch.grid.pitch_mm * float(values.max(axis).sum()) for axis in (0, 1))
+
+    across, down = sides()
+    assert math.hypot(across, down) == pytest.approx(0.08, rel=0.02)
+    assert across * rows == pytest.approx(down * columns, rel=0.06)
+    assert sides(picture_width_mm=0.5 * across)[0] == pytest.approx(0.5 * across, rel=0.02)
+
+
+def test_sizes_of_a_picture_that_do_not_fit_are_refused_in_one_message(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    Image.fromarray(np.full((20, 30), 255, np.uint8)).save(path)
+    patch = object_patch(TWIN, 0.1, 0.05)
+    with pytest.raises(InputError, match=r"picture_width_mm = 0\.06: .* give 0\.0416 at most"):
+        make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.06)
+    with pytest.raises(InputError, match="picture_pixel_um, picture_width_mm: give one of them"):
+        make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.01, picture_pixel_um=1.0)
+
+
 def test_a_picture_larger_than_the_field_stop_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     Image.fromarray(np.full((20, 30), 255, np.uint8)).save(path)
@@ -132,10 +158,8 @@ def test_a_picture_larger_than_the_field_stop_is_refused(tmp_path: Path) -> None
     found = make_target(patch, str(path), numerical_aperture=0.5, picture_pixel_um=1.0)
     lit = float(np.sum(np.abs(found.transmission.values) ** 2)) * patch.grid.cell
     assert lit == pytest.approx(0.02 * 0.03, rel=0.02)
-    with pytest.raises(InputError, match=r"reaches beyond it and needs 0.07211 mm"):
+    with pytest.raises(InputError, match=r"picture_pixel_um = 2: .*30 x 20 pixels.* give 1\.387 at most"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_pixel_um=2.0)
-    with pytest.raises(InputError, match="needs picture_pixel_um"):
-        make_target(patch, str(path), numerical_aperture=0.5)
     with pytest.raises(InputError, match=r"object = 'usef'.*did you mean usaf"):
         make_target(patch, "usef", numerical_aperture=0.5)
 

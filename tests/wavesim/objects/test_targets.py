@@ -20,6 +20,7 @@ from wavesim.objects.targets import (
     phase_pads,
     phase_target,
     picture_target,
+    read_grey,
     siemens_star,
 )
 from wavesim.objects.usaf import (
@@ -293,6 +294,25 @@ def test_a_picture_is_read_at_its_scale(tmp_path: Path, suffix: str, dtype: type
     assert finer.real.sum() * 0.7e-3**2 == pytest.approx(grey.sum() / full * 2e-3**2)
 
 
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P"])
+def test_colours_count_by_their_luma(tmp_path: Path, mode: str) -> None:
+    picture = Image.new("RGB", (4, 3), (255, 0, 0))
+    picture.putpixel((1, 2), (0, 255, 0))
+    picture.convert(mode).save(tmp_path / "colours.png")
+    grey = read_grey(tmp_path / "colours.png")
+    expected = np.full((3, 4), 0.299)
+    expected[2, 1] = 0.587
+    np.testing.assert_allclose(grey, expected, atol=0.5 / 255.0)
+
+
+def test_finer_pixels_are_averaged_on_request(tmp_path: Path) -> None:
+    grey: np.ndarray = np.random.default_rng(2).integers(0, 255, (60, 60), endpoint=True).astype(np.uint8)
+    Image.fromarray(grey).save(tmp_path / "fine.png")
+    grid = Grid((20, 20), 3e-3, -1.0)
+    shown = picture_target(tmp_path / "fine.png", grid, 1.0, "amplitude", finer="average")
+    np.testing.assert_allclose(shown, grey.reshape(20, 3, 20, 3).mean(axis=(1, 3)) / 255.0, atol=1e-12)
+
+
 def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
     grid = Grid((64, 64), 1e-3, -1.0)
     with pytest.raises(InputError, match="No such file"):
@@ -304,9 +324,9 @@ def test_pictures_that_are_none_are_refused(tmp_path: Path) -> None:
     (tmp_path / "cut.tif").write_bytes((tmp_path / "cut.tif").read_bytes()[:300])
     with pytest.raises(InputError, match="cannot read the picture"):
         picture_target(tmp_path / "cut.tif", grid, 2.0)
-    Image.new("RGB", (20, 20)).save(tmp_path / "colour.png")
-    with pytest.raises(InputError, match="mode RGB; give one grey channel"):
-        picture_target(tmp_path / "colour.png", grid, 2.0)
+    Image.new("RGBA", (20, 20), (255, 255, 255, 9)).save(tmp_path / "clear.png")
+    with pytest.raises(InputError, match="mode RGBA; give grey of 8 or 16 bits, or opaque colours"):
+        picture_target(tmp_path / "clear.png", grid, 2.0)
     pages = [Image.new("L", (20, 20), shade) for shade in (0, 9)]
     pages[0].save(tmp_path / "two.tif", save_all=True, append_images=pages[1:])
     with pytest.raises(InputError, match="holds 2 pictures"):
