@@ -9,7 +9,7 @@ and Yu. I. Orlov, "Geometrical Optics of Inhomogeneous Media" (1990).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -122,7 +122,7 @@ class RayBundle:
     @cached_property
     def determinant(self) -> Array:
         """Determinant of `jacobian`: 0 on a caustic, of one sign where the map does not fold."""
-        return np.asarray(np.linalg.det(self.jacobian))
+        return determinants(self.jacobian)
 
 
 def shoot(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float, *, clip: bool) -> RayTrace:
@@ -204,27 +204,27 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     """
     axes = [1] if scene.object_grid.is_line else [1, 0]
     points = np.broadcast_to(np.asarray(points_mm, float), pupil.shape)
-    rays = shoot(scene, points, pupil, plane_z_mm, clip=False)
+    moves = STEP * np.array([np.zeros(2), *(sign * np.eye(2)[axis] for axis in axes for sign in (1.0, -1.0))])
+    # One after the other would cost as many calls, which are dearer than the rays.
+    all_points = np.tile(points, (len(moves), 1))
+    bunch = shoot(scene, all_points, (pupil + moves[:, None]).reshape(-1, 2), plane_z_mm, clip=False)
+    rays = _part(bunch, slice(0, len(pupil)))
     refuse_skew(scene, rays)
-    first = _first_headings(scene, points, rays)
-    ok = rays.ok.copy()
-    steps = []
-    for axis in axes:
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = pupil + sign * STEP * np.eye(2)[axis]
-            end = shoot(scene, points, moved, plane_z_mm, clip=False)
-            ok &= end.ok
-            tangents = end.direction / end.direction[:, 2:]
-            ends.append((_knots(end), _first_headings(scene, points, end), tangents))
-        steps.append([(a - b) / (2.0 * STEP) for a, b in zip(*ends, strict=True)])
+    headings = _first_headings(scene, all_points, bunch).reshape(len(moves), -1, 3)
+    first = headings[0]
+    ok = bunch.ok.reshape(len(moves), -1).all(axis=0)
+    tangents = (bunch.direction / bunch.direction[:, 2:]).reshape(len(moves), -1, 3)
+    all_knots = _knots(bunch).reshape(len(moves), len(pupil), -1, 3)
+    knots, turns, tilts = (
+        np.stack([(a[i] - a[i + 1]) / (2.0 * STEP) for i in range(1, len(moves), 2)], axis=-1)
+        for a in (all_knots, headings, tangents)
+    )
     n_object, n_image = (float(scene.system.index[0, i]) for i in (0, -1))
-    knots = np.stack([s[0] for s in steps], axis=-1)
     jacobian = knots[:, -1][:, axes]
-    cosine_jacobian = n_object * np.stack([s[1] for s in steps], axis=-1)[:, axes]
+    cosine_jacobian = n_object * turns[:, axes]
     ratio = (n_object * first[:, 2]) / (n_image * rays.direction[:, 2])
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.abs(np.linalg.det(cosine_jacobian) / np.linalg.det(jacobian))
+        spread = np.abs(determinants(cosine_jacobian) / determinants(jacobian))
         amplitude = np.sqrt(spread * ratio) * _losses(scene, first, rays)
     return RayBundle(
         ok=ok & np.isfinite(amplitude),
@@ -236,9 +236,21 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
         amplitude=amplitude,
         jacobian=jacobian,
         cosine_jacobian=cosine_jacobian,
-        slope_jacobian=np.stack([s[2] for s in steps], axis=-1)[:, axes],
+        slope_jacobian=tilts[:, axes],
         caustics=_caustics(rays, knots),
     )
+
+
+def determinants(matrices: Array) -> Array:
+    """Of matrices of one or two rows, shape (n, d, d): written out, many times faster than by elimination."""
+    if matrices.shape[-1] == 1:
+        return np.asarray(matrices[:, 0, 0])
+    return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
+
+
+def _part(rays: RayTrace, part: slice) -> RayTrace:
+    """Some rays of a trace."""
+    return replace(rays, **{f.name: getattr(rays, f.name)[part] for f in fields(rays)})
 
 
 def _knots(rays: RayTrace) -> Array:
@@ -311,4 +323,6 @@ def _cross_section(derivatives: Array, heading: Array) -> Array:
     """Determinant of the derivatives across the ray and its heading, shape (n,)."""
     if derivatives.shape[-1] == 1:
         return np.asarray(derivatives[:, 1, 0] * heading[:, 2] - derivatives[:, 2, 0] * heading[:, 1])
-    return np.asarray(np.linalg.det(np.concatenate([derivatives, heading[..., None]], axis=-1)))
+    (ax, bx), (ay, by), (az, bz) = np.moveaxis(derivatives, 0, -1)
+    x, y, z = heading.T
+    return np.asarray((ay * bz - az * by) * x + (az * bx - ax * bz) * y + (ax * by - ay * bx) * z)
