@@ -15,6 +15,13 @@ from lensdesign.errors import InputError
 Array = NDArray[np.floating[Any]]
 
 
+HELD = 1e9
+"""Largest amplitude, and inverse of the smallest, of whose squares single precision holds the sum."""
+
+APART = 1e9
+"""Ratio of two planes' largest amplitudes that none of one light can have."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """An amplitude recorded on one plane.
@@ -71,6 +78,40 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
     lowest = 0.25 * math.sqrt(2.0 * math.pi) * deviation
     sigma = np.where(known, deviation / (2.0 * np.sqrt(np.maximum(intensity, lowest))), np.inf)
     return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
+
+
+def amplitude_unit(recorded: Sequence[Recorded]) -> float:
+    """Power of two by which amplitudes are divided, so that single precision holds their squares; often 1.
+
+    Raises
+    ------
+    InputError
+        If planes differ by more than any unit can hold.
+    """
+    largest = [float(plane.amplitude.max()) for plane in recorded]
+    dimmest, brightest = (largest.index(pick(largest)) for pick in (min, max))
+    if largest[brightest] > APART * largest[dimmest]:
+        ratio = largest[brightest] / largest[dimmest]
+        raise InputError(
+            f"plane {brightest + 1}: amplitudes reach {ratio:.3g} times those of plane {dimmest + 1}: all "
+            "planes must be in one unit"
+        )
+    return power_of_two(largest[brightest])
+
+
+def power_of_two(largest: float) -> float:
+    """The power of two below a value; 1 for values of whose squares single precision holds the sum."""
+    return 1.0 if 1.0 / HELD <= largest <= HELD else 2.0 ** math.floor(math.log2(largest))
+
+
+def in_unit(recorded: Sequence[Recorded], unit: float) -> list[Recorded]:
+    """Amplitudes and their standard deviations, divided by a unit; as they are if it is 1."""
+    if unit == 1.0:
+        return list(recorded)
+    return [
+        Recorded(p.distance_mm, p.amplitude / unit, None if p.sigma is None else p.sigma / unit)
+        for p in recorded
+    ]
 
 
 def full_weight_sigma(recorded: Sequence[Recorded]) -> float:

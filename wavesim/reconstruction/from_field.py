@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, refuse_not_whole
-from wavesim.camera.recorded import Recorded
+from wavesim.camera.recorded import Recorded, amplitude_unit
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.retrieval_steps import (
     BLOCK_BYTES,
@@ -147,8 +147,8 @@ def retrieve(
     Raises
     ------
     InputError
-        If shapes, distances or weights are not usable, there are fewer than two planes, or the step of the
-        total variation is too large for these amplitudes.
+        If shapes, distances or weights are not usable, there are fewer than two planes, amplitudes
+        cannot be squared, or the step of the total variation is too large for these amplitudes.
     """
     _refuse(grid, recorded, iterations, feedback, tv_step)
     state = _begun(grid, start, recorded[0].amplitude, seed) if resume is None else _resumed(grid, resume)
@@ -351,6 +351,11 @@ def _refuse(
     refuse_planes(recorded, grid.shape, "the grid's")
     if len({plane.distance_mm for plane in recorded}) < len(recorded):
         raise InputError("two planes have the same distance_mm: they must differ")
+    if (unit := amplitude_unit(recorded)) != 1.0:
+        raise InputError(
+            f"plane 1: amplitudes reach {float(recorded[0].amplitude.max()):.3g}, whose squares overflow or "
+            f"vanish: divide planes and start by {unit:.3g}"
+        )
     refuse_not_whole("iterations", iterations, 1)
     if not (all(map(math.isfinite, feedback)) and math.isfinite(tv_step) and tv_step >= 0.0):
         raise InputError(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
-from wavesim.camera.recorded import Recorded
+from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit, power_of_two
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import refuse_planes
 from wavesim.reconstruction.recording_model import RecordingModel
@@ -176,7 +176,8 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a value or a shape is not usable, or the disk that holds the scratch files is full.
+        If a value or a shape is not usable, planes are in different units, or the disk that holds the scratch
+        files is full.
     """
     _refuse(engine, illumination, recorded, kind, tv_weight, iterations, scale)
     if not (start is None or start == "amplitude" or isinstance(start, Field)):
@@ -186,7 +187,15 @@ def reconstruct(
     if not 0.0 <= active_width <= 1.0:
         raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
     scratch = scratch or Scratch()
-    model = RecordingModel(engine, illumination, recorded, scale, active_width, scratch)
+    unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
+    if light_unit != 1.0:
+        illumination = illumination.with_values(
+            illumination.values / illumination.values.real.dtype.type(light_unit)
+        )
+    recorded = in_unit(recorded, unit)
+    model = RecordingModel(
+        engine, illumination, recorded, scale and scale * light_unit / unit, active_width, scratch
+    )
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     descent = _Descent(model, weight, noise, scale is None, progress, keep, scratch)
     stages = [(kind, iterations)]
@@ -201,9 +210,10 @@ def reconstruct(
     maps = tuple(model.amplitudes(now))
     for modelled, plane in zip(maps, recorded, strict=True):
         modelled -= plane.amplitude
+        modelled *= modelled.dtype.type(unit)
     values = now.astype(illumination.values.dtype)
     found = Field(engine.scene.object_grid, values, illumination.wavelength_um)
-    return Reconstructed(found, misfits, maps, model.scale, stopped)
+    return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stopped)
 
 
 def _beginning(model: RecordingModel, start: Any, kind: Kind, scratch: Scratch) -> Progressed:

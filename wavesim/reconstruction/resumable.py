@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.camera.recorded import Recorded
+from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import (
     LIT,
@@ -101,6 +101,8 @@ def retrieve_resumably(
     residual_maps : tuple of ndarray
         As of :func:`wavesim.reconstruct`.
     """
+    unit = amplitude_unit(recorded)
+    recorded = in_unit(recorded, unit)
     planes, factor = _prepared(recorded, scratch or Scratch())
     kept = checkpoint.load() if checkpoint else None
     # Fields are given away in the call, so that the retrieval can let go of them.
@@ -117,6 +119,8 @@ def retrieve_resumably(
     values = found.field.values
     values /= factor
     left = [residual_and_map(found.field, plane) for plane in recorded]
+    for array in (values, *(there for _, there in left)) if unit != 1.0 else ():
+        array *= unit
     return replace(found, residuals=tuple(one for one, _ in left)), tuple(there for _, there in left)
 
 

@@ -173,6 +173,10 @@ def test_progress_is_told() -> None:
             {"recorded": [Recorded(p.distance_mm, 0.01 * p.amplitude) for p in recorded(truth())]},
             "destroy plane 1",
         ),
+        (
+            {"recorded": [Recorded(p.distance_mm, 1e30 * p.amplitude) for p in recorded(truth())]},
+            r"plane 1: amplitudes reach .*e\+3\d, whose squares overflow or vanish: divide",
+        ),
         ({"start": "guess"}, "start = 'guess'"),
         ({"start": Field(GRID.at(1.0), np.ones(GRID.shape, complex), 0.532)}, "start: its grid"),
     ],

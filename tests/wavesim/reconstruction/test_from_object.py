@@ -121,6 +121,28 @@ def test_the_scale_is_found(case: Case) -> None:
     assert score(case, found.transmission) > 0.9
 
 
+@pytest.mark.parametrize("power", [-100, 100])
+def test_amplitudes_of_any_unit_give_the_same_object(case: Case, power: int) -> None:
+    expected = reconstruct(case.engine, case.illumination, case.recorded, iterations=3, kind="amplitude")
+    unit = 2.0**power
+    light = case.illumination.with_values(case.illumination.values * np.float32(1.0 / unit))
+    planes = [replace(plane, amplitude=plane.amplitude * np.float32(unit)) for plane in case.recorded]
+    for lit, factor in ((case.illumination, unit), (light, unit * unit)):
+        found = reconstruct(case.engine, lit, planes, iterations=3, kind="amplitude")
+        np.testing.assert_array_equal(found.transmission.values, expected.transmission.values)
+        assert found.misfit == expected.misfit
+        assert found.scale == expected.scale * factor
+        for one, other in zip(found.residual_maps, expected.residual_maps, strict=True):
+            np.testing.assert_array_equal(one, other * np.float32(unit))
+
+
+def test_amplitudes_that_no_unit_fits_are_refused(case: Case) -> None:
+    near, far = case.recorded
+    bright = replace(far, amplitude=far.amplitude * np.float32(1e30))
+    with pytest.raises(InputError, match=r"plane 2: amplitudes reach 2\.48e\+30 times those of plane 1: "):
+        reconstruct(case.engine, case.illumination, [near, bright])
+
+
 def test_the_truth_stays(case: Case) -> None:
     start = case.illumination.with_values(case.transmission.astype(np.complex64))
     found = reconstruct(

@@ -82,3 +82,23 @@ def test_it_goes_on_from_what_was_kept(monkeypatch: pytest.MonkeyPatch, tmp_path
     for figure, left, plane in zip(whole.residuals, maps, planes, strict=True):
         assert figure == pytest.approx(np.linalg.norm(left) / np.linalg.norm(plane.amplitude), rel=1e-4)
     assert whole.residuals[0] < 0.3
+
+
+@pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
+def test_amplitudes_of_any_unit_are_retrieved(unit: float) -> None:
+    lens = scaled(load_design(DESIGN), 1 / 64)
+    grid = Grid((40, 40), 5e-4, lens.object_z_mm)
+    engine = engine_for(
+        Scene(lens, grid, Grid((64, 64), 3.2e-3, lens.exit_vertex_z_mm + 0.04), 0.532), "eikonal", error=0.3
+    )
+    light = Field(grid, np.ones(grid.shape, np.complex64), 0.532)
+    modelled = np.abs(engine.forward(light).values)
+    planes = [Recorded(d, (modelled + 0.1 * modelled.max()).astype(np.float32)) for d in (0.0, 0.4)]
+    scaled_planes = [Recorded(p.distance_mm, p.amplitude * np.float32(unit)) for p in planes]
+    expected, maps = retrieve_resumably(engine, light, planes, iterations=3, start="uniform")
+    found, scaled_maps = retrieve_resumably(engine, light, scaled_planes, iterations=3, start="uniform")
+    assert found.residuals == pytest.approx(expected.residuals, rel=1e-5)
+    assert found.correlation == pytest.approx(expected.correlation, rel=1e-6)
+    largest = float(np.abs(expected.field.values).max())
+    np.testing.assert_allclose(found.field.values / unit, expected.field.values, atol=1e-5 * largest)
+    np.testing.assert_allclose(scaled_maps[0] / unit, maps[0], atol=1e-5 * largest)
