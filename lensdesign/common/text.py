@@ -30,6 +30,13 @@ def visible(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in kept)
 
 
+def duration_text(seconds: float) -> str:
+    """A time in seconds, minutes or hours."""
+    if seconds < 120.0:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60.0:.1f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
 def finite_or_none(value: T) -> T | None:
     """JSON knows no infinity, and nothing that is not a number; whatever is no float stays as it is."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

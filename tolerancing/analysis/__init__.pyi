@@ -1,4 +1,4 @@
-from .budgets import StudyBudget, budget, budget_of_study, scaled_study
+from .budgets import BudgetInterrupted, StudyBudget, budget, budget_of_study, scaled_study
 from .control_variates import choose_trials, combined_mean, combined_yield
 from .correlation import rank_correlation
 from .limits import InverseLimit, StudyLimits, inverse, inverse_limits
@@ -13,6 +13,7 @@ from .yields import Yield, yield_of
 
 __all__ = [
     "Budget",
+    "BudgetInterrupted",
     "InverseLimit",
     "MeritSummary",
     "Response",

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.analysis.response import Response, fit_response
-from tolerancing.analysis.scorer import Report, StudyScorer, scatter_of
-from tolerancing.analysis.tolerance_search import Budget, loosest_tolerances
+from tolerancing.analysis.scorer import ROWS_AT_ONCE, StudyScorer
+from tolerancing.analysis.tolerance_search import (
+    MOST_COUNTS,
+    Budget,
+    SearchInterrupted,
+    draws_needed,
+    loosest_tolerances,
+)
 from tolerancing.analysis.yields import Yield, yield_of
 from tolerancing.perturbations.draws import probabilities
+from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.store.store import Store
-from tolerancing.study.evaluate import context_of
+from tolerancing.study.evaluate import context_of, realise
 from tolerancing.study.files import LoadedStudy, study_from_tables
+from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
 
 FRESH = 1 << 20
-"""First number of the trials that are drawn to verify, beyond those of any store."""
+"""First number of the trials by which scales are judged, beyond those of any store."""
 
 SCALES = (0.1, 4.0)
+
+Report = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +49,24 @@ class StudyBudget:
     response
         The model.
     verified
-        Yield of fresh trials of the lens with these tolerances.
+        Yield of the lens with these tolerances, rounded as the study states them, in random trials of
+        another seed; None where it was interrupted before one was scored.
+    seed
+        Of those trials: the study's, plus one.
     """
 
     budget: Budget
     response: Response
-    verified: Yield
+    verified: Yield | None
+    seed: int
+
+
+class BudgetInterrupted(KeyboardInterrupt):
+    """A budget that was interrupted; `found` is what there is of it, None before any is known to do."""
+
+    def __init__(self, found: StudyBudget | None) -> None:
+        super().__init__("interrupted")
+        self.found = found
 
 
 def budget(
@@ -67,7 +90,7 @@ def budget(
 
     Raises
     ------
-    InputError
+    InputError, BudgetInterrupted
         As of :func:`budget_of_study`.
     """
     loaded, trials = store.loaded, store.trials()
@@ -98,7 +121,7 @@ def budget_of_study(
 
     A second-order response model of the merits, fitted to the trials, is searched for the shares of the
     tolerances; trials of the lens itself then tell by which common factor they may be scaled, and as many
-    fresh ones the true yield.
+    random ones of another seed the true yield. Each trial has figures of its own as irregularities.
 
     Parameters
     ----------
@@ -113,12 +136,15 @@ def budget_of_study(
     fresh
         Number of trials of the lens for the common factor, and of fresh ones for the yield.
     report
-        Called with the number of trials scored after each part of them.
+        Called with the numbers of trials scored, and to score at most, once before and after each part.
 
     Raises
     ------
     InputError
-        If a weight names no perturbation, the trials are too few for a model, or the yield is out of reach.
+        If a weight names no perturbation, a distribution has no width to scale, the trials are too few for
+        a model, or the yield is out of reach.
+    BudgetInterrupted
+        If it is interrupted.
     """
     columns = [p.column for p in study.perturbations]
     unknown = [name for name in weights or {} if name not in columns]
@@ -126,26 +152,102 @@ def budget_of_study(
         raise InputError(
             f"weight of {unknown[0]!r}: there is no such perturbation; allowed: {', '.join(columns)}"
         )
-    scatter = scatter_of(study)
-    scorer = StudyScorer(context_of(lens, study), study, report)
+    scaled_perturbations(study, np.ones(len(columns)))
+    draws_needed(fresh, required, "low")
     response = fit_response(values, scores)
-    budget = loosest_tolerances(
-        response.predict,
-        study.merits,
-        scatter.mean,
-        _deviations(study, range(FRESH, FRESH + fresh)),
-        required,
-        low=SCALES[0],
-        high=SCALES[1],
-        weights=np.array([(weights or {}).get(column, 1.0) for column in columns]),
-        verify=scorer,
-    )
-    checks = _deviations(study, range(2 * FRESH, 2 * FRESH + fresh))
-    fresh_scores = scorer(scatter.mean + budget.scales * checks)
-    passed = np.all([m.passed(fresh_scores[:, k]) for k, m in enumerate(study.merits)], axis=0)
-    good = yield_of(passed)
-    assert good is not None
-    return StudyBudget(budget, response, good)
+    count = _Count(report, most_trials(fresh))
+    count.add(0)
+    scorer = StudyScorer(context_of(lens, study), study, count.add)
+    trials = range(FRESH, FRESH + fresh)
+    mean, deviations = _deviations(study, trials)
+    seed = study.seed + 1
+    try:
+        budget = loosest_tolerances(
+            response.predict,
+            study.merits,
+            mean,
+            deviations,
+            required,
+            low=SCALES[0],
+            high=SCALES[1],
+            weights=np.array([(weights or {}).get(column, 1.0) for column in columns]),
+            verify=lambda values: scorer(values, trials),
+        )
+    except SearchInterrupted as stop:
+        found = None if stop.budget is None else StudyBudget(stop.budget, response, None, seed)
+        raise BudgetInterrupted(found) from None
+    verified, complete = _verified(lens, study, budget.scales, seed, fresh, count)
+    made = StudyBudget(budget, response, verified, seed)
+    if not complete:
+        raise BudgetInterrupted(made)
+    return made
+
+
+def most_trials(fresh: int) -> int:
+    """How many trials of the lens a budget takes at most, with so many fresh ones."""
+    return (MOST_COUNTS + 1) * fresh
+
+
+def most_seconds(store: Store, fresh: int) -> float:
+    """How long a budget takes at most, by what the trials of a store took."""
+    return most_trials(fresh) * float(np.mean(store.trials().seconds))
+
+
+@dataclass
+class _Count:
+    """How many trials are scored, of how many at most."""
+
+    report: Report | None
+    most: int
+    scored: int = 0
+
+    def add(self, rows: int) -> None:
+        self.scored += rows
+        if self.report is not None:
+            self.report(self.scored, self.most)
+
+
+def _verified(
+    lens: Lens, study: Study, scales: Array, seed: int, fresh: int, count: _Count
+) -> tuple[Yield | None, bool]:
+    """Yield of a run of the study that is written, with another seed; as far as it came, if interrupted."""
+    perturbations = scaled_perturbations(study, scales)
+    other = study.model_copy(update={"perturbations": perturbations, "seed": seed, "draws": "random"})
+    context, passed = context_of(lens, other), list[NDArray[np.bool_]]()
+    try:
+        for start in range(0, fresh, ROWS_AT_ONCE):
+            batch = realise(other, range(start, min(start + ROWS_AT_ONCE, fresh)))
+            scores, _ = score_batch(study.merits, context, batch)
+            passed.append(np.all([m.passed(scores[:, k]) for k, m in enumerate(study.merits)], axis=0))
+            count.add(len(batch))
+    except KeyboardInterrupt:
+        return yield_of(np.concatenate([np.empty(0, bool), *passed])), False
+    return yield_of(np.concatenate(passed)), True
+
+
+def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...]:
+    """The perturbations of a study with their distributions scaled, to four digits.
+
+    Raises
+    ------
+    InputError
+        If a distribution has no width to scale.
+    """
+    perturbations = []
+    for perturbation, scale in zip(study.perturbations, scales, strict=True):
+        if not perturbation.distribution.widths:
+            raise InputError(
+                f"{perturbation.column}: a measured distribution has no width in the study file to scale; "
+                "give it another distribution"
+            )
+        if scale != 1.0:
+            shape = perturbation.scaled(float(scale)).distribution
+            moved = ("mean",) if perturbation.is_irregularity and shape.centre else ()
+            rounded = {name: float(f"{getattr(shape, name):.4g}") for name in (*shape.widths, *moved)}
+            own = perturbation.distribution.model_copy(update=rounded)
+            perturbation = perturbation.model_copy(update={"distribution": own})
+        perturbations.append(perturbation)
+    return tuple(perturbations)
 
 
 def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
@@ -164,28 +266,13 @@ def scaled_study(loaded: LoadedStudy, scales: Array) -> Study:
         If a distribution has no width to scale.
     """
     study = study_from_tables(tomllib.loads(loaded.study_text), loaded.name)
-    perturbations = []
-    for perturbation, scale in zip(study.perturbations, scales, strict=True):
-        distribution = perturbation.distribution
-        if not distribution.widths:
-            raise InputError(
-                f"{perturbation.column}: a measured distribution has no width in the study file to scale; "
-                "give it another distribution"
-            )
-        scaled = distribution.scaled(float(scale))
-        widths = {name: float(f"{getattr(scaled, name):.4g}") for name in distribution.widths}
-        changed = distribution.model_copy(update=widths)
-        perturbations.append(perturbation.model_copy(update={"distribution": changed}))
-    return study.model_copy(update={"perturbations": tuple(perturbations)})
+    return study.model_copy(update={"perturbations": scaled_perturbations(study, scales)})
 
 
-def _deviations(study: Study, trials: range) -> Array:
-    """Deviations from the mean, as random trials draw them."""
+def _deviations(study: Study, trials: range) -> tuple[Array, Array]:
+    """What is not scaled of each perturbation, and what is, as random trials draw it."""
     drawn = probabilities("random", study.seed, trials, len(study.perturbations), study.trials)
     dependent = study.dependence.apply(drawn)
-    return np.column_stack(
-        [
-            p.distribution.quantile(dependent[:, k]) - p.distribution.centre
-            for k, p in enumerate(study.perturbations)
-        ]
-    )
+    values = [p.distribution.quantile(dependent[:, k]) for k, p in enumerate(study.perturbations)]
+    mean = np.array([0.0 if p.is_irregularity else p.distribution.centre for p in study.perturbations])
+    return mean, np.column_stack(values) - mean

@@ -27,6 +27,9 @@ PRECISION = 1e-3
 LARGEST = 64.0
 """How far a search goes, in tolerances."""
 
+SHAPES = 20
+"""Shapes of an irregularity that are tried at each size; all must keep the limit."""
+
 HALVINGS = 6
 """How often a tolerance that is too large already is halved in search of one that is not."""
 
@@ -83,6 +86,8 @@ def inverse(
 ) -> StudyLimits:
     """How far each perturbation of a study may go by itself before a merit misses its limit.
 
+    An irregularity may go as far as none of `SHAPES` shapes of that size misses the limit.
+
     Parameters
     ----------
     loaded
@@ -108,8 +113,12 @@ def inverse(
     context = context_of(loaded.lens, study)
     scorer, nominal = StudyScorer(context, study, report), nominal_scores(context, study)
     scores, tolerance = [nominal[label] for label in labels], scatter_of(study).tolerance
+
+    def worst(values: Array) -> Array:
+        return scorer.worst_of_shapes(values, SHAPES)
+
     limits = {
-        one.label: inverse_limits(scorer, scores, tolerance, one, k, change)
+        one.label: inverse_limits(worst, scores, tolerance, one, k, change)
         for k, one in enumerate(study.merits)
         if merit in (None, one.label)
     }

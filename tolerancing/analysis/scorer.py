@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ QUANTILES = 4096
 
 @dataclass(frozen=True, eq=False)
 class StudyScorer:
-    """The study's merits as a function of deltas; irregularities keep the shapes of trial 0.
+    """The study's merits as a function of deltas.
 
     Attributes
     ----------
@@ -35,16 +35,43 @@ class StudyScorer:
     study: Study
     report: Report | None = None
 
-    def __call__(self, values: Array) -> Array:
-        """Scores, shape (n, merits), of deltas from nominal, shape (n, perturbations)."""
+    def __call__(self, values: Array, trials: Sequence[int] | None = None) -> Array:
+        """Scores, shape (n, merits), of deltas from nominal, shape (n, perturbations).
+
+        Parameters
+        ----------
+        values
+            The deltas.
+        trials
+            By whose numbers the shapes of irregularities, and noise, are drawn, one for each row; those of
+            trial 0 for all rows where left out.
+        """
         study, parts = self.study, []
         for start in range(0, len(values), ROWS_AT_ONCE):
-            rows = np.ascontiguousarray(values[start : start + ROWS_AT_ONCE])
-            batch = self.context.perturbed(study.perturbations, rows)
+            part = slice(start, start + ROWS_AT_ONCE)
+            rows = np.ascontiguousarray(values[part])
+            numbers = None if trials is None else trials[part]
+            batch = self.context.perturbed(study.perturbations, rows, numbers)
             parts.append(score_batch(study.merits, self.context, batch)[0])
             if self.report is not None:
                 self.report(len(rows))
         return np.concatenate(parts) if parts else np.empty((0, len(study.merits)))
+
+    def worst_of_shapes(self, values: Array, shapes: int) -> Array:
+        """As a call, but where a row has an irregularity, the worst scores of so many shapes."""
+        study = self.study
+        columns = [k for k, p in enumerate(study.perturbations) if p.is_irregularity]
+        rough = np.flatnonzero(np.any(values[:, columns] != 0.0, axis=1))
+        smooth = np.setdiff1d(np.arange(len(values)), rough)
+        scores = np.empty((len(values), len(study.merits)))
+        scores[smooth] = self(values[smooth])
+        if len(rough):
+            drawn = self(np.repeat(values[rough], shapes, axis=0), list(range(shapes)) * len(rough))
+            drawn = drawn.reshape(len(rough), shapes, -1)
+            for k, merit in enumerate(study.merits):
+                worst = np.argmin(np.nan_to_num(merit.margin(drawn[..., k]), nan=-np.inf), axis=1)
+                scores[rough, k] = drawn[np.arange(len(rough)), worst, k]
+        return scores
 
 
 @dataclass(frozen=True, eq=False)

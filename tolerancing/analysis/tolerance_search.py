@@ -37,6 +37,9 @@ SECONDS_PER_ROUND = 120.0
 HALVINGS = 12
 """Of the bracket of the common factor at the end."""
 
+MOST_COUNTS = 3 + ROUNDS + HALVINGS
+"""How often all draws are counted by `verify`, at most."""
+
 
 @dataclass(frozen=True)
 class Budget:
@@ -62,6 +65,14 @@ class Budget:
     cost: float
     cost_before: float
     evaluations: int
+
+
+class SearchInterrupted(KeyboardInterrupt):
+    """A search that was interrupted; `budget` keeps the yield, if one was known that does."""
+
+    def __init__(self, budget: Budget | None) -> None:
+        super().__init__("interrupted")
+        self.budget = budget
 
 
 def loosest_tolerances(
@@ -120,6 +131,8 @@ def loosest_tolerances(
     InputError
         If even the smallest scales miss the yield, if the draws are too few to show it, or if an argument
         is out of range.
+    SearchInterrupted
+        If it is interrupted.
     """
     problem = _Problem(scorer, merits, mean, deviations, required, low, high, weights, bound, verify)
     tightest = problem.count(problem.low)
@@ -130,14 +143,11 @@ def loosest_tolerances(
             f"({tightest} of {problem.n} draws, {problem.needed} needed)"
         )
     before = problem.count(np.ones(problem.d))
-    found = np.clip(np.ones(problem.d), problem.low, problem.high)
-    widths, aim = problem.widths(found), problem.needed / problem.n
-    for _ in range(ROUNDS):
-        found = problem.search(found, widths, min(aim, 1.0 - 0.5 / problem.n))
-        aim = (problem.needed - problem.count(found)) / problem.n + problem.smooth(found, widths)
-    best = problem.largest_factor(found)
-    good, first = problem.as_yield(problem.count(best)), problem.as_yield(before)
-    return Budget(best, good, first, problem.cost(best), float(problem.weights.sum()), problem.evaluations)
+    try:
+        problem.seek()
+    except KeyboardInterrupt:
+        raise SearchInterrupted(problem.budget(before)) from None
+    return problem.budget(before)
 
 
 class _Problem:
@@ -167,8 +177,30 @@ class _Problem:
                 raise InputError(f"{name} = {values.tolist()}: must be above 0 and finite")
         if not np.all(np.isfinite(self.high) & (self.high >= self.low)):
             raise InputError(f"high = {self.high.tolist()}: must be finite and not below low")
-        self.needed = _needed(self.n, required, bound)
+        self.needed = draws_needed(self.n, required, bound)
         self.evaluations = 0
+        self.kept: tuple[Array, int] = (self.low, 0)
+
+    def seek(self) -> None:
+        """Search, round by round, then for the largest common factor."""
+        found = np.clip(np.ones(self.d), self.low, self.high)
+        widths, aim = self.widths(found), self.needed / self.n
+        for _ in range(ROUNDS):
+            found = self.search(found, widths, min(aim, 1.0 - 0.5 / self.n))
+            aim = (self.needed - self.count(found)) / self.n + self.smooth(found, widths)
+        self.count_largest_factor(found)
+
+    def budget(self, before: int) -> Budget:
+        """The cheapest scales that were counted and keep the yield."""
+        scales, passed = self.kept
+        return Budget(
+            scales,
+            self.as_yield(passed),
+            self.as_yield(before),
+            self.cost(scales),
+            float(self.weights.sum()),
+            self.evaluations,
+        )
 
     def cost(self, scales: Array) -> float:
         return float(np.sum(self.weights / scales))
@@ -183,10 +215,15 @@ class _Problem:
         return np.asarray(scorer(self.mean + scales * self.deviations), float)
 
     def count(self, scales: Array) -> int:
-        """Number of good parts."""
+        """Number of good parts; the cheapest scales that have enough are remembered."""
         scores = self.scores(scales, self.verify)
         kept = [merit.passed(scores[:, k]) for k, merit in enumerate(self.merits)]
-        return int(np.count_nonzero(np.all(kept, axis=0)))
+        passed = int(np.count_nonzero(np.all(kept, axis=0)))
+        allowed = bool(np.all((scales >= self.low) & (scales <= self.high)))
+        cheaper = not self.kept[1] or self.cost(scales) < self.cost(self.kept[0])
+        if passed >= self.needed and allowed and cheaper:
+            self.kept = (scales, passed)
+        return passed
 
     def widths(self, scales: Array) -> Array:
         """Width of each merit's logistic function: a part of the spread of its scores."""
@@ -239,26 +276,31 @@ class _Problem:
         outcome = minimize(evaluate, first, "slsqp", SECONDS_PER_ROUND, EVALUATIONS_PER_ROUND)
         return scales_at(outcome.point)
 
-    def largest_factor(self, scales: Array) -> Array:
-        """The scales times the largest common factor that keeps the yield, each within its range."""
+    def count_largest_factor(self, scales: Array) -> None:
+        """Seek the largest common factor that keeps the yield, each scale within its range."""
 
         def times(logarithm: float) -> Array:
             return np.clip(np.exp(logarithm) * scales, self.low, self.high)
 
         smallest, largest = np.min(np.log(self.low / scales)), np.max(np.log(self.high / scales))
         if self.count(times(largest)) >= self.needed:
-            return times(largest)
+            return
         for _ in range(HALVINGS):
             middle = 0.5 * (smallest + largest)
             if self.count(times(middle)) >= self.needed:
                 smallest = middle
             else:
                 largest = middle
-        return times(smallest)
 
 
-def _needed(n: int, required: float, bound: Bound) -> int:
-    """Smallest number of good draws of n that shows the required yield."""
+def draws_needed(n: int, required: float, bound: Bound) -> int:
+    """Smallest number of good draws of n that shows the required yield.
+
+    Raises
+    ------
+    InputError
+        If the requirement or the bound is out of range, or n draws cannot show it.
+    """
     if not 0.0 < required < 1.0:
         raise InputError(f"required yield = {required:g}: must be above 0 and below 1")
     if bound == "share":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -105,22 +106,51 @@ def budget(
     verify: Annotated[int, typer.Option(help="Trials of the lens itself, and as many fresh ones.")] = 500,
     as_json: Json = False,
 ) -> None:
-    """Find the loosest tolerances that keep a yield, from a run's trials, and write them as a study."""
+    """Find the loosest tolerances that keep a yield, from a run's trials, and write them as a study.
+
+    What is found is verified by random trials of another seed. Interrupted, it writes the loosest tolerances
+    that were known to do until then.
+    """
     from lensdesign.common.console import progress_bar
-    from tolerancing.analysis.budgets import budget, scaled_study
+    from lensdesign.common.text import duration_text
+    from tolerancing.analysis.budgets import (
+        BudgetInterrupted,
+        budget,
+        most_seconds,
+        scaled_study,
+    )
     from tolerancing.store.store import open_store
     from tolerancing.study.files import save_study
 
-    with open_store(store) as opened, progress_bar() as bar:
-        study, weights = opened.study, _weights(weight or [])
-        task = bar.add_task("fresh trials", total=None)
-        found = budget(opened, required, weights, fresh=verify, report=lambda n: bar.advance(task, n))
+    interrupted, weights = False, _weights(weight or [])
+    with open_store(store) as opened:
+        study = opened.study
+        try:
+            with progress_bar() as bar:
+                task = bar.add_task("trials of the lens", total=None)
+
+                def report(done: int, most: int) -> None:
+                    if not done:
+                        expected = duration_text(most_seconds(opened, verify))
+                        print(f"at most {most} trials of the lens, about {expected}", file=sys.stderr)
+                    bar.update(task, completed=done, total=most)
+
+                found = budget(opened, required, weights, fresh=verify, report=report)
+        except BudgetInterrupted as stop:
+            if stop.found is None:
+                raise KeyboardInterrupt(
+                    "interrupted; no tolerances are known yet that keep the yield"
+                ) from None
+            found, interrupted = stop.found, True
         save_study(scaled_study(opened.loaded, found.budget.scales), output)
     if as_json:
-        print_json({"store": str(store), "study": str(output), **_budget_dict(study, found)})
+        rest = _budget_dict(study, found)
+        print_json({"store": str(store), "study": str(output), "complete": not interrupted, **rest})
     else:
         _print_budget(study, found, required)
         print(f"wrote {output}")
+    if interrupted:
+        raise KeyboardInterrupt(f"interrupted; {output} holds what was found until then")
 
 
 def _weights(items: list[str]) -> dict[str, float]:
@@ -154,6 +184,8 @@ def _print_sensitivity(study: Study, found: Sensitivity, k: int) -> None:
 
 
 def _print_limits(found: StudyLimits, change: float | None) -> None:
+    from tolerancing.analysis.limits import SHAPES
+
     study = found.study
     for label, own in found.limits.items():
         (merit,) = (m for m in study.merits if m.label == label)
@@ -169,12 +201,15 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
         ]
         title = f"{label}: how far each may go by itself ({asked})"
         _print_table(title, ["tolerance", "down to", "up to"], rows)
+    if any(p.is_irregularity for p in study.perturbations):
+        print(f"irregularities: the worst of {SHAPES} random shapes of each size")
 
 
 def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
     return {
         "scales": {p.column: float(s) for p, s in zip(study.perturbations, found.budget.scales, strict=True)},
-        "verified_yield": vars(found.verified),
+        "verified_yield": None if found.verified is None else vars(found.verified),
+        "verified_seed": found.seed,
         "yield_before": vars(found.budget.before),
         "cost": found.budget.cost,
         "cost_before": found.budget.cost_before,
@@ -193,15 +228,17 @@ def _print_budget(study: Study, found: StudyBudget, required: float) -> None:
     title = f"loosest tolerances for a yield of {100.0 * required:g} %"
     _print_table(title, ["was", "scale", "tolerance"], rows)
     good = found.verified
-    print(
-        f"{good.total} fresh trials: {100.0 * good.share:.1f} % good ({100.0 * good.low:.1f} - "
-        f"{100.0 * good.high:.1f} %), cost {found.budget.cost:.4g}, was "
-        f"{found.budget.cost_before:.4g}"
-    )
+    verified = "not verified"
+    if good is not None:
+        verified = (
+            f"{good.total} fresh trials (seed {found.seed}): {100.0 * good.share:.1f} % good "
+            f"({100.0 * good.low:.1f} - {100.0 * good.high:.1f} %)"
+        )
+    print(f"{verified}, cost {found.budget.cost:.4g}, was {found.budget.cost_before:.4g}")
 
 
 def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:
-    return f"{scale * perturbation.distribution.largest:.4g} {perturbation.unit}".strip()
+    return f"{scale * perturbation.tolerance:.4g} {perturbation.unit}".strip()
 
 
 def _print_table(title: str, numbers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -95,10 +95,16 @@ class Context:
         return pupil_rings(self.sampling.rings, self.sampling.arms, edge=True)
 
     def perturbed(
-        self, parameters: Sequence[PerturbedParameter], values: NDArray[np.float64]
+        self,
+        parameters: Sequence[PerturbedParameter],
+        values: NDArray[np.float64],
+        numbers: Sequence[int] | None = None,
     ) -> PerturbationBatch:
-        """Lenses with given deltas of some parameters, shape (lenses, parameters), all else nominal."""
-        return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed)
+        """Lenses with given deltas of some parameters, shape (lenses, parameters), all else nominal.
+
+        Shapes of irregularities are those of the trials `numbers`, of trial 0 where left out.
+        """
+        return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed, numbers)
 
     def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
         """Rays from field points through the stop to the first sensor plane, as the sensor sees them.

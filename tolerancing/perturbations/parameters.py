@@ -112,6 +112,11 @@ class PerturbedParameter(Section):
         return None if match is None else int(match[1]) - 1
 
     @property
+    def is_irregularity(self) -> bool:
+        """Whether its values are sizes of random figures, whose shapes are drawn beside them."""
+        return self.parameter in IRREGULARITIES
+
+    @property
     def quantity(self) -> str:
         """The parameter in words, without its unit."""
         return self.parameter.removesuffix(f"_{self.unit}").replace("_", " ")
@@ -179,6 +184,25 @@ class Perturbation(PerturbedParameter):
     def file_name(self) -> str | None:
         """A file beside the study that the distribution needs."""
         return self.distribution.file_name
+
+    @property
+    def tolerance(self) -> float:
+        """Largest deviation that counts as allowed: from the mean, or of an irregularity from none at all."""
+        shape = self.distribution
+        return shape.largest + (abs(shape.centre) if self.is_irregularity else 0.0)
+
+    def scaled(self, factor: float) -> Self:
+        """The perturbation with its tolerance multiplied; an irregularity's mean goes along.
+
+        Raises
+        ------
+        InputError, DesignError
+            As of :meth:`Distribution.scaled`.
+        """
+        shape = self.distribution.scaled(factor)
+        if self.is_irregularity:
+            shape = shape.model_copy(update={"mean": factor * shape.mean})
+        return self.model_copy(update={"distribution": shape})
 
     def loaded(self, folder: Path) -> Self:
         """The perturbation with what its distribution's file holds; relative to the study's folder."""

@@ -113,8 +113,8 @@ def _nominal_score(merit: Merit, context: Context, batch: PerturbationBatch) -> 
         return float(merit.scores(context, batch)[0])
     except Exception as error:
         raise InputError(
-            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(merit, error)}; nothing was run: "
-            "mend the merit or the design"
+            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(merit, error)}; nothing was "
+            "run: mend the merit or the design"
         ) from error
 
 

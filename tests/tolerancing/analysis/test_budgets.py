@@ -4,9 +4,17 @@ import tomllib
 
 import numpy as np
 import pytest
+from tests_studies import DESIGN, HEAD
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.budgets import budget, budget_of_study, scaled_study
+from tolerancing.analysis.budgets import (
+    BudgetInterrupted,
+    budget,
+    budget_of_study,
+    most_trials,
+    scaled_study,
+)
+from tolerancing.analysis.yields import yield_of
 from tolerancing.run.run import run_study
 from tolerancing.store.store import open_store
 from tolerancing.study.evaluate import context_of, score_trials
@@ -27,14 +35,85 @@ def test_the_yield_is_kept_by_fresh_trials(loaded, trials):
     before = np.mean(trials.passed)
     counted = []
     found = budget_of_study(
-        loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=300, report=counted.append
+        loaded.lens,
+        loaded.study,
+        trials.values,
+        trials.scores,
+        0.7,
+        fresh=300,
+        report=lambda *told: counted.append(told),
     )
     assert found.budget.good.low >= 0.7
     assert found.verified.share >= 0.68
     assert found.verified.total == 300
-    assert sum(counted) >= 600
+    assert counted[-1][0] >= 600
+    assert [n for n, _ in counted] == sorted(n for n, _ in counted)
+    assert {most for _, most in counted} == {most_trials(300)}
+    assert counted[-1][0] <= most_trials(300)
     # Looser where there is yield to spare, tighter where there is none.
     assert (found.budget.cost < found.budget.cost_before) == (before > 0.75)
+
+
+IRREGULARITY = """
+[[perturbation]]
+target = "surface 1"
+parameter = "irregularity_pv_waves"
+distribution = "uniform"
+mean = 0.3
+half_width = 0.3
+
+[[merit]]
+kind = "strehl"
+at_least = 0.8
+"""
+
+
+@pytest.fixture(scope="module")
+def rough(tmp_path_factory):
+    """A study whose yield hangs on irregularities alone, 60 trials of it, and its budget."""
+    folder = tmp_path_factory.mktemp("rough")
+    (folder / "design.toml").write_text(DESIGN)
+    (folder / "study.toml").write_text(HEAD.replace("= 64", "= 32") + IRREGULARITY)
+    loaded = load_study(folder / "study.toml")
+    trials = score_trials(context_of(loaded.lens, loaded.study), loaded.study, range(60))
+    found = budget_of_study(loaded.lens, loaded.study, trials.values, trials.scores, 0.6, fresh=100)
+    return loaded, trials, found
+
+
+def test_what_is_verified_is_a_run_of_the_study_written_with_another_seed(rough):
+    """Each of its trials has shapes of its own."""
+    loaded, _, found = rough
+    assert found.seed == loaded.study.seed + 1
+    written = scaled_study(loaded, found.budget.scales).model_copy(update={"seed": found.seed})
+    run = score_trials(context_of(loaded.lens, written), written, range(100))
+    assert 0 < found.verified.passed < 100
+    assert found.verified == yield_of(run.passed)
+    assert found.verified.high > 0.6
+
+
+def test_an_irregularity_is_scaled_from_nothing_to_its_size(rough):
+    loaded, _, _ = rough
+    (perturbation,) = scaled_study(loaded, np.array([0.5])).perturbations
+    assert (perturbation.distribution.mean, perturbation.distribution.half_width) == (0.15, 0.15)
+    assert perturbation.tolerance == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(("scored", "known"), [(50, False), (250, True), (1850, True)])
+def test_an_interrupted_budget_gives_what_it_has(loaded, trials, scored, known):
+    def interrupt(done, most):
+        if done >= scored:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as stop:
+        budget_of_study(
+            loaded.lens, loaded.study, trials.values, trials.scores, 0.7, fresh=100, report=interrupt
+        )
+    assert isinstance(stop.value, BudgetInterrupted) == known
+    if known:
+        found = stop.value.found
+        assert found.budget.good.low >= 0.7
+        assert found.verified is None or found.verified.total < 100
+        assert np.all(found.budget.scales == 0.1) == (scored == 250)
 
 
 def test_a_dear_tolerance_is_loosened_at_the_cost_of_others(write_study, ray_study):
@@ -73,6 +152,8 @@ def test_measured_deviations_cannot_be_scaled(write_study, ray_study, tmp_path):
     loaded = load_study(write_study(text))
     with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
         scaled_study(loaded, np.array([0.5, 2.0]))
+    with pytest.raises(InputError, match="shop_radius_mm: a measured distribution has no width"):
+        budget_of_study(loaded.lens, loaded.study, np.zeros((9, 2)), np.zeros((9, 1)), 0.7)
 
 
 def test_a_store_is_asked_for_its_budget(loaded, tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensdesign.errors import InputError
-from tolerancing.analysis.limits import PRECISION, inverse, inverse_limits
+from tolerancing.analysis.limits import PRECISION, SHAPES, inverse, inverse_limits
 from tolerancing.analysis.scorer import StudyScorer
 from tolerancing.merits.base import Merit
 from tolerancing.study.evaluate import context_of
@@ -117,6 +117,22 @@ def test_limits_of_a_study_are_where_its_merits_are(write_study, ray_study):
     assert sum(counted) > 4
     tighter = inverse(loaded, change=1e-3).limits["largest_spread_deg"]
     assert tighter[0].above < limits[0].above
+
+
+def test_an_irregularity_goes_as_far_as_no_shape_misses_the_limit(write_study, full_study):
+    rough = (
+        '[[perturbation]]\ntarget = "surface 1"\nparameter = "irregularity_pv_waves"\n'
+        'distribution = "uniform"\nmean = 0.3\nhalf_width = 0.3\n'
+    )
+    loaded = load_study(write_study(full_study.replace("[[merit]]", f"{rough}\n[[merit]]", 1)))
+    study = loaded.study
+    size = inverse(loaded, "strehl").limits["strehl"][2].above
+    scorer = StudyScorer(context_of(loaded.lens, study), study)
+    for factor, least in ((1.0, SHAPES), (1.0 + 2.0 * PRECISION, SHAPES - 1)):
+        deltas = np.tile([0.0, 0.0, factor * size], (SHAPES, 1))
+        scores = scorer(deltas, range(SHAPES))[:, 1]
+        assert np.ptp(scores) > 0.01
+        assert np.count_nonzero(scores >= 0.5) == least
 
 
 def test_what_a_study_does_not_have_is_refused(write_study, full_study):

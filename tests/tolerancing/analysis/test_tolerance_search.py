@@ -124,10 +124,10 @@ def test_a_yield_out_of_reach_is_told():
 
 @pytest.mark.parametrize("required", [0.5, 0.8, 0.95])
 def test_the_draws_needed_are_the_fewest_whose_interval_begins_there(required):
-    from tolerancing.analysis.tolerance_search import _needed
+    from tolerancing.analysis.tolerance_search import draws_needed
 
     for n in (100, 1000):
-        needed = _needed(n, required, "low")
+        needed = draws_needed(n, required, "low")
         assert yield_of(np.arange(n) < needed).low >= required - 1e-12
         assert yield_of(np.arange(n) < needed - 1).low < required
 

@@ -10,7 +10,10 @@ from typing import NamedTuple
 
 import pytest
 
+from tolerancing.analysis import scorer
 from tolerancing.cli.commands import main
+from tolerancing.study.files import load_study
+from tolerancing.study.scoring import score_batch
 
 HEAVY = ("scipy", "pandas", "matplotlib", "jinja2", "numba")
 
@@ -126,7 +129,7 @@ def test_one_trial_is_shown_again(command, write_study, full_study, tmp_path):
         assert refused.stderr.startswith(message)
 
 
-def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_design, tmp_path):
+def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_design, tmp_path, monkeypatch):
     study, store, out = tmp_path / "study.toml", tmp_path / "a.db", tmp_path / "budget.toml"
     started = command("start", paper_design, "-o", study, "--grade", "high_precision")
     assert started.returncode == 0, started.stderr
@@ -153,8 +156,25 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     assert limits["lens_decenter_y_mm"]["above"] > 0.0
     found = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "100")
     assert found.returncode == 0, found.stderr
-    assert "100 fresh trials" in found.stdout
+    assert "100 fresh trials (seed 20240602)" in found.stdout
+    assert found.stderr.startswith("at most 1900 trials of the lens, about ")
     assert command("run", out, "--store", tmp_path / "c.db", "--trials", "4").returncode == 0
+
+    batches = []
+
+    def score_until_interrupted(*arguments):
+        batches.append(arguments)
+        if len(batches) > 4:
+            raise KeyboardInterrupt
+        return score_batch(*arguments)
+
+    monkeypatch.setattr(scorer, "score_batch", score_until_interrupted)
+    early = tmp_path / "early.toml"
+    broken_off = command("budget", store, "--yield", "0.6", "-o", early, "--verify", "100")
+    assert broken_off.returncode == 130
+    assert broken_off.stderr.endswith(f"interrupted; {early} holds what was found until then\n")
+    assert "not verified, cost " in broken_off.stdout
+    assert all(p.distribution.limit > 0.0 for p in load_study(early).study.perturbations[:2])
 
 
 @pytest.mark.parametrize(

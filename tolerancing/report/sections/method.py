@@ -8,6 +8,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from lensdesign.common.text import duration_text
 from lensdesign.errors import InputError
 from tolerancing.analysis.control_variates import (
     Chosen,
@@ -227,10 +228,3 @@ def reproduction_section(data: ReportData, toolkit: str, written: str) -> list[B
 def shell(word: str) -> str:
     """A word as a shell takes it."""
     return word if re.fullmatch(r"[\w./-]+", word) else "'" + word.replace("'", "'\\''") + "'"
-
-
-def duration_text(seconds: float) -> str:
-    """A time in seconds, minutes or hours."""
-    if seconds < 120.0:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60.0:.1f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
