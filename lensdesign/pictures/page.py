@@ -110,7 +110,6 @@ def _packed(part: ScenePart) -> dict[str, Any]:
         "color": part.color,
         "edge": EDGE_COLORS.get(part.kind),
         "opacity": part.opacity,
-        "anchor": part.anchor,
         "below": part.label_below,
         "vertices": _base64(part.vertices, "<f4"),
         "faces": _base64(part.faces, "<u4"),

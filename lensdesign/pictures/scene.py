@@ -35,9 +35,6 @@ SHARP_DEG = 15.0
 _RIM_SHARE = 0.012
 """Radius of the ring's wire that stands for the stop, as a share of the stop's semi-diameter."""
 
-_AWAY = 1.15
-"""How far from the axis labels of glass, stop and planes stand, as shares of the heights of these."""
-
 _NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
 _NO_LINES = np.empty((0, 2, 3))
 
@@ -60,8 +57,6 @@ class ScenePart:
         Triangles, in mm; none for rays.
     lines
         Polylines in mm, shape (lines, points, 3): rays, or the edges of a body.
-    anchor
-        Point of the part at which a label stands, in mm.
     glass
         Name of the material; empty for all but glass.
     """
@@ -74,12 +69,11 @@ class ScenePart:
     vertices: Array
     faces: Faces
     lines: Array
-    anchor: tuple[float, float, float]
     glass: str = ""
 
     @property
     def label_below(self) -> bool:
-        """Whether the label stands below its anchor rather than above it."""
+        """Whether the label stands below the part rather than above it."""
         return self.kind in ("glass", "object")
 
 
@@ -106,7 +100,6 @@ def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
     for element in closed_elements(lens):
         glass, number = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
         mesh = lens_mesh(lens, chord_error_um, element.number).mesh
-        low, _ = mesh.bounds[:, 1]
         yield ScenePart(
             f"element_{number}_{glass}",
             "glass",
@@ -116,7 +109,6 @@ def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
             mesh.vertices,
             mesh.faces,
             _sharp_edges(mesh),
-            (0.0, _AWAY * float(low), float(np.mean(mesh.bounds[:, 2]))),
             glass,
         )
 
@@ -134,9 +126,9 @@ def _stop(lens: Lens) -> ScenePart:
     z = float(lens.vertex_z_mm[lens.stop_index] + lens.surfaces[lens.stop_index].sag_mm(semi))
     wire = _RIM_SHARE * semi
     torus = trimesh.creation.torus(semi + wire, wire, major_sections=96, minor_sections=12)
-    vertices, top = torus.vertices + np.array([0.0, 0.0, z]), (0.0, _AWAY * semi, z)
+    vertices = torus.vertices + np.array([0.0, 0.0, z])
     label = f"stop Ø {2.0 * semi:.4g} mm"
-    return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, _NO_LINES, top)
+    return ScenePart("stop_ring", "stop", label, "#333333", 1.0, vertices, torus.faces, _NO_LINES)
 
 
 def _object(lens: Lens) -> ScenePart:
@@ -146,8 +138,8 @@ def _object(lens: Lens) -> ScenePart:
     here = 1 + np.arange(count)
     faces = np.stack([np.zeros_like(here), here, np.roll(here, -1)], axis=-1)
     rim = vertices[[*here.tolist(), 1]][None]
-    label, below = f"object Ø {lens.object.field_diameter_mm:g} mm", (0.0, -radius, z)
-    return ScenePart("object_disc", "object", label, "#E6B800", 1.0, vertices, faces, rim, below)
+    label = f"object Ø {lens.object.field_diameter_mm:g} mm"
+    return ScenePart("object_disc", "object", label, "#E6B800", 1.0, vertices, faces, rim)
 
 
 def _planes(lens: Lens) -> Iterator[ScenePart]:
@@ -158,9 +150,9 @@ def _planes(lens: Lens) -> Iterator[ScenePart]:
         corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
         vertices = np.array([(x, y, z) for x, y in corners])
         border = vertices[[[0, 1, 2, 3, 0]]]
-        label, top = f"H{number} = {distance:g} mm", (0.0, _AWAY * half_y, z)
+        label = f"H{number} = {distance:g} mm"
         name = f"sensor_plane_{number}"
-        yield ScenePart(name, "plane", label, "#707070", 0.25, vertices, faces, border, top)
+        yield ScenePart(name, "plane", label, "#707070", 0.25, vertices, faces, border)
 
 
 def _rays(lens: Lens) -> Iterator[ScenePart]:
@@ -169,5 +161,4 @@ def _rays(lens: Lens) -> Iterator[ScenePart]:
         height = share * lens.half_field_mm
         paths = ray_paths(lens, (0.0, height), pupil)
         name, label = f"rays_{height:g}_mm", f"field height {height:.3g} mm"
-        start = (0.0, height, lens.object_z_mm)
-        yield ScenePart(name, "rays", label, color, 1.0, _NO_VERTICES, _NO_FACES, paths, start)
+        yield ScenePart(name, "rays", label, color, 1.0, _NO_VERTICES, _NO_FACES, paths)

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError, atomic_path
 from lensdesign.lens.lens import Lens
+from lensdesign.pictures.labels import PlacedLabel, placed_labels
 from lensdesign.pictures.scene import SHARP_DEG, ScenePart, scene_parts
 
 if TYPE_CHECKING:
@@ -135,11 +137,16 @@ def _plotter(
         if len(part.lines):
             color, width = _LINES.get(part.kind, (part.color, 3.0))
             plotter.add_mesh(_polylines(part.lines), color=color, line_width=width, lighting=False)
-    for below in (False, True):
-        _add_labels(plotter, [p for p in parts if p.kind != "rays" and p.label_below == below], below)
-    _place_camera(plotter)
+    screen, type_mm = _place_camera(plotter, parts)
+    _add_labels(plotter, placed_labels(parts, screen, type_mm))
+    plotter.reset_camera_clipping_range()
     return plotter
 
+
+_ROOM = 1.14
+"""Of the picture, over what the scene takes: labels stand about it."""
+
+_LEADER = {"color": "#8A8A8A", "line_width": 2.0, "lighting": False}
 
 _LINES = {"glass": ("#4A7FA5", 4.0), "plane": ("#404040", 4.0)}
 """Colour and width of the edges of bodies; rays have their own colour."""
@@ -161,21 +168,28 @@ def _add_glass(plotter: pyvista.Plotter, part: ScenePart) -> None:
     )
 
 
-def _add_labels(plotter: pyvista.Plotter, parts: Sequence[ScenePart], below: bool) -> None:
-    if parts:
+def _add_labels(plotter: pyvista.Plotter, labels: Sequence[PlacedLabel]) -> None:
+    for below in (False, True):
         plotter.add_point_labels(
-            [part.anchor for part in parts],
+            [label.end for label in labels if label.part.label_below == below],
             # VTK would take what stands between dollar signs for mathematics.
-            [part.label.replace("$", "") for part in parts],
+            [label.part.label.replace("$", "") for label in labels if label.part.label_below == below],
             show_points=False,
             always_visible=True,
             shape=None,
             bold=False,
             text_color="#333333",
-            font_size=round(plotter.window_size[0] / 70),
+            font_size=_type_pixels(plotter),
             justification_horizontal="center",
             justification_vertical="top" if below else "bottom",
         )
+    for label in labels:
+        if np.linalg.norm(label.end - label.foot) > 0.0:
+            plotter.add_mesh(_polylines(np.stack([label.foot, label.end])[None]), **_LEADER)
+
+
+def _type_pixels(plotter: pyvista.Plotter) -> int:
+    return round(plotter.window_size[0] / 70)
 
 
 def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
@@ -187,20 +201,23 @@ def _polylines(lines: NDArray[np.float64]) -> pyvista.PolyData:
     return pyvista.PolyData(lines.reshape(-1, 3), lines=cells.ravel())
 
 
-def _place_camera(plotter: pyvista.Plotter) -> None:
-    """Light runs from left to right, y is up, seen from the side, the front and above; all in view."""
+def _place_camera(plotter: pyvista.Plotter, parts: Sequence[ScenePart]) -> tuple[Array, float]:
+    """Light runs from left to right, y is up, seen from the side, the front and above; all in view.
+
+    Returns what of the scene lies to the right and up on the screen, and the size of type in mm.
+    """
     towards = np.array([-0.80, 0.34, -0.50])
     towards /= np.linalg.norm(towards)
     right = np.cross([0.0, 1.0, 0.0], towards)
     right /= np.linalg.norm(right)
     up = np.cross(towards, right)
-    low, high = np.reshape(plotter.bounds, (3, 2)).T
-    corners = np.array([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
-    across = corners @ np.stack([right, up, towards], axis=-1)
+    points = [at.reshape(-1, 3) for part in parts for at in (part.vertices, part.lines)]
+    across = np.concatenate(points) @ np.stack([right, up, towards], axis=-1)
     middle, half = 0.5 * (across.max(axis=0) + across.min(axis=0)), 0.5 * np.ptp(across, axis=0)
     focus = middle @ np.stack([right, up, towards])
     plotter.enable_parallel_projection()
     plotter.camera_position = [focus + 4.0 * np.linalg.norm(half) * towards, focus, up]
     width, height = plotter.window_size
-    plotter.camera.parallel_scale = 1.05 * max(half[1], half[0] * height / width)
+    plotter.camera.parallel_scale = _ROOM * max(half[1], half[0] * height / width)
     plotter.reset_camera_clipping_range()
+    return np.stack([right, up]), 2.0 * plotter.camera.parallel_scale / height * _type_pixels(plotter)

@@ -137,7 +137,7 @@ const parts = scene.parts.map((part) => {
   name.textContent = part.label;
   if (part.kind !== "rays") byId("labels").append(name);
   return {
-    ...part, name, visible: true, middle: 0.5 * (first + last), rgb: [1, 3, 5].map((i) => parseInt(part.color.slice(i, i + 2), 16) / 255),
+    ...part, name, corners: vertices, visible: true, middle: 0.5 * (first + last), rgb: [1, 3, 5].map((i) => parseInt(part.color.slice(i, i + 2), 16) / 255),
     body: upload(corners(vertices, new Uint32Array(decoded(part.faces))), 0), wires: upload(segments(points, part.points), 1),
   };
 });
@@ -230,20 +230,42 @@ function drawWires(part, shared, night) {
   gl.bindVertexArray(part.wires.array);
   gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, part.wires.count);
 }
-// Names where there is room for them; the first ones win.
+// Names above the highest point of what they name, or below the lowest; farther on where glass or another name
+// would be crossed, with a line to the point then.
 function placeNames(right, up, w, h) {
-  const taken = [];
-  for (const { name, anchor, below, visible } of [...parts].sort((a, b) => (b.kind === "plane") - (a.kind === "plane"))) {
-    if (!name.parentElement) continue;
-    const x = 0.5 * w + (dot(right, anchor) - view.x) * view.zoom - 0.5 * name.offsetWidth;
-    const y = 0.5 * h - (dot(up, anchor) - view.y) * view.zoom + (below ? 3 : -3 - name.offsetHeight);
-    const box = [x - 3, y - 1, x + name.offsetWidth + 3, y + name.offsetHeight + 1];
-    const free = !taken.some((b) => box[0] < b[2] && b[0] < box[2] && box[1] < b[3] && b[1] < box[3]);
-    const on = visible && free && byId("names").checked;
-    name.style.visibility = on ? "visible" : "hidden";
-    name.style.transform = `translate(${x}px, ${y}px)`;
-    if (on) taken.push(box);
+  const named = parts.filter((part) => part.name.parentElement), taken = [];
+  for (const part of named) {
+    part.seen = outline(part.corners, right, up, w, h);
+    if (part.kind === "glass" && part.visible) taken.push(part.seen.box);
   }
+  for (const { name, below, visible, seen } of named.sort((a, b) => (b.kind === "plane") - (a.kind === "plane"))) {
+    const on = visible && byId("names").checked, [width, height] = [name.offsetWidth, name.offsetHeight];
+    name.style.visibility = on ? "visible" : "hidden";
+    if (!on) continue;
+    const [footX, footY] = below ? seen.lowest : seen.highest, x = footX - 0.5 * width;
+    let y = below ? footY + 3 : footY - 3 - height, over;
+    const crosses = (b) => x - 3 < b[2] && b[0] < x + width + 3 && y < b[3] && b[1] < y + height;
+    while ((over = taken.filter(crosses)).length) {
+      y = below ? Math.max(...over.map((b) => b[3])) + 3 : Math.min(...over.map((b) => b[1])) - 3 - height;
+    }
+    name.className = below ? "below" : "";
+    name.style.setProperty("--lead", `${Math.max(0, (below ? y - footY : footY - y - height) - 4)}px`);
+    name.style.transform = `translate(${x}px, ${y}px)`;
+    taken.push([x, y, x + width, y + height]);
+  }
+}
+// Highest and lowest point of a part on the screen, and the rectangle around it.
+function outline(corners, right, up, w, h) {
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  let highest, lowest;
+  for (let i = 0; i < corners.length; i += 3) {
+    const p = corners.subarray(i, i + 3), x = 0.5 * w + (dot(right, p) - view.x) * view.zoom, y = 0.5 * h - (dot(up, p) - view.y) * view.zoom;
+    if (y < box[1]) { box[1] = y; highest = [x, y]; }
+    if (y > box[3]) { box[3] = y; lowest = [x, y]; }
+    box[0] = Math.min(box[0], x);
+    box[2] = Math.max(box[2], x);
+  }
+  return { box, highest, lowest };
 }
 
 const pointers = new Map();
