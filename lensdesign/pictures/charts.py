@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from lensdesign.analysis.matching import spread_limit_sine
 from lensdesign.analysis.spread import largest_spread
+from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
-from lensdesign.tracing.paths import FIELD_COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+INK, BEYOND = "#333333", "#C1121F"
+"""Of what has no field height, and of what breaks a limit: colours of field heights mean these alone."""
+
 MARKERS = "os^Dv"
+TITLE_POINTS = 10.0
 
 
 def spread_figure(lens: Lens) -> Figure:
     """Largest spread angle of each field height over the whole stop, and the sensor's limit (Eq. 2).
 
-    A solid line and a dashed limit in one colour for each wavelength, the longest first. Where the pixels
-    resolve every angle there is no limit to draw.
+    A solid line and a dashed limit in one colour for each wavelength, the longest first. What breaks a limit
+    is ringed. Where the pixels resolve every angle there is no limit to draw.
 
     Parameters
     ----------
@@ -37,7 +42,7 @@ def spread_figure(lens: Lens) -> Figure:
     figure = white_figure((7.6, 4.6))
     axes = figure.add_subplot()
     wavelengths = sorted(lens.wavelengths_um, reverse=True)
-    largest = 0.0
+    largest, beyond = 0.0, []
     for number, (wavelength, color) in enumerate(zip(wavelengths, _colors(len(wavelengths)), strict=True)):
         spread = largest_spread(lens, wavelength)
         sine = spread_limit_sine(wavelength, lens.sensor.pixel_pitch_um)
@@ -46,7 +51,6 @@ def spread_figure(lens: Lens) -> Figure:
             spread.per_field_deg,
             marker=MARKERS[number % len(MARKERS)],
             color=color,
-            clip_on=False,
             zorder=3,
             ms=3.5,
             lw=1.4,
@@ -56,12 +60,17 @@ def spread_figure(lens: Lens) -> Figure:
         largest = max(largest, spread.spread_deg, limit)
         if sine < 1.0:
             axes.axhline(limit, color=color, ls="--", lw=1.2, label=f"limit {limit:.3f}°")
-    axes.set_xlim(0.0, lens.half_field_mm)
+            heights = zip(spread.field_heights_mm, spread.per_field_deg, strict=True)
+            beyond += [at for at in heights if at[1] > limit]
+    if beyond:
+        rings = {"color": BEYOND, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
+        axes.plot(*zip(*beyond, strict=True), "o", label="beyond the limit", **rings)
+    axes.set_xlim(-0.03 * lens.half_field_mm, 1.03 * lens.half_field_mm)
     axes.set_ylim(0.0, 1.12 * largest)
     axes.grid(color="#E4E4E4", lw=0.6)
     axes.set_axisbelow(True)
     label_axes(axes, "field height (mm)", "largest spread angle (deg)")
-    figure.suptitle(f"Spread behind the lens; pixels of {lens.sensor.pixel_pitch_um:g} µm", fontsize=10)
+    title_figure(figure, lens, f"Spread behind the lens; pixels of {lens.sensor.pixel_pitch_um:g} µm")
     figure.legend(
         loc="outside lower center", ncols=max(2, min(3, len(wavelengths))), frameon=False, fontsize=9
     )
@@ -75,6 +84,35 @@ def white_figure(size_inches: tuple[float, float]) -> Figure:
     return Figure(figsize=size_inches, layout="constrained", facecolor="white")
 
 
+def lens_name(lens: Lens, inches: float) -> str:
+    """A lens's title on one line, cut where it would be longer than so much."""
+    name = visible(lens.title or "Lens")
+    while text_inches(name, TITLE_POINTS)[0] > inches - 0.3 and len(name) > 1:
+        name = f"{name.removesuffix('…')[:-1]}…"
+    return name
+
+
+def title_figure(figure: Figure, lens: Lens, text: str = "") -> None:
+    """Which lens it is, and below it what is shown."""
+    title = f"{lens_name(lens, figure.get_figwidth())}\n{text}".strip()
+    figure.suptitle(title, fontsize=TITLE_POINTS, parse_math=False)
+
+
+@cache
+def _renderer() -> Any:
+    from matplotlib.backends.backend_agg import RendererAgg
+
+    return RendererAgg(8, 8, 72.0)
+
+
+def text_inches(text: str, points: float, is_math: bool = False) -> tuple[float, float]:
+    """Width and height of one line of text."""
+    from matplotlib.font_manager import FontProperties
+
+    width, height, _ = _renderer().get_text_width_height_descent(text, FontProperties(size=points), is_math)
+    return width / 72.0, height / 72.0
+
+
 def label_axes(axes: Axes, x: str, y: str) -> None:
     """Names of both axes, and ticks that point inside."""
     axes.set_xlabel(x, fontsize=9)
@@ -83,11 +121,9 @@ def label_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def _colors(count: int) -> Sequence[str | tuple[float, ...]]:
-    """Red to blue for up to three wavelengths, else shades of one scale."""
+    """One scale from red to blue, in none of the colours of field heights."""
     if count == 1:
-        return FIELD_COLORS[2:]
-    if count <= len(FIELD_COLORS):
-        return (*FIELD_COLORS[: count - 1], FIELD_COLORS[2])
+        return [INK]
     from matplotlib import colormaps
 
-    return [colormaps["viridis"](i / (count - 1)) for i in range(count)]
+    return [colormaps["plasma"](0.7 - 0.65 * i / (count - 1)) for i in range(count)]

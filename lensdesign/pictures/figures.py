@@ -11,7 +11,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
-from lensdesign.pictures.charts import label_axes, white_figure
+from lensdesign.pictures.charts import label_axes, title_figure, white_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,4 +55,5 @@ def figure_map(lens: Lens, surface: int) -> Figure:
     bar.ax.tick_params(labelsize=8)
     label_axes(axes, "x (mm)", "y (mm)")
     axes.set_title(rf"Surface {surface + 1}: PV {pv:.3f} $\lambda$, RMS {rms:.3f} $\lambda$", fontsize=10)
+    title_figure(picture, lens)
     return picture

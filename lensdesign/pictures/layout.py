@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
+from lensdesign.pictures.charts import TITLE_POINTS, lens_name, text_inches
 from lensdesign.tracing.bundles import pupil_fan
 from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
 
@@ -36,8 +36,8 @@ _GLASS, _INK, _FAINT, _PAPER = "#CFE3F1", "#333333", "#8A8A8A", "#FFFFFF"
 _MOST_INCHES = (9.3, 7.0)
 """Largest width and height of what is drawn; labels come on top."""
 _LEAST_INCHES = (6.4, 1.2)
-_MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.08}
-"""Room for the names of the axes and the legend; on the left, that for the numbers comes on top."""
+_MARGINS_INCHES = {"left": 0.38, "right": 0.08, "bottom": 0.86, "top": 0.34}
+"""Room for the names of the axes, legend and title; on the left, that for the numbers comes on top."""
 _ROW_INCHES = 0.17
 _GAP_INCHES = 0.1
 _LONGEST_NAME = 24
@@ -91,6 +91,7 @@ def layout_figure(lens: Lens) -> Figure:
     _draw_labels(axes, above, frame, 1.0)
     _draw_labels(axes, below, frame, -1.0)
     _draw_scale_bar(axes, frame)
+    _draw_title(figure, lens)
     figure.legend(
         loc="lower center",
         bbox_to_anchor=(0.5, 0.04 / figure.get_figheight()),
@@ -111,7 +112,7 @@ def _figure(frame: _Frame, rows_above: float, rows_below: float) -> tuple[Figure
     at_z = _ticks(frame.left + 0.2 * frame.scale, frame.right - 0.25 * frame.scale)
     at_y = _ticks(-frame.reach, frame.reach)
     m = _MARGINS_INCHES
-    left = m["left"] + max(_text_inches(text)[0] for text in at_y.values())
+    left = m["left"] + max(text_inches(text, LABEL_POINTS)[0] for text in at_y.values())
     outer = inner + np.array([left + m["right"], m["bottom"] + m["top"]])
     figure = Figure(figsize=tuple(outer), facecolor=_PAPER)
     axes = figure.add_axes((left / outer[0], m["bottom"] / outer[1], *(inner / outer)))
@@ -139,7 +140,7 @@ def _frame(lens: Lens, elements: Sequence[Element], fans: Sequence[Array]) -> _F
     first, last = _ends(lens, elements)
     # Names of planes close to the last one spread to both sides of it.
     crowd = sum(z > last - 0.1 * (last - first) for z in lens.sensor_z_mm)
-    room = _text_inches(_object_name(lens).split("\n")[1])[0] + 0.3, 0.5 * min(max(crowd, 1), 4)
+    room = text_inches(_object_name(lens).split("\n")[1], LABEL_POINTS)[0] + 0.3, 0.5 * min(max(crowd, 1), 4)
     width, height = _MOST_INCHES
     scale = max((last - first) / (width - sum(room)), 2.0 * reach / height)
     left, right = first - scale * room[0], last + scale * room[1]
@@ -191,7 +192,9 @@ def _labels_below(lens: Lens, elements: Sequence[Element]) -> list[_Label]:
 
 def _rows(labels: Sequence[_Label], frame: _Frame) -> list[list[tuple[_Label, float]]]:
     """Labels with the z of their middles, in as few rows as hold them; those of each row do not touch."""
-    widths = np.array([_text_inches(label.text, label.is_math)[0] + _GAP_INCHES for label in labels])
+    widths = np.array(
+        [text_inches(label.text, LABEL_POINTS, label.is_math)[0] + _GAP_INCHES for label in labels]
+    )
     room = (frame.right - frame.left) / frame.scale - _GAP_INCHES
     count = 1
     while max(widths[row::count].sum() for row in range(count)) > room and count < len(labels):
@@ -222,23 +225,6 @@ def _spread(asked: Array, half: Array, low: float, high: float) -> Array:
         groups.append(group)
     starts = np.repeat([mean for mean, _ in groups], [count for _, count in groups])
     return np.clip(starts, low + half[0], high - half[-1] - offsets[-1]) + offsets
-
-
-@cache
-def _renderer() -> Any:
-    from matplotlib.backends.backend_agg import RendererAgg
-
-    return RendererAgg(8, 8, 72.0)
-
-
-def _text_inches(text: str, is_math: bool = False) -> tuple[float, float]:
-    """Width and height of one line of label text."""
-    from matplotlib.font_manager import FontProperties
-
-    width, height, _ = _renderer().get_text_width_height_descent(
-        text, FontProperties(size=LABEL_POINTS), is_math
-    )
-    return width / 72.0, height / 72.0
 
 
 def _stop_rim(lens: Lens) -> tuple[float, float]:
@@ -330,6 +316,14 @@ def _draw_labels(axes: Axes, rows: Sequence[Any], frame: _Frame, sign: float) ->
                 bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.5},
                 zorder=7,
             )
+
+
+def _draw_title(figure: Figure, lens: Lens) -> None:
+    """Which lens it is and whose light, cut where there is no room for all of its title."""
+    light = f"; light of {lens.wavelengths_um[0]:.4g} µm"
+    title = lens_name(lens, figure.get_figwidth() - text_inches(light, TITLE_POINTS)[0]) + light
+    y = 1.0 - 0.5 * _MARGINS_INCHES["top"] / figure.get_figheight()
+    figure.text(0.5, y, title, ha="center", va="center", fontsize=TITLE_POINTS, parse_math=False)
 
 
 def _draw_scale_bar(axes: Axes, frame: _Frame) -> None:

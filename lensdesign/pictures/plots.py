@@ -15,20 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.analysis.matching import spread_limit_sine
-from lensdesign.analysis.spread import (
-    ArrivalAngles,
-    arrival_angles,
-    observation_distance_mm,
-    rms_spot_diameter,
-)
+from lensdesign.analysis.spread import ArrivalAngles, arrival_angles, rms_spot_diameter
+from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens
-from lensdesign.pictures.charts import label_axes, spread_figure, white_figure
+from lensdesign.pictures.charts import BEYOND, INK, label_axes, spread_figure, title_figure, white_figure
 from lensdesign.pictures.figures import figure_map
 from lensdesign.pictures.layout import layout_figure
 from lensdesign.pictures.scene3d import RenderingError, render_lens
 from lensdesign.tracing.bundles import launch, pupil_hexapolar
-from lensdesign.tracing.paths import FIELD_COLORS
+from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES
 from lensdesign.tracing.rays import trace
 
 if TYPE_CHECKING:
@@ -40,7 +36,7 @@ DOTS_PER_INCH = 200
 SENSOR_SHARES = (0.0, 3.0 / 11.2, 7.0 / 11.2, 9.0 / 11.2)
 """Points of Fig. 2d, as shares of half of the sensor's shorter side."""
 
-_INK = "#333333"
+_WITHIN = "#7A8793"
 
 
 def draw_all(
@@ -118,48 +114,60 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
         canvas.print_figure(temporary, format=form, dpi=DOTS_PER_INCH, metadata=metadata)
 
 
-def spot_figure(lens: Lens, plane_distance_mm: float | None = None) -> Figure:
-    """Spot diagrams of field heights 0, 0.5 and 1 of the half field about their centroids (Fig. 2c).
+def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -> Figure:
+    """Where the light of three field heights lands on the sensor, whose outline is drawn (Fig. 2c).
 
     Parameters
     ----------
     lens
         Any lens.
-    plane_distance_mm
-        Plane of the spots, from the exit vertex; None is that of
-        :func:`lensdesign.analysis.spread.observation_distance_mm`.
+    plane_distances_mm
+        Planes, from the exit vertex, a row for each; None takes the first and the last sensor plane.
 
     Raises
     ------
     DesignError
         If no ray of a field passes.
     """
-    plane_distance_mm = observation_distance_mm(lens) if plane_distance_mm is None else plane_distance_mm
-    figure = white_figure((9.6, 3.9))
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    wavelength_um, pupil = lens.wavelengths_um[0], pupil_hexapolar(14).points
-    reach = 0.0
-    for axes, share, color in zip(panels, (0.0, 0.5, 1.0), FIELD_COLORS, strict=True):
-        height = share * lens.half_field_mm
-        spot = rms_spot_diameter(lens, wavelength_um, height, plane_distance_mm)
-        origins, directions = launch(lens, [(0.0, height)], pupil, wavelength_um)
-        plane_z_mm = lens.exit_vertex_z_mm + plane_distance_mm
-        rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=plane_z_mm)
-        points = rays.position[rays.ok, :2] - spot.centroid_mm
-        reach = max(reach, float(np.max(np.abs(points), initial=0.0)))
-        axes.plot(*points.T, ".", color=color, ms=2.2, mew=0.0)
-        passed = "" if spot.throughput > 1.0 - 1e-12 else f", {100.0 * spot.throughput:.1f} % pass"
-        axes.set_title(
-            f"field height {height:.3g} mm{passed}\nRMS diameter {_length(spot.rms_diameter_mm)}", fontsize=9
-        )
-        label_axes(axes, "x − centroid (mm)", "y − centroid (mm)")
-        axes.label_outer()
-    for axes in panels:
-        axes.locator_params(nbins=5)
+    planes = lens.sensor.plane_distances_mm
+    if plane_distances_mm is None:
+        plane_distances_mm = planes if len(planes) == 1 else (planes[0], planes[-1])
+    rows, width, height = len(plane_distances_mm), *lens.sensor.size_mm
+    figure = white_figure((9.6, 0.8 + 0.7 * rows + 2.7 * rows * min(1.5, max(0.5, height / width))))
+    panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
+    reach = np.array([0.5 * width, 0.5 * height])
+    for row, distance_mm in zip(panels, plane_distances_mm, strict=True):
+        for axes, share, color in zip(row, FIELD_SHARES, FIELD_COLORS, strict=True):
+            reach = np.maximum(reach, _draw_spot(axes, lens, share, color, distance_mm))
+        row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)", fontsize=9)
+    for axes in panels.ravel():
         axes.set_aspect("equal")
-        axes.set(xlim=(-1.1 * reach, 1.1 * reach), ylim=(-1.1 * reach, 1.1 * reach))
-    figure.suptitle(f"Spot diagrams {plane_distance_mm:g} mm behind the exit vertex", fontsize=10)
+        axes.set(xlim=1.06 * reach[0] * np.array([-1.0, 1.0]), ylim=1.06 * reach[1] * np.array([-1.0, 1.0]))
+    light = f"{lens.wavelengths_um[0]:.4g} µm; frame: the sensor, {width:.4g} mm × {height:.4g} mm"
+    title_figure(figure, lens, f"Spots on the sensor, {light}")
     return figure
+
+
+def _draw_spot(axes: Axes, lens: Lens, share: float, color: str, distance_mm: float) -> Array:
+    """Rays of a field height on a plane, about the sensor's outline; how far they reach along x and y."""
+    from matplotlib.patches import Rectangle
+
+    wavelength_um, field_mm = lens.wavelengths_um[0], share * lens.half_field_mm
+    spot = rms_spot_diameter(lens, wavelength_um, field_mm, distance_mm)
+    origins, directions = launch(lens, [(0.0, field_mm)], pupil_hexapolar(14).points, wavelength_um)
+    plane_z_mm = lens.exit_vertex_z_mm + distance_mm
+    rays = trace(lens, origins, directions, wavelength_um, plane_z_mm=plane_z_mm)
+    points = rays.position[rays.ok, :2]
+    width, height = lens.sensor.size_mm
+    axes.add_patch(Rectangle((-0.5 * width, -0.5 * height), width, height, fill=False, ec=INK, lw=1.2))
+    axes.plot(*points.T, ".", color=color, ms=2.2, mew=0.0)
+    passed = "" if spot.throughput > 1.0 - 1e-12 else f", {100.0 * spot.throughput:.1f} % pass"
+    axes.set_title(
+        f"field height {field_mm:.3g} mm{passed}\nRMS diameter {_length(spot.rms_diameter_mm)}", fontsize=9
+    )
+    label_axes(axes, "x (mm)", "y (mm)")
+    axes.label_outer()
+    return np.asarray(np.max(np.abs(points), axis=0, initial=0.0))
 
 
 def incidence_figure(
@@ -173,10 +181,10 @@ def incidence_figure(
     lens
         Any lens.
     sensor_points_mm
-        x and y of the points, in the plane that :func:`spot_figure` takes; None takes four along y, in the
-        paper's proportions to the sensor.
+        x and y of the points, in the first sensor plane; None takes four along y, in the paper's proportions
+        to the sensor.
     """
-    plane_distance_mm = observation_distance_mm(lens)
+    plane_distance_mm = lens.sensor.plane_distances_mm[0]
     if sensor_points_mm is None:
         half_mm = 0.5 * min(lens.sensor.size_mm)
         sensor_points_mm = [(0.0, float(f"{half_mm * share:.3g}")) for share in SENSOR_SHARES]
@@ -209,10 +217,8 @@ def incidence_figure(
         fontsize=9,
         markerscale=2,
     )
-    figure.suptitle(
-        f"Angles of incidence from the whole field, {plane_distance_mm:g} mm behind the exit vertex",
-        fontsize=10,
-    )
+    light = f"{wavelength_um:.4g} µm, {plane_distance_mm:g} mm behind the exit vertex"
+    title_figure(figure, lens, f"Angles of incidence at points of the sensor, from the whole field; {light}")
     return figure
 
 
@@ -221,12 +227,12 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     limit = limit_sine * np.stack([np.cos(angle), np.sin(angle)])
     limit_deg = np.rad2deg(np.arctan2(limit, math.sqrt(1.0 - limit_sine**2)))
     label = f"spread limit {math.degrees(math.asin(limit_sine)):.2f}°"
-    axes.plot(*limit_deg, color=_INK, lw=1.0, label=label)
+    axes.plot(*limit_deg, color=INK, lw=1.0, label=label)
     points = arrival.angles_deg[arrival.ok]
     within = np.hypot(*arrival.cosines[arrival.ok].T) <= limit_sine
-    axes.plot(*points[within].T, "o", color=FIELD_COLORS[2], ms=1.8, mew=0.0, label="within the limit")
+    axes.plot(*points[within].T, "o", color=_WITHIN, ms=1.8, mew=0.0, label="within the limit")
     if not np.all(within):
-        axes.plot(*points[~within].T, "D", color=FIELD_COLORS[0], ms=2.6, mew=0.0, label="beyond the limit")
+        axes.plot(*points[~within].T, "D", color=BEYOND, ms=2.6, mew=0.0, label="beyond the limit")
     x, y = arrival.sensor_point_mm
     note = "no light arrives"
     if np.any(arrival.ok):

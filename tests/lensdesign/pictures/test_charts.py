@@ -19,10 +19,11 @@ from lensdesign.pictures.charts import spread_figure
 
 def curves_and_limits(figure: Any) -> tuple[list[Any], list[Any]]:
     (axes,) = figure.axes
-    dashed = [line.get_linestyle() == "--" for line in axes.lines]
+    lines = [line for line in axes.lines if line.get_label() != "beyond the limit"]
+    dashed = [line.get_linestyle() == "--" for line in lines]
     return (
-        [line for line, d in zip(axes.lines, dashed, strict=True) if not d],
-        [line for line, d in zip(axes.lines, dashed, strict=True) if d],
+        [line for line, d in zip(lines, dashed, strict=True) if not d],
+        [line for line, d in zip(lines, dashed, strict=True) if d],
     )
 
 
@@ -35,6 +36,21 @@ def test_the_papers_lens_crosses_its_limit_at_the_edge_of_the_field(paper_lens: 
     assert limit.get_ydata() == pytest.approx([4.7682, 4.7682], abs=1e-4)
     assert curve.get_label() == "0.532 µm: up to 4.811°"
     assert limit.get_label() == "limit 4.768°"
+
+
+def test_what_breaks_the_limit_is_ringed_and_whole_within_the_frame(paper_lens: Lens) -> None:
+    figure = spread_figure(paper_lens)
+    (axes,) = figure.axes
+    FigureCanvasAgg(figure).draw()
+    (rings,) = (line for line in axes.lines if line.get_label() == "beyond the limit")
+    ((height, angle),) = np.asarray(rings.get_xydata())
+    assert (height, angle) == pytest.approx((1.5, 4.8105), abs=1e-4)
+    radius = 0.5 * rings.get_markersize() * figure.dpi / 72.0
+    x, y = axes.transData.transform((height, angle))
+    assert axes.bbox.x1 - x > radius
+    assert axes.bbox.y1 - y > radius
+    within = paper_lens.replaced(object=paper_lens.object.replaced(field_diameter_mm=2.5))
+    assert all(line.get_label() != "beyond the limit" for line in spread_figure(within).axes[0].lines)
 
 
 def test_every_wavelength_has_its_curve_and_its_limit_in_one_colour(paper_lens: Lens) -> None:

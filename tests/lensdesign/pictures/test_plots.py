@@ -15,7 +15,9 @@ import pytest
 from hypothesis import assume, given, settings
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 from matplotlib.image import imread
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from matplotlib.text import Text
 from random_lenses import lenses
@@ -27,10 +29,11 @@ from lensdesign.lens.edges import Edge, Flange
 from lensdesign.lens.scaling import scaled
 from lensdesign.lens.solid import glass_elements
 from lensdesign.pictures import plots
+from lensdesign.pictures.charts import spread_figure
 from lensdesign.pictures.layout import THICK, THIN
 from lensdesign.pictures.plots import draw_all, incidence_figure, layout_figure, spot_figure, write_figure
 from lensdesign.pictures.scene3d import RenderingError
-from lensdesign.tracing.paths import FIELD_COLORS, sized_lens
+from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES, sized_lens
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +114,7 @@ def crowded(lens: Lens) -> list[str]:
     (axes,) = figure.axes
     ticks = [t for axis in (axes.xaxis, axes.yaxis) for t in axis.get_ticklabels() if t.get_text()]
     inside = [t for t in ticks if figure.bbox.contains(*t.get_window_extent().p0)]
-    texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, *inside]
+    texts = [*figure.texts, *axes.texts, axes.xaxis.label, axes.yaxis.label, *inside]
     boxes = [(t.get_text(), Text.get_window_extent(t)) for t in texts]
     boxes += [("legend", legend.get_window_extent()) for legend in figure.legends]
     found = [name for name, box in boxes if figure.bbox.count_contains(box.corners()) < 4]
@@ -246,18 +249,33 @@ def test_layout_is_to_scale(paper_lens: Lens, triplet: Lens) -> None:
         assert drawn == pytest.approx(float(bar.split()[0]))
 
 
-def test_spot_diameters_are_those_of_the_analysis(paper_lens: Lens) -> None:
+def test_spots_land_on_the_design_s_sensor_planes(paper_lens: Lens) -> None:
     figure = spot_figure(paper_lens)
-    titles = [axes.get_title() for axes in figure.axes]
-    shown = [float(re.search(r"([\d.]+) mm$", t)[1]) for t in titles]  # type: ignore[index]
-    assert shown == [14.27, 14.26, 14.22]
-    for axes, height, color in zip(figure.axes, (0.0, 0.75, 1.5), FIELD_COLORS, strict=True):
-        (dots,) = axes.lines
-        assert dots.get_color() == color
+    assert [axes.get_ylabel().split("\n")[0] for axes in figure.axes[::3]] == [
+        f"{distance} mm behind the exit vertex" for distance in (2, 22)
+    ]
+    for number, axes in enumerate(figure.axes):
+        (frame,), (dots,) = axes.patches, axes.lines
+        assert np.array([frame.get_xy(), (frame.get_width(), frame.get_height())]) == pytest.approx(
+            np.array([[-14.9504, -11.2], [29.9008, 22.4]])
+        )
+        assert axes.get_xlim()[1] > 14.9504
+        assert dots.get_color() == FIELD_COLORS[number % 3]
+        distance, height = (2.0, 22.0)[number // 3], 1.5 * FIELD_SHARES[number % 3]
         points = np.stack(dots.get_data(), axis=-1)
+        spot = rms_spot_diameter(paper_lens, None, height, distance)
+        assert points.mean(axis=0) == pytest.approx(spot.centroid_mm, abs=0.02)
         # Even filling by rings counts the rim in full, so it comes out a little larger.
         drawn = 2.0 * np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))
-        assert drawn == pytest.approx(rms_spot_diameter(paper_lens, None, height).rms_diameter_mm, rel=0.03)
+        assert drawn == pytest.approx(spot.rms_diameter_mm, rel=0.03)
+    alone = paper_lens.replaced(sensor=paper_lens.sensor.replaced(plane_distances_mm=(5.0,)))
+    assert len(spot_figure(alone).axes) == 3
+
+
+def test_spot_diameters_are_those_of_the_analysis(paper_lens: Lens) -> None:
+    titles = [axes.get_title() for axes in spot_figure(paper_lens, [3.0]).axes]
+    shown = [float(re.search(r"([\d.]+) mm$", t)[1]) for t in titles]  # type: ignore[index]
+    assert shown == [14.27, 14.25, 14.22]
 
 
 def test_spots_state_what_is_lost(paper_lens: Lens) -> None:
@@ -265,10 +283,24 @@ def test_spots_state_what_is_lost(paper_lens: Lens) -> None:
     assert all(re.search(r"6\d\.\d % pass", axes.get_title()) for axes in figure.axes)
 
 
-def test_spots_on_another_plane(paper_lens: Lens) -> None:
-    title = spot_figure(paper_lens, plane_distance_mm=22.0).axes[0].get_title()
-    expected = rms_spot_diameter(paper_lens, None, 0.0, 22.0).rms_diameter_mm
-    assert title.endswith(f"{expected:.2f} mm")
+def test_every_picture_says_which_lens_it_is_of(paper_lens: Lens) -> None:
+    odd = paper_lens.replaced(title="One \\$lens_\n" + 300 * "W")
+    for draw in (layout_figure, spot_figure, incidence_figure, spread_figure):
+        for lens, said in ((paper_lens, "Spatial information transfer lens, Table 1"), (odd, "One ")):
+            figure = draw(lens)
+            FigureCanvasAgg(figure).draw()
+            texts = [figure._suptitle] if figure._suptitle else figure.texts  # type: ignore[attr-defined]
+            (title,) = (text for text in texts if text.get_text().startswith(said))
+            box = Text.get_window_extent(title)
+            assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+            assert "0.532 µm" in title.get_text() or draw is spread_figure
+
+
+def test_colours_of_field_heights_mean_nothing_else(paper_lens: Lens) -> None:
+    two = paper_lens.replaced(wavelengths_um=(0.633, 0.532))
+    for figure in (incidence_figure(paper_lens), spread_figure(paper_lens), spread_figure(two)):
+        colours = {to_hex(Line2D.get_color(line)) for axes in figure.axes for line in axes.lines}
+        assert not colours & {colour.lower() for colour in FIELD_COLORS}
 
 
 def test_incidence_shows_the_limit_and_who_exceeds_it(paper_lens: Lens) -> None:
