@@ -63,7 +63,7 @@ def spread_figure(lens: Lens) -> Figure:
             heights = zip(spread.field_heights_mm, spread.per_field_deg, strict=True)
             beyond += [at for at in heights if at[1] > limit]
     if beyond:
-        rings = {"color": BEYOND, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
+        rings: dict[str, Any] = {"color": BEYOND, "ms": 9.0, "mew": 1.4, "mfc": "none", "zorder": 4}
         axes.plot(*zip(*beyond, strict=True), "o", label="beyond the limit", **rings)
     axes.set_xlim(-0.03 * lens.half_field_mm, 1.03 * lens.half_field_mm)
     axes.set_ylim(0.0, 1.12 * largest)
