@@ -21,6 +21,7 @@ SCRIPTS = (
     "reconstruction",
     "phase_retrieval",
     "refocusing",
+    "uncertainty",
     "patch_chain",
     "study_speed",
     "study_faults",

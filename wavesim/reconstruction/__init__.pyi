@@ -1,4 +1,4 @@
-from .bootstrap import uncertainty
+from .bootstrap import Uncertainty, UndeterminedError, uncertainty
 from .found import FoundObject
 from .from_field import Retrieved, agreement, retrieval_bytes, retrieve
 from .from_frames import reconstruct_frames
@@ -11,6 +11,8 @@ __all__ = [
     "Reconstructed",
     "Refocusing",
     "Retrieved",
+    "Uncertainty",
+    "UndeterminedError",
     "agreement",
     "prox_tv",
     "reconstruct",

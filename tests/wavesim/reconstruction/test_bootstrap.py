@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
@@ -13,7 +14,7 @@ from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import fft_frequencies, transfer
-from wavesim.reconstruction.bootstrap import uncertainty
+from wavesim.reconstruction.bootstrap import UndeterminedError, uncertainty
 from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -32,16 +33,23 @@ def lit() -> tuple[Engine, Field]:
     return engine, Field(grid, stop, 0.532)
 
 
-def record(lit: tuple[Engine, Field], seed: int, electrons: float = 1e5) -> list[Recorded]:
-    """Two bars under the field stop, on two planes, with shot noise."""
+def record(
+    lit: tuple[Engine, Field],
+    seed: int,
+    electrons: float = 1e5,
+    transmission: np.ndarray | None = None,
+    distances_mm: tuple[float, ...] = (0.0, 0.6),
+) -> list[Recorded]:
+    """Two bars under the field stop, or another object, on planes, with shot noise."""
     engine, light = lit
-    transmission = np.ones(light.grid.shape)
-    transmission[20:44, 22:27] = 0.0
-    transmission[20:44, 33:38] = 0.4
+    if transmission is None:
+        transmission = np.ones(light.grid.shape)
+        transmission[20:44, 22:27] = 0.0
+        transmission[20:44, 33:38] = 0.4
     at_exit = engine.forward(light.with_values((transmission * light.values).astype(np.complex64)))
     random = np.random.default_rng(seed)
     planes = []
-    for distance in (0.0, 0.6):
+    for distance in distances_mm:
         way = transfer(fft_frequencies(at_exit.grid.shape, 3.2e-3), 0.532, 1.0, distance)
         intensity = np.abs(np.fft.ifft2(np.fft.fft2(at_exit.values) * way)) ** 2
         gain = electrons / intensity.max()
@@ -65,12 +73,17 @@ def test_it_is_the_scatter_of_independent_records(lit: tuple[Engine, Field]) -> 
     told_by_one = uncertainty(
         *lit, first, found(lit, first), repeats=6, progress=lambda *done: told.append(done), **SETTINGS
     )
-    assert told == [(k, 6) for k in range(1, 7)]
-    assert told_by_one.shape == inside.shape
-    assert not np.any(told_by_one[~inside])
-    ratio = np.sqrt(np.mean(told_by_one[inside] ** 2) / np.mean(scatter[inside] ** 2))
+    assert told == [(k, 8) for k in range(1, 9)]
+    values = told_by_one.values
+    assert values.shape == inside.shape
+    assert not np.any(values[~inside])
+    ratio = np.sqrt(np.mean(values[inside] ** 2) / np.mean(scatter[inside] ** 2))
     assert 0.6 < ratio < 1.6
-    assert np.corrcoef(told_by_one[inside], scatter[inside])[0, 1] > 0.5
+    assert np.corrcoef(values[inside], scatter[inside])[0, 1] > 0.5
+    parts = np.hypot(told_by_one.of_noise, told_by_one.of_starts)
+    assert np.sqrt(np.mean(values[inside] ** 2)) == pytest.approx(parts, rel=1e-6)
+    assert told_by_one.misfit_over_noise < 1.0
+    assert "wrong model of lens" in told_by_one.leaves_out
 
 
 def test_less_light_is_less_certain(lit: tuple[Engine, Field]) -> None:
@@ -78,8 +91,45 @@ def test_less_light_is_less_certain(lit: tuple[Engine, Field]) -> None:
     for electrons in (1e4, 1e6):
         planes = record(lit, 1, electrons)
         map_ = uncertainty(*lit, planes, found(lit, planes), repeats=2, iterations=6, **SETTINGS)
-        sizes.append(np.sqrt(np.mean(map_**2)))
+        sizes.append(map_.of_noise)
     assert sizes[0] > 3.0 * sizes[1]
+
+
+def test_an_object_in_a_wrong_hollow_has_no_uncertainty(lit: tuple[Engine, Field]) -> None:
+    """A smooth field of random phase, as of a diffuser, of which two planes find another: error 1.2."""
+    random = np.random.default_rng(5)
+    real, imaginary = (gaussian_filter(random.standard_normal(lit[1].grid.shape), 3.0) for _ in range(2))
+    diffuse = real + 1j * imaginary
+    diffuse /= np.sqrt(np.mean(np.abs(diffuse) ** 2))
+    planes = record(lit, 0, transmission=diffuse)
+    settings = {"kind": "complex", "tv_weight": "auto"}
+    result = reconstruct(*lit, planes, iterations=30, scale=1.0, **settings)
+    inside = np.abs(lit[1].values) > 0.0
+    one, true = result.transmission.values[inside], diffuse[inside]
+    turned = one * (np.vdot(one, true) / abs(np.vdot(one, true)))
+    assert np.linalg.norm(turned - true) > 0.5 * np.linalg.norm(true)
+    with pytest.raises(UndeterminedError, match=r"the result leaves [\d.]+ times the noise of the frames"):
+        uncertainty(*lit, planes, result, repeats=2, **settings)
+
+
+def test_objects_that_fit_as_well_and_differ_have_none(lit: tuple[Engine, Field]) -> None:
+    """On one plane a complex object has twice as many unknowns as there are amplitudes."""
+    planes = record(lit, 0, distances_mm=(0.0,))
+    settings = {"kind": "complex", "tv_weight": 0.0}
+    result = reconstruct(*lit, planes, iterations=40, scale=1.0, **settings)
+    with pytest.raises(UndeterminedError, match=r"another start (fits as well|leaves a misfit)"):
+        uncertainty(*lit, planes, result, repeats=2, **settings)
+
+
+def test_a_plane_that_was_held_out_has_its_say(lit: tuple[Engine, Field]) -> None:
+    *planes, right = record(lit, 3, distances_mm=(0.0, 0.6, 0.9))
+    result = found(lit, planes)
+    told = uncertainty(*lit, planes, result, held_out=right, repeats=2, iterations=2, **SETTINGS)
+    assert 0.6 < told.held_out_over_noise < 1.1
+    assert "held out" not in told.leaves_out
+    (wrong,) = record(lit, 3, transmission=np.ones((64, 64)), distances_mm=(0.9,))
+    with pytest.raises(UndeterminedError, match="times the noise of the plane held out"):
+        uncertainty(*lit, planes, result, held_out=wrong, repeats=2, **SETTINGS)
 
 
 def test_refused(lit: tuple[Engine, Field]) -> None:
