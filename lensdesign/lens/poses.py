@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,8 +69,9 @@ class SurfacePerturbation:
     """Deltas of one surface from nominal; each a number or an array of shape (trials,).
 
     The first five move this surface alone about its own vertex. A change of thickness moves every
-    surface behind it; the index is that of the medium behind the surface. The figure, a sag error that adds
-    to the surface's own, holds either one figure or one for each trial.
+    surface behind it; the index is that of the medium behind the surface. `shape` has the deltas of what the
+    surface's shape has beside radius_mm and conic, by its `PARAMETERS`, such as radius_x_mm. The figure, a
+    sag error that adds to the surface's own, holds either one figure or one for each trial.
     """
 
     decenter_x_mm: Value = 0.0
@@ -81,6 +83,7 @@ class SurfacePerturbation:
     conic: Value = 0.0
     thickness_mm: Value = 0.0
     index: Value = 0.0
+    shape: Mapping[str, Value] = field(default_factory=dict)
     figure: SurfaceFigure | None = None
 
     def __post_init__(self) -> None:
@@ -90,9 +93,14 @@ class SurfacePerturbation:
         """The rigid part."""
         return Pose(self.decenter_x_mm, self.decenter_y_mm, self.despace_mm, self.tilt_x_deg, self.tilt_y_deg)
 
+    def of_shape(self) -> dict[str, Value]:
+        """Deltas of the shape that are not 0, by parameter."""
+        deltas = {"radius_mm": self.radius_mm, "conic": self.conic} | dict(self.shape)
+        return {name: delta for name, delta in deltas.items() if np.any(delta)}
 
-SURFACE_DELTAS = tuple(f.name for f in fields(SurfacePerturbation) if f.name != "figure")
-"""Deltas of a surface that are numbers."""
+
+SURFACE_DELTAS = tuple(f.name for f in fields(SurfacePerturbation) if f.name not in ("shape", "figure"))
+"""Deltas of a surface that are numbers and those of every shape."""
 
 
 def rotation_matrix(tilt_x: NDArray[np.float64], tilt_y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,10 +120,10 @@ def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
         If arrays of different lengths meet.
     """
     lengths = {
-        f"{type(part).__name__}.{name}": np.size(getattr(part, name))
+        f"{type(part).__name__}.{name}": np.size(value)
         for part in parts
-        for name in _numbers(part)
-        if np.ndim(getattr(part, name)) == 1
+        for name, value in _numbers(part).items()
+        if np.ndim(value) == 1
     }
     for part in parts:
         figure = part.figure if isinstance(part, SurfacePerturbation) else None
@@ -128,8 +136,7 @@ def trial_count(*parts: Pose | SurfacePerturbation) -> int | None:
 
 def check_values(part: Pose | SurfacePerturbation) -> None:
     """Refuse values that are not finite numbers or one-dimensional arrays of them."""
-    for name in _numbers(part):
-        value = getattr(part, name)
+    for name, value in _numbers(part).items():
         array = np.asarray(value)
         if array.ndim > 1 or array.dtype.kind not in "fiu" or not np.all(np.isfinite(array)):
             raise InputError(
@@ -138,6 +145,10 @@ def check_values(part: Pose | SurfacePerturbation) -> None:
     trial_count(part)
 
 
-def _numbers(part: Pose | SurfacePerturbation) -> tuple[str, ...]:
-    """Names of the values that are numbers or arrays of them."""
-    return SURFACE_DELTAS if isinstance(part, SurfacePerturbation) else tuple(f.name for f in fields(part))
+def _numbers(part: Pose | SurfacePerturbation) -> dict[str, Value]:
+    """The values that are numbers or arrays of them, by name."""
+    if isinstance(part, Pose):
+        return vars(part)
+    return {name: getattr(part, name) for name in SURFACE_DELTAS} | {
+        f"shape[{name!r}]": value for name, value in part.shape.items()
+    }

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.lens.figure_source import FigureSource
-from lensdesign.lens.shapes.base import Shape, curvature_of
+from lensdesign.lens.shapes.base import Shape, curvature_of, term_of
 from lensdesign.lens.shapes.registry import SHAPES, shape_class, shape_classes
 
 
@@ -123,6 +123,12 @@ class Surface(Section):
     def shape_keys(self) -> dict[str, Any]:
         """What the design file says of its shape."""
         return {key: getattr(self, key) for key in self.shape_class.KEYS}
+
+    @property
+    def shape_parameters(self) -> tuple[str, ...]:
+        """Names of its shape's parameters that it has, as an optimizer and perturbations know them."""
+        held = self.shape_class.TERMS[: len(self.shape.terms)]
+        return tuple(name for name in self.shape_class.PARAMETERS if term_of(name) in held)
 
     @property
     def curvature(self) -> float:

@@ -14,10 +14,11 @@ from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
 from lensdesign.lens.figure import PackedFigures, SurfaceFigure, packed_figures
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose, SurfacePerturbation, trial_count
-from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
+from lensdesign.lens.shapes.base import Shape, term_of
 from lensdesign.lens.shapes.intersection import Figure, sag_and_slopes
 from lensdesign.lens.shapes.registry import code_of
+from lensdesign.lens.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -177,22 +178,23 @@ def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, o
 
 
 def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
-    """The shape of a surface; radius and conic constant of its meridian y-z as perturbed."""
+    """The shape of a surface as perturbed."""
     surface, nominal = lens.surfaces[i], lens.surfaces[i].shape
-    if change is None or not (np.any(change.radius_mm) or np.any(change.conic)):
+    deltas = {} if change is None else change.of_shape()
+    if not deltas:
         return nominal
-    radius_delta, conic_delta = np.broadcast_arrays(change.radius_mm, change.conic)
-    terms = np.tile(nominal.terms, (*radius_delta.shape, 1))
-    terms[..., 1] += conic_delta
-    if np.any(radius_delta):
-        if surface.radius_mm is None:
-            raise InputError(f"surface {i + 1} is a plane: a change of its radius_mm has no meaning")
-        radius = surface.radius_mm + radius_delta
-        if np.any(radius * surface.radius_mm <= 0.0):
+    terms = np.tile(nominal.terms, (*np.broadcast_shapes(*map(np.shape, deltas.values())), 1))
+    for parameter, delta in deltas.items():
+        if parameter not in surface.shape_parameters:
+            held = ", ".join(surface.shape_parameters)
             raise InputError(
-                f"surface {i + 1}: a radius_mm delta of {-surface.radius_mm:g} or past it turns it over"
+                f"surface {i + 1}: {parameter} is no parameter of its shape ({nominal.NAME}); it has {held}"
             )
-        terms[..., 0] = 1.0 / radius
+        place = nominal.place(term_of(parameter))
+        if parameter.startswith("radius"):
+            terms[..., place] = 1.0 / _radius(surface, i, parameter, delta)
+        else:
+            terms[..., place] += delta
     shape = type(nominal)(terms)
     smallest = shape.edge_radius_mm
     if surface.semi_diameter_mm is not None and smallest < surface.semi_diameter_mm:
@@ -201,6 +203,16 @@ def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
             f"inside its semi_diameter_mm of {surface.semi_diameter_mm:g}"
         )
     return shape
+
+
+def _radius(surface: Surface, i: int, parameter: str, delta: Value) -> Array:
+    nominal = getattr(surface, parameter)
+    if nominal is None:
+        raise InputError(f"surface {i + 1} is a plane: a change of its {parameter} has no meaning")
+    radius = np.asarray(nominal + delta)
+    if np.any(radius * nominal <= 0.0):
+        raise InputError(f"surface {i + 1}: a {parameter} delta of {-nominal:g} or past it turns it over")
+    return radius
 
 
 def _frames(lens: Lens, pose: Pose, changes: Mapping[int, SurfacePerturbation]) -> tuple[Array, Array]:

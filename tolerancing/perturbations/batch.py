@@ -9,9 +9,16 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
-from tolerancing.perturbations.parameters import IRREGULARITIES, LENS_PARAMETERS, PerturbedParameter
+from tolerancing.perturbations.parameters import (
+    IRREGULARITIES,
+    LENS_PARAMETERS,
+    RADII,
+    SHAPE_PARAMETERS,
+    PerturbedParameter,
+)
 from wavesim.scene.placement import Placement
 
 D_LINE_UM = 0.5875618
@@ -90,18 +97,19 @@ class PerturbationBatch:
             if surface is None:
                 continue
             value = np.ascontiguousarray(self.values[:, column])
-            if name in SURFACE_DELTAS:
+            if name in RADII:
+                value = radius_delta_mm(lens, surface, name, value)
+                add(surface, RADII[name], value)
+            elif name in SURFACE_DELTAS or name in SHAPE_PARAMETERS:
                 add(surface, name, value)
             elif name in IRREGULARITIES:
                 self._add_figure(deltas.setdefault(surface, {}), lens, surface, column)
-            elif name == "abbe_percent":
+            else:  # abbe_percent
                 add(surface, "index", abbe_index_delta(lens, surface, wavelength_um, value))
-            else:
-                add(surface, "radius_mm", radius_delta_mm(lens, surface, name, value))
         if self._has("light", "wavelength_um"):
             for surface, change in self._dispersion(lens, wavelength_um).items():
                 add(surface, "index", change)
-        return {surface: SurfacePerturbation(**own) for surface, own in sorted(deltas.items())}
+        return {surface: _perturbed(own) for surface, own in sorted(deltas.items())}
 
     def object_shift_mm(self) -> Array:
         """How far the object stands from where it should, shape (trials, 3)."""
@@ -149,17 +157,11 @@ class PerturbationBatch:
         return [one._placement(lens, wavelength_um) for one in self.single_trials()]
 
     def _placement(self, lens: Lens, wavelength_um: float) -> Placement:
-        def single(part: Any, kind: type) -> Any:
-            values = {name: getattr(part, name) for name in part.__dataclass_fields__ if name != "figure"}
-            numbers = {name: float(np.ravel(value)[0]) for name, value in values.items()}
-            figure = getattr(part, "figure", None)
-            return kind(**numbers, **({"figure": figure.trial(0)} if figure is not None else {}))
-
         planes = len(lens.sensor.plane_distances_mm)
         surfaces = self.surface_perturbations(lens, wavelength_um)
         return Placement(
-            pose=single(self.poses(), Pose),
-            surface_perturbations={i: single(p, SurfacePerturbation) for i, p in surfaces.items()},
+            pose=Pose(**_first(vars(self.poses()))),
+            surface_perturbations={i: SurfacePerturbation(**_first(vars(p))) for i, p in surfaces.items()},
             object_shift_mm=tuple(self.object_shift_mm()[0].tolist()),
             sensor_shift_mm=tuple(self.sensor_shift_mm(planes)[0].tolist()),
             plane_distances_mm=tuple(self.plane_distances_mm(planes)[0].tolist()),
@@ -194,16 +196,39 @@ class PerturbationBatch:
         return {i: changes[:, i + 1] for i in range(len(lens.surfaces)) if np.any(changes[:, i + 1])}
 
 
+def _perturbed(deltas: Mapping[str, Any]) -> SurfacePerturbation:
+    """A surface's perturbation from deltas by the names of parameters."""
+    named = vars(SurfacePerturbation())
+    shape = {name: delta for name, delta in deltas.items() if name not in named}
+    return SurfacePerturbation(**{n: delta for n, delta in deltas.items() if n in named}, shape=shape)
+
+
+def _first(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of the first trial."""
+
+    def first(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return _first(value)
+        if value is None or isinstance(value, SurfaceFigure):
+            return value and value.trial(0)
+        return float(np.ravel(value)[0])
+
+    return {name: first(value) for name, value in values.items()}
+
+
 def radius_delta_mm(lens: Lens, surface: int, name: str, value: Array) -> Array:
-    """Change of radius for percents, or for fringes of 632.8 nm over the clear semi-diameter.
+    """Change of radius for mm, percents, or for fringes of 632.8 nm over the clear semi-diameter.
 
     One fringe is half a wave of sag at the rim, h^2 dR / (2 R^2); more of either makes a surface flatter.
     """
     from lensdesign.analysis.form_error import TEST_WAVELENGTH_UM
 
-    radius, semi_diameter = lens.surfaces[surface].radius_mm, lens.surfaces[surface].semi_diameter_mm
+    if name.endswith("_mm"):
+        return value
+    held = lens.surfaces[surface]
+    radius, semi_diameter = getattr(held, RADII[name]), held.semi_diameter_mm
     assert radius is not None  # the study's check saw to it
-    if name == "radius_percent":
+    if name.endswith("_percent"):
         return 0.01 * radius * value
     assert semi_diameter is not None
     return np.sign(radius) * 1e-3 * TEST_WAVELENGTH_UM * (radius / semi_diameter) ** 2 * value

@@ -152,12 +152,18 @@ def _surface(lens: Lens, number: int, grade: str) -> str:
     """Perturbations of a surface and of what stands between it and the next."""
     surface, target = lens.surfaces[number], f"surface {number + 1}"
     made = _made(lens, number, grade)
-    text = _radius(lens, number, made) if surface.radius_mm is not None else ""
+    keys = surface.shape_keys
+    radii = [key for key in keys if key.startswith("radius") and keys[key] is not None]
+    text = "".join(_radius(lens, number, key, made) for key in radii)
     waves = made.grade.irregularity_pv_waves
     if surface.semi_diameter_mm is not None:
         text += _irregularity(target, waves, made.irregularity)
     if surface.kind not in ("plane", "sphere"):
-        text += _asphere(lens, number, made)
+        text += "".join(_conic(lens, number, key, made) for key in radii)
+        for axis in "xy":
+            across = made.grade.asphere_decenter_mm
+            comment = f"+-{across:g} mm against the part's axis"
+            text += _perturbation(target, f"decenter_{axis}_mm", across, comment)
     if number - 1 in lens.glass_fronts:
         for axis in "xy":
             text += _perturbation(target, f"tilt_{axis}_deg", made.grade.wedge_deg, made.wedge)
@@ -220,22 +226,21 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
     )
 
 
-def _radius(lens: Lens, number: int, made: _Made) -> str:
+def _radius(lens: Lens, number: int, key: str, made: _Made) -> str:
     surface, target = lens.surfaces[number], f"surface {number + 1}"
-    radius, semi_diameter = surface.radius_mm, surface.semi_diameter_mm
-    assert radius is not None  # the caller saw to it
+    radius, semi_diameter, name = getattr(surface, key), surface.semi_diameter_mm, key.removesuffix("_mm")
     percent, fringes = made.grade.radius_percent, made.sagitta_fringes
     if fringes is None:
-        return _perturbation(target, "radius_percent", percent, made.radius)
+        return _perturbation(target, f"{name}_percent", percent, made.radius)
     if semi_diameter is None:
         comment = f"commercial: without a clear aperture {made.radius.split(':')[0]} says nothing"
-        return _perturbation(target, "radius_percent", percent, comment)
+        return _perturbation(target, f"{name}_percent", percent, comment)
     # One fringe of sag at the rim is half a wave, h^2 dR / (2 R^2).
     equivalent = 100.0 * fringes * 1e-3 * TEST_WAVELENGTH_UM * abs(radius) / semi_diameter**2
     if equivalent > LARGEST_RADIUS_PERCENT:
         comment = f"cut; {made.radius} would be {equivalent:.3g} %"
-        return _perturbation(target, "radius_percent", LARGEST_RADIUS_PERCENT, comment)
-    return _perturbation(target, "radius_fringes", fringes, made.radius)
+        return _perturbation(target, f"{name}_percent", LARGEST_RADIUS_PERCENT, comment)
+    return _perturbation(target, f"{name}_fringes", fringes, made.radius)
 
 
 def _irregularity(target: str, waves: float, comment: str) -> str:
@@ -250,22 +255,18 @@ def _irregularity(target: str, waves: float, comment: str) -> str:
     )
 
 
-def _asphere(lens: Lens, number: int, made: _Made) -> str:
+def _conic(lens: Lens, number: int, radius_key: str, made: _Made) -> str:
+    """Of the conic constant that goes with a radius."""
     surface, target = lens.surfaces[number], f"surface {number + 1}"
-    text, across = "", made.grade.asphere_decenter_mm
-    if surface.radius_mm is not None:
-        conic, comment = LARGEST_CONIC, "a guess"
-        if surface.semi_diameter_mm is not None:
-            # Of sag h^4 dk / (8 R^3) a quarter is left, peak to valley, once power is taken out.
-            pv_mm = 1e-3 * TEST_WAVELENGTH_UM * made.grade.irregularity_pv_waves
-            allowed = 32.0 * pv_mm * abs(surface.radius_mm) ** 3 / surface.semi_diameter_mm**4
-            conic = min(allowed, LARGEST_CONIC)
-            comment = "as much as the irregularity allows" if conic == allowed else "a guess"
-        text += _perturbation(target, "conic", conic, comment)
-    for axis in "xy":
-        comment = f"+-{across:g} mm against the part's axis"
-        text += _perturbation(target, f"decenter_{axis}_mm", across, comment)
-    return text
+    conic, comment = LARGEST_CONIC, "a guess"
+    if surface.semi_diameter_mm is not None:
+        # Of sag h^4 dk / (8 R^3) a quarter is left, peak to valley, once power is taken out.
+        pv_mm = 1e-3 * TEST_WAVELENGTH_UM * made.grade.irregularity_pv_waves
+        allowed = 32.0 * pv_mm * abs(getattr(surface, radius_key)) ** 3 / surface.semi_diameter_mm**4
+        conic = min(allowed, LARGEST_CONIC)
+        comment = "as much as the irregularity allows" if conic == allowed else "a guess"
+    key = radius_key.removesuffix("_mm").replace("radius", "conic")
+    return _perturbation(target, key, conic, comment)
 
 
 def _space_behind(lens: Lens, number: int, made: _Made) -> str:

@@ -14,17 +14,30 @@ from lensdesign.common.toml_files import pick, unknown_key, validate
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
+from lensdesign.lens.shapes.registry import parameters
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 
-RADIUS_PARAMETERS = ("radius_mm", "radius_percent", "radius_fringes")
+SHAPE_PARAMETERS = tuple(parameters())
+"""Of the shapes of surfaces, as their modules say."""
+
+RADII = {
+    f"{radius.removesuffix('mm')}{unit}": radius
+    for radius in SHAPE_PARAMETERS
+    if radius.startswith("radius")
+    for unit in ("mm", "percent", "fringes")
+}
+"""Parameters that change a radius, with the design file's key of that radius."""
+
 IRREGULARITIES = ("irregularity_pv_waves", "irregularity_rms_waves")
 GLASS_PARAMETERS = ("index", "abbe_percent")
 
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 """Of the whole lens: the values of a pose."""
 
-SURFACE_PARAMETERS = (*SURFACE_DELTAS, *RADIUS_PARAMETERS[1:], GLASS_PARAMETERS[1], *IRREGULARITIES)
+SURFACE_PARAMETERS = tuple(
+    dict.fromkeys((*SURFACE_DELTAS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES))
+)
 """Of one surface; waves and fringes are those of 632.8 nm over the clear semi-diameter."""
 
 OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
@@ -153,9 +166,15 @@ class PerturbedParameter(Section):
 
     def _check_surface(self, lens: Lens, number: int) -> None:
         surface, key = lens.surfaces[number], f"parameter = {self.parameter!r}"
-        if self.parameter in RADIUS_PARAMETERS and surface.radius_mm is None:
-            raise ValueError(f"{key}: {self.target} is a plane and has no radius")
-        if self.parameter in ("radius_fringes", *IRREGULARITIES) and surface.semi_diameter_mm is None:
+        of_shape = RADII.get(self.parameter, self.parameter)
+        if of_shape in SHAPE_PARAMETERS and of_shape not in surface.shape_parameters:
+            raise ValueError(
+                f"{key}: the shape of {self.target} ({surface.shape_class.NAME}) has no {of_shape}; "
+                f"it has {', '.join(surface.shape_parameters)}"
+            )
+        if self.parameter in RADII and getattr(surface, of_shape) is None:
+            raise ValueError(f"{key}: {self.target} is a plane and has no {of_shape}")
+        if (self.unit == "fringes" or self.parameter in IRREGULARITIES) and surface.semi_diameter_mm is None:
             raise ValueError(f"{key}: {self.target} has no semi_diameter_mm over which to count it")
         if number < len(lens.surfaces) - 1:
             if self.parameter in GLASS_PARAMETERS and surface.material is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,13 +206,18 @@ def perturbed_bodies(
 
 
 def _reshaped(lens: Lens, i: int, change: SurfacePerturbation) -> Lens:
-    """A lens with the deltas of one surface that keep it a surface of revolution."""
+    """A lens with the deltas of one surface that its design file could hold."""
     surface = lens.surfaces[i]
-    values: dict[str, float] = {}
-    for name in ("radius_mm", "conic", "thickness_mm"):
-        nominal, delta = getattr(surface, name), float(np.ravel(getattr(change, name))[0])
-        if nominal is not None and delta != 0.0:
-            values[name] = nominal + delta
+    values: dict[str, Any] = {}
+    for name, delta in change.of_shape().items():
+        by = float(np.ravel(delta)[0])
+        if name.startswith("radius"):
+            values[name] = getattr(surface, name) + by
+        else:
+            keys = surface.shape_keys | values
+            values |= surface.shape_class.changed_keys(keys, name, surface.shape.term(name) + by)
+    if surface.thickness_mm is not None and np.any(change.thickness_mm):
+        values["thickness_mm"] = surface.thickness_mm + float(np.ravel(change.thickness_mm)[0])
     return lens.with_surface(i, **values) if values else lens
 
 

@@ -57,6 +57,20 @@ def test_perturbed_radius_conic_and_index(paper_lens: Lens) -> None:
     assert system.index[:, [0, 2]].tolist() == [[1.0, 1.0], [1.0, 1.0]]
 
 
+def test_a_shape_is_perturbed_as_if_the_design_said_so(paper_lens: Lens) -> None:
+    biconic = paper_lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0, conic_x=-1.2)
+    change = SurfacePerturbation(conic=0.1, shape={"radius_x_mm": np.array([0.2, 0.0]), "conic_x": 0.3})
+    found = compile_system(biconic, 0.532, surface_perturbations={1: change})
+    designed = biconic.with_surface(1, radius_x_mm=-13.8, conic=biconic.surfaces[1].conic + 0.1, conic_x=-0.9)
+    assert found.trials == 2
+    assert found.shapes[1].trial(0).terms == pytest.approx(designed.surfaces[1].shape.terms, rel=1e-15)
+    assert found.shapes[1].trial(1).term("curvature_x") == -1.0 / 14.0
+    asphere = paper_lens.with_surface(0, asphere=(1e-6, 2e-8))
+    change = SurfacePerturbation(shape={"asphere_6": 1e-9})
+    found = compile_system(asphere, 0.532, surface_perturbations={0: change})
+    assert found.shapes[0].term("asphere_6") == pytest.approx(2.1e-8, rel=1e-12)
+
+
 def test_a_surface_turns_about_its_own_vertex_before_the_lens_turns_about_its_pivot(paper_lens: Lens) -> None:
     system = compile_system(
         paper_lens,
@@ -77,6 +91,10 @@ def test_a_surface_turns_about_its_own_vertex_before_the_lens_turns_about_its_pi
     [
         ({2: SurfacePerturbation()}, "there is no surface 2; allowed: 0 to 1"),
         ({1: SurfacePerturbation(radius_mm=12.0)}, "surface 2: a radius_mm delta of 12 or past it"),
+        (
+            {1: SurfacePerturbation(shape={"conic_x": 0.1})},
+            r"surface 2: conic_x is no parameter of its shape \(conic\); it has radius_mm, conic",
+        ),
         ({1: SurfacePerturbation(conic=3.0)}, r"surface 2: .* inside its semi_diameter_mm of 10"),
         (
             {0: SurfacePerturbation(index=np.zeros(2)), 1: SurfacePerturbation(conic=np.zeros(3))},

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensdesign import Pose, SurfacePerturbation
+from lensdesign import Pose, SurfacePerturbation, trace
 from lensdesign.analysis.form_error import pv_rms_waves
 from lensdesign.lens.poses import SURFACE_DELTAS
 from lensdesign.lens.surface import Surface
@@ -116,6 +116,26 @@ def test_every_parameter_of_the_lens_reaches_its_place(paper_lens, name):
 def test_every_delta_of_a_surface_reaches_its_place(paper_lens, name):
     (system,) = one("surface 1", name, 0.25).placements(paper_lens, 0.532)
     assert system.surface_perturbations == {0: SurfacePerturbation(**{name: 0.25})}
+
+
+def test_parameters_of_a_biconic_reach_its_rays(paper_lens):
+    lens = paper_lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0, conic_x=-1.2)
+    designed = lens.with_surface(1, radius_x_mm=-14.0 * 1.01, conic_x=-1.1)
+    batch = PerturbationBatch(
+        (
+            PerturbedParameter(target="surface 2", parameter="radius_x_percent"),
+            PerturbedParameter(target="surface 2", parameter="conic_x"),
+        ),
+        np.array([[0.0, 0.0], [1.0, 0.1]]),
+    )
+    points = np.array([[2.0, 3.0, -5.0]]), np.array([[0.1, -0.05, 1.0]]) / np.sqrt(1.0125)
+    moved = trace(lens, *points, 0.532, surface_perturbations=batch.surface_perturbations(lens, 0.532))
+    for k, expected in enumerate((lens, designed)):
+        alone = trace(expected, *points, 0.532)
+        assert moved.position[k] == pytest.approx(alone.position, abs=1e-12)
+        assert moved.opl[k] == pytest.approx(alone.opl, abs=1e-12)
+    single = batch.placements(lens, 0.532)[1].surface_perturbations[1]
+    assert single.shape == pytest.approx({"radius_x_mm": -0.14, "conic_x": 0.1})
 
 
 def test_object_sensor_and_light_reach_their_places(paper_lens):

@@ -56,6 +56,17 @@ def test_studies_of_the_designs_load(tmp_path, grade, file):
     assert len(loaded.study.perturbations) > 15
 
 
+def test_a_biconic_gets_tolerances_along_both_axes():
+    lens = load_design(DESIGNS / "rectangular_sensor.toml")
+    study = read(lens, "precision")
+    for axis in ("", "_x"):
+        assert found(study, "surface 1", f"radius{axis}_percent")["limit"] == 0.1
+        radius = abs(getattr(lens.surfaces[1], f"radius{axis}_mm"))
+        allowed = 32.0 * 0.25 * 632.8e-6 * radius**3 / lens.surfaces[1].semi_diameter_mm ** 4
+        assert found(study, "surface 2", f"conic{axis}")["limit"] == pytest.approx(allowed, rel=1e-3)
+    assert len([t for t in study["perturbation"] if t["parameter"] == "decenter_x_mm"]) == 3
+
+
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lens=lenses(), grade=st.sampled_from(list(GRADES)))
 def test_studies_of_random_lenses_read_back(lens, grade):

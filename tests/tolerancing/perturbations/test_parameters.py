@@ -14,6 +14,8 @@ from tolerancing.perturbations.parameters import PerturbedParameter, perturbatio
         ({}, "lens", "tilt_y_deg", "lens_tilt_y_deg"),
         ({}, "surface 2", "conic", "surface_2_conic"),
         ({}, "surface 2", "radius_fringes", "surface_2_radius_fringes"),
+        ({}, "surface 2", "radius_x_percent", "surface_2_radius_x_percent"),
+        ({}, "surface 2", "conic_x", "surface_2_conic_x"),
         ({}, "surface 1", "irregularity_pv_waves", "surface_1_irregularity_pv_waves"),
         ({}, "sensor", "plane_distance_2_mm", "sensor_plane_distance_2_mm"),
         ({"name": "laser"}, "light", "wavelength_um", "laser_um"),
@@ -68,6 +70,13 @@ def test_missing_keys_are_named(key):
         ("surface 3", "conic", r"no such surface; allowed: lens, surface 1, surface 2"),
         ("surface 1", "radius_mm", r"surface 1 is a plane"),
         ("surface 1", "radius_percent", r"surface 1 is a plane"),
+        (
+            "surface 2",
+            "radius_x_mm",
+            r"surface 2 \(conic\) has no radius_x_mm; it has radius_mm, conic",
+        ),
+        ("surface 2", "conic_x", r"shape of surface 2 \(conic\) has no conic_x"),
+        ("surface 2", "asphere_4", r"shape of surface 2 \(conic\) has no asphere_4"),
         ("surface 2", "radius_fringes", r"surface 2 has no semi_diameter_mm"),
         ("surface 2", "irregularity_rms_waves", r"surface 2 has no semi_diameter_mm"),
         ("sensor", "plane_distance_2_mm", r"the design has 1 sensor plane"),
@@ -87,3 +96,13 @@ def test_parameters_that_a_lens_does_not_have_are_refused(target, parameter, mes
     )
     with pytest.raises(ValueError, match=message):
         PerturbedParameter(target=target, parameter=parameter).check(lens)
+
+
+@pytest.mark.parametrize("parameter", ["radius_x_mm", "radius_x_percent", "radius_x_fringes", "conic_x"])
+def test_a_shape_brings_its_own_parameters(paper_lens, parameter):
+    perturbed = PerturbedParameter(target="surface 2", parameter=parameter)
+    perturbed.check(paper_lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0))
+    flat = paper_lens.with_surface(1, shape_type="biconic")
+    if parameter.startswith("radius"):
+        with pytest.raises(ValueError, match="surface 2 is a plane and has no radius_x_mm"):
+            perturbed.check(flat)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -289,6 +290,25 @@ def test_whatever_the_scores_the_report_is_whole(loaded, tmp_path, scores):
     assert (tmp_path / "a.pdf").stat().st_size > 10_000
     if any(messages):
         assert "dark &lt;&amp;&gt;" in page
+
+
+def test_the_surfaces_tell_all_of_their_shape(loaded):
+    plain_rows = surfaces_of(loaded, loaded.lens)
+    assert [row[3] for row in plain_rows] == ["–", "–"]
+    lens = loaded.lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0, conic_x=-1.25)
+    rows = surfaces_of(loaded, lens.with_surface(0, asphere=(1e-6, 2e-8)))
+    assert [row[3] for row in rows] == [
+        "even asphere, asphere 1e-06 2e-08",
+        "biconic, radius_x_mm -14, conic_x -1.25",
+    ]
+
+
+def surfaces_of(loaded, lens):
+    from tolerancing.report.sections.summary import lens_section
+
+    data = data_of(replace(loaded, lens=lens), [[0.5]] * 3)
+    found = next(b for b in lens_section(data) if isinstance(b, Table))
+    return [[cell.text for cell in row] for row in found.cells()]
 
 
 def test_long_names_and_messages_fit_the_pages(loaded, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensdesign.errors import TransferLensError
+from lensdesign.lens.surface import Surface
 from tolerancing.analysis.summary import MeritSummary, Summary
 from tolerancing.report.blocks import (
     Block,
@@ -204,13 +205,12 @@ def _surfaces(data: ReportData) -> Table:
     rows, indices = [], data.lens.indices(data.lens.wavelengths_um[0])
     for number, s in enumerate(data.lens.surfaces, start=1):
         material = "air" if s.material is None else str(s.material)
-        asphere = ", ".join(f"{a:.4g}" for a in s.asphere) or "–"
         rows.append(
             [
                 f"{number}{' (stop)' if s.stop else ''}",
                 "plane" if s.radius_mm is None else number_text(s.radius_mm),
                 number_text(s.conic),
-                asphere,
+                _beside_the_conic(s),
                 number_text(s.thickness_mm),
                 material,
                 f"{indices[number]:.6f}",
@@ -218,7 +218,17 @@ def _surfaces(data: ReportData) -> Table:
             ]
         )
     headings = [
-        "<Surface", "Radius (mm)", "Conic", "Asphere (r⁴, r⁶, …)", "Thickness (mm)", "<Material behind",
+        "<Surface", "Radius (mm)", "Conic", "Shape", "Thickness (mm)", "<Material behind",
         "Index", "Semi-diameter (mm)",
     ]  # fmt: skip
     return table(headings, rows)
+
+
+def _beside_the_conic(surface: Surface) -> str:
+    """What a surface's shape has beside radius and conic constant, by the names of design files."""
+    said = []
+    for key, value in surface.shape_keys.items():
+        held = value if isinstance(value, tuple) else (value,)
+        if key not in ("radius_mm", "conic") and held:
+            said.append(f"{key} {' '.join('plane' if v is None else f'{v:.4g}' for v in held)}")
+    return ", ".join([surface.kind, *said]) if said else "–"

@@ -263,3 +263,12 @@ def test_figure_on_a_surface_with_a_flat_annulus() -> None:
     assert_closed(result.mesh)
     assert result.chord_error_um <= 1.0
     assert abs(result.volume_error) < 0.05 * result.volume_tolerance
+
+
+def test_a_perturbed_shape_is_meshed_as_if_the_design_said_so() -> None:
+    lens = singlet(asphere=(1e-5,))
+    change = SurfacePerturbation(radius_mm=0.5, shape={"asphere_4": 2e-5})
+    found = lens_mesh(lens, surface_perturbations={0: change}, chord_error_um=20.0)
+    expected = lens_mesh(singlet(radius_mm=20.5, asphere=(3e-5,)), chord_error_um=20.0)
+    assert found.exact_volume_mm3 == pytest.approx(expected.exact_volume_mm3, rel=1e-12)
+    assert found.mesh.vertices == pytest.approx(expected.mesh.vertices, abs=1e-12)
