@@ -20,8 +20,7 @@ from wavesim.camera.mounting import (
     with_values,
 )
 from wavesim.camera.recording import Progress
-from wavesim.camera.windows import exit_scene, imaging_error
-from wavesim.engines.choosing import engine_for
+from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
 from wavesim.runtime.checkpoint import Checkpoint
@@ -88,8 +87,7 @@ def calibrate_frames(
     search = _Search(settings, names, checkpoint, progress)
 
     def make(scene: Scene) -> Engine:
-        error, runs = imaging_error(settings.engine, settings.error), 2 * settings.iterations
-        return engine_for(scene, settings.engine, error=error, runs=runs, **settings.details())
+        return imaging_engine(scene, settings, runs=2 * settings.iterations)
 
     try:
         return calibrate(

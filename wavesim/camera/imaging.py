@@ -19,11 +19,10 @@ from wavesim.camera.recording import PARTS, Progress, Recording, image_patch, im
 from wavesim.camera.windows import (
     check_footprint,
     diversity,
-    imaging_error,
+    imaging_engine,
     light_window,
     sensor_window,
 )
-from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, Target, lit, lit_patch, make_target
@@ -149,12 +148,7 @@ def image(
     with tiles_in(settings.cluster) as take:
 
         def make(scene: Scene) -> Engine:
-            error = imaging_error(settings.engine, settings.error)
-            room = 1e-9 * limit
-            made = engine_for(
-                scene, settings.engine, error=error, memory_gb=room, runs=1, **settings.details()
-            )
-            return take(made)
+            return take(imaging_engine(scene, settings, runs=1, memory_gb=1e-9 * limit))
 
         engine = make(recorded_scene(lens, patch, windows[0], recording))
         memory = Memory(imaging_need(engine, sensor, windows, recording), limit)

@@ -162,34 +162,17 @@ def image_patch(
     if isinstance(engine, Tiled) and any(recording.placement.sensor_tilt_deg):
         raise InputError(f"sensor_tilt_deg: engine {engine.name} records on upright planes alone")
     tell = progress or (lambda what, done, count: None)
-    scene, frames, share = engine.scene, list[Frame](), 0.0
-    fields, width = None, recording.electronics.active_width
-    if not isinstance(engine, Tiled):
-        tell("through the lens", 0, len(windows))
-        fields = fields_on_sensor(engine, behind_object, windows, recording)
-    for number, seed in enumerate(plane_seeds(recording.seed, len(windows))):
-        if fields is not None:
-            field = next(fields)
-            tell(f"plane {number + 1}", number, len(windows))
-            if number == 0:
-                limit = 500.0 / sensor.pixel_pitch_um
-                share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
-            intensity = light_on_pixels(field, sensor, active_width=width, oversampling=OVERSAMPLING)
-            del field  # the next plane's takes as much
-        else:
-            here = replace(scene, exit_grid=_plane_grid(scene.lens, windows[number], number, recording))
-            assert make is not None
-            own = engine if here.exit_grid == scene.exit_grid else make(here)
-            assert isinstance(own, Tiled)
-            intensity, beyond = _light_in_bands(
-                own,
-                behind_object,
-                sensor,
-                PixelLight(sensor, np.complex64, OVERSAMPLING, width, scratch),
-                _parts(folder, number, own, behind_object),
-                lambda *told, n=number: tell(f"plane {n + 1}", *told),
-            )
-            share = beyond if number == 0 else share
+    if isinstance(engine, Tiled):
+        assert make is not None
+        light = _light_of_tiles(
+            engine, behind_object, sensor, windows, recording, make, tell, folder=folder, scratch=scratch
+        )
+    else:
+        light = _light_through_free_space(engine, behind_object, sensor, windows, recording, tell)
+    frames, share = list[Frame](), 0.0
+    seeds = plane_seeds(recording.seed, len(windows))
+    for number, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
+        share = beyond if number == 0 else share
         frames += frames_of_light(
             intensity,
             sensor,
@@ -201,6 +184,55 @@ def image_patch(
             recording.brightest_share,
         )
     return tuple(frames), share
+
+
+def _light_through_free_space(
+    engine: Engine,
+    behind_object: Field,
+    sensor: Sensor,
+    windows: Sequence[Sensor],
+    recording: Recording,
+    tell: Progress,
+) -> Iterator[tuple[Array, float]]:
+    """Light on the pixels of each plane, and of the first its share beyond what they resolve."""
+    tell("through the lens", 0, len(windows))
+    width, share = recording.electronics.active_width, 0.0
+    for number, field in enumerate(fields_on_sensor(engine, behind_object, windows, recording)):
+        tell(f"plane {number + 1}", number, len(windows))
+        if number == 0:
+            limit = 500.0 / sensor.pixel_pitch_um
+            share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
+        intensity = light_on_pixels(field, sensor, active_width=width, oversampling=OVERSAMPLING)
+        del field  # the next plane's takes as much
+        yield intensity, share
+
+
+def _light_of_tiles(
+    engine: Tiled,
+    behind_object: Field,
+    sensor: Sensor,
+    windows: Sequence[Sensor],
+    recording: Recording,
+    make: Callable[[Scene], Engine],
+    tell: Progress,
+    *,
+    folder: Path | None,
+    scratch: Scratch | None,
+) -> Iterator[tuple[Array, float]]:
+    """Light on the pixels of each plane, and its share beyond what they resolve, by an engine for each."""
+    scene, width = engine.scene, recording.electronics.active_width
+    for number, window in enumerate(windows):
+        here = replace(scene, exit_grid=_plane_grid(scene.lens, window, number, recording))
+        own = engine if here.exit_grid == scene.exit_grid else make(here)
+        assert isinstance(own, Tiled)
+        yield _light_in_bands(
+            own,
+            behind_object,
+            sensor,
+            PixelLight(sensor, np.complex64, OVERSAMPLING, width, scratch),
+            _parts(folder, number, own, behind_object),
+            lambda *told, n=number: tell(f"plane {n + 1}", *told),
+        )
 
 
 def drop_parts(folder: Path) -> None:

@@ -15,10 +15,14 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.camera.sensor import FootprintWarning, sensor_grid
+from wavesim.engines.choosing import engine_for
 from wavesim.engines.registry import AUTO, settings_of
+from wavesim.engines.surfaces.grids import LARGEST_BYTES
 from wavesim.objects.patch import Patch
+from wavesim.scene.engine import Engine
 from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.scene import Scene
+from wavesim.scene.settings import EngineSettings
 
 WINDOW_MARGIN, OVERSAMPLING = 1.02, 2
 """Sensor windows are wider than the footprint by this factor; samples per pixel of what falls on them."""
@@ -38,21 +42,31 @@ class DiversityWarning(UserWarning):
     """Recording planes are so near each other that their intensities tell little of the phase."""
 
 
-def imaging_error(name: str, error: float | None = None) -> float | None:
-    """Relative error to ask an engine, or "auto", for: the one given, or what does for imaging.
+def imaging_engine(
+    scene: Scene, settings: EngineSettings, *, runs: int, memory_gb: float = 1e-9 * LARGEST_BYTES
+) -> Engine:
+    """The engine that settings ask for; where they allow no error, with the one that does for imaging.
 
-    None where the engine has no such setting.
+    Parameters
+    ----------
+    scene
+        What is to be carried where.
+    settings
+        Engine, error, and details.
+    runs, memory_gb
+        As of :func:`wavesim.engine_for`.
 
     Raises
     ------
-    InputError
-        If there is no such engine.
+    InputError, SamplingError
+        As :func:`wavesim.engine_for`.
     """
-    if error is not None:
-        return error
-    if name == AUTO:
-        return DEFAULT_ERROR
-    return TILE_ERROR if "error" in settings_of(name) else None
+    name, error = settings.engine, settings.error
+    if error is None and name == AUTO:
+        error = DEFAULT_ERROR
+    elif error is None and "error" in settings_of(name):
+        error = TILE_ERROR
+    return engine_for(scene, name, error=error, memory_gb=memory_gb, runs=runs, **settings.details())
 
 
 def footprint_mm(

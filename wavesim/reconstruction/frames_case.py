@@ -19,8 +19,7 @@ from wavesim.camera.framed import framed_patch, key_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded
-from wavesim.camera.windows import exit_scene, imaging_error
-from wavesim.engines.choosing import engine_for
+from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.engines.whole_field.on_cluster import refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, read_object, usaf_charts_of
@@ -157,14 +156,7 @@ def _true(truth: Field | Path, patch: Patch) -> Field:
 
 def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float) -> Engine:
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    return engine_for(
-        scene,
-        settings.engine,
-        error=imaging_error(settings.engine, settings.error),
-        memory_gb=1e-9 * (limit - BASE_BYTES - fields),
-        runs=runs,
-        **settings.details(),
-    )
+    return imaging_engine(scene, settings, runs=runs, memory_gb=1e-9 * (limit - BASE_BYTES - fields))
 
 
 def _need(

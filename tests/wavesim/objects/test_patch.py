@@ -21,11 +21,10 @@ from wavesim.camera.windows import (
     diversity,
     exit_scene,
     footprint_mm,
-    imaging_error,
+    imaging_engine,
     light_window,
     sensor_window,
 )
-from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import element_contrasts
 from wavesim.objects.patch import (
     MAKERS,
@@ -36,6 +35,7 @@ from wavesim.objects.patch import (
     usaf_elements_of,
 )
 from wavesim.objects.usaf import chart_outline
+from wavesim.scene.settings import EngineSettings
 
 PAPER = load_design("designs/paper_singlet.toml")
 TWIN = scaled(PAPER, 0.125)
@@ -235,13 +235,15 @@ def test_diversity_is_that_of_the_formula_and_told_where_it_is_low() -> None:
 def test_engines_of_choice() -> None:
     patch = object_patch(SMALL, 0.03)
     scene = exit_scene(SMALL, patch, SMALL.sensor.replaced(pixels=(200, 200)), 0.0625)
-    chosen = engine_for(scene, error=imaging_error("auto"), runs=10)
+    chosen = imaging_engine(scene, EngineSettings(), runs=10)
     assert chosen.name == "eikonal"
     assert chosen.settings()["error"] <= TILE_ERROR
-    assert engine_for(scene, "eikonal", error=imaging_error("eikonal")).settings()["error"] == TILE_ERROR
-    assert imaging_error("eikonal", 0.2) == imaging_error("auto", 0.2) == 0.2
-    assert imaging_error("slices") is None
+    tiles = imaging_engine(scene, EngineSettings(engine="eikonal"), runs=10)
+    assert tiles.settings()["error"] == TILE_ERROR
+    coarser = imaging_engine(scene, EngineSettings(engine="eikonal", error=0.2), runs=10)
+    assert coarser.settings()["error"] == 0.2
+    assert imaging_engine(scene, EngineSettings(engine="slices", slices=7), runs=10).settings()["slices"] == 7
     with pytest.raises(InputError, match="auto: slices = 12: there is no such setting"):
-        engine_for(scene, slices=12)
+        imaging_engine(scene, EngineSettings(slices=12), runs=10)
     with pytest.raises(InputError, match=r"engine slices: error = 0\.1: there is no such setting"):
-        engine_for(scene, "slices", error=0.1)
+        imaging_engine(scene, EngineSettings(engine="slices", error=0.1), runs=10)
