@@ -39,7 +39,6 @@ from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
 from wavesim.objects.patch import LIGHT_BYTES, Patch
 from wavesim.runtime.checkpoint import digest_of, key_of
 from wavesim.runtime.memory import (
-    BASE_BYTES,
     COMPLEX64,
     COMPLEX128,
     FLOAT32,
@@ -53,6 +52,9 @@ from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.placement import NOMINAL, Placement
 from wavesim.scene.scene import Scene, placed_scene
+
+PROCESS_BYTES = 300_000_000
+"""Of the process itself while it images, its libraries and compiled loops."""
 
 BAND_ROWS = 1024
 """Of a plane's samples, made at one time."""
@@ -347,7 +349,7 @@ def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], reco
     # Transmission, what lies behind the object, and a picture of it.
     carrying = fixed(24 * object_samples + engine.cost().peak_bytes)
     counts = fixed(2 * pixels * len(windows) * len(recording.exposures))
-    always = fixed(BASE_BYTES) + (carrying | fixed(LIGHT_BYTES * object_samples)) + counts
+    always = fixed(PROCESS_BYTES) + (carrying | fixed(LIGHT_BYTES * object_samples)) + counts
     if not isinstance(engine, Tiled):
         widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
         # The first plane's field, another one's, and free space between them.

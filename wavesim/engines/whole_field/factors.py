@@ -18,7 +18,9 @@ from wavesim.engines.whole_field.ray_maps import OverField, Region, field_terms,
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 
-SENSOR_ORDER, FIELD_ORDER = 12, 4
+SENSOR_ORDER = 12
+FIELD_ORDERS = (2, 4)
+"""In the object point; the first that follows is taken. The lower one asks for less than half of the rays."""
 
 SPECTRUM_SHARE = 0.5
 """Of the error allowed, what terms left out may take; the rest is for polynomials."""
@@ -82,27 +84,41 @@ def field_factors(
     RayMapError
         If more than 32 terms are needed, or polynomials cannot follow the factors: tiles are too wide.
     """
-    points = region.nodes(FIELD_ORDER)
+    for order in FIELD_ORDERS:
+        found = _factors_of_order(order, scene, region, spans_mm, mapper, error)
+        if found.relative_error <= error:
+            return found
+        if len(found.tile_nodes) == MAX_RANK:  # not for want of a higher order
+            break
+    raise RayMapError(
+        f"{len(found.tile_nodes)} terms over tiles of {1e3 * float(np.max(np.ptp(spans_mm, axis=1))):.3g} um "
+        f"leave a relative error of {found.relative_error:.2g}, {error:.2g} is allowed: make tiles narrower"
+    )
+
+
+def _factors_of_order(
+    order: int,
+    scene: Scene,
+    region: Region,
+    spans_mm: Array,
+    mapper: Callable[[tuple[float, float]], RayMap],
+    error: float,
+) -> FieldFactors:
+    """As :func:`field_factors`, by polynomials of one order; their error may be more than is allowed."""
+    points = region.nodes(order)
     places = [(float(x), float(y)) for y, x in points]
     residuals = [tile_residual(scene, place, spans_mm, mapper(place)) for place in places]
     values, shares = [r.fine[0] for r in residuals], residuals[0].fine[1]
     basis = _shared_basis([r.weights for r in residuals], values, shares, SPECTRUM_SHARE * error)
     tile = basis / np.sqrt(shares)
     factors = [(v * np.sqrt(shares) @ basis.conj().T).T for v in values]
-    sensor = fit_over_field(
-        region, (FIELD_ORDER, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors
-    )
+    sensor = fit_over_field(region, (order, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors)
     means = np.stack([r.mean for r in residuals])
-    logarithm = solve(field_terms(region.scaled(points), FIELD_ORDER), means.reshape(len(points), -1))
+    logarithm = solve(field_terms(region.scaled(points), order), means.reshape(len(points), -1))
     left = 0.0
     for residual, value, (x, y) in zip(residuals, values, places, strict=True):
         missed = value - sensor.at((y, x)).at(residual.sensor_mm).T @ tile
         left = max(left, float(np.sqrt(residual.weights @ np.abs(missed) ** 2 @ shares)))
-    if left > error:
-        raise RayMapError(
-            f"{len(tile)} terms over tiles of {1e3 * float(np.max(np.ptp(spans_mm, axis=1))):.3g} um leave a "
-            f"relative error of {left:.2g}, {error:.2g} is allowed: make tiles narrower"
-        )
     return FieldFactors(
         sensor, logarithm.reshape(-1, *means.shape[1:]), at_tile_nodes(tile, 2), spans_mm, left
     )
