@@ -227,16 +227,15 @@ def _slope_rows(state: State, i: int, height: tuple[float, Array], limit_deg: fl
     """Of the steepest way over the surface, in each direction."""
     shape = state.lens.surfaces[i].shape
     limit = math.tan(math.radians(limit_deg)) ** 2
-    rows = []
-    for x, y in _points(height[0], shape):
-        _, *slopes = shape.sag_and_slopes(x, y)
-        xx, xy, yy = shape.second_derivatives(x, y)
-        ux, uy = (x / height[0], y / height[0]) if height[0] else (0.0, 1.0)
-        outward = slopes[0] * (xx * ux + xy * uy) + slopes[1] * (xy * ux + yy * uy)
-        by = _by(state, i, partial(_slope_square_by, shape, x, y)) + 2.0 * float(outward) * height[1]
-        value = float(slopes[0] ** 2 + slopes[1] ** 2) / limit - 1.0
-        rows.append(_single(f"slope at the edge of surface {i + 1}", value, by / limit))
-    return rows
+    ux, uy = directions(shape)
+    x, y = height[0] * ux, height[0] * uy
+    _, *slopes = shape.sag_and_slopes(x, y)
+    xx, xy, yy = shape.second_derivatives(x, y)
+    outward = slopes[0] * (xx * ux + xy * uy) + slopes[1] * (xy * ux + yy * uy)
+    by = _by(state, i, partial(_slope_square_by, shape, x, y)) + 2.0 * outward[:, None] * height[1]
+    values = (slopes[0] ** 2 + slopes[1] ** 2) / limit - 1.0
+    name = f"slope at the edge of surface {i + 1}"
+    return [_single(name, float(value), row) for value, row in zip(values, by / limit, strict=True)]
 
 
 def _gap_rows(
@@ -244,31 +243,25 @@ def _gap_rows(
 ) -> list[Row]:
     """Of the space behind a surface at a radial height, in each direction."""
     front, back = (s.shape for s in state.lens.surfaces[i : i + 2])
+    ux, uy = directions(front, back)
+    x, y = height[0] * ux, height[0] * uy
+    before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
+    outward = (behind - before)[1] * ux + (behind - before)[2] * uy
+    by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
+    by = by + _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
+    by = by + outward[:, None] * height[1]
     thickness = state.lens.surfaces[i].thickness_mm or 0.0
-    rows = []
-    for x, y in _points(height[0], front, back):
-        before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
-        by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
-        by += _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
-        if height[0]:
-            by += float((behind - before)[1:] @ [x, y]) / height[0] * height[1]
-        gap = thickness + float(behind[0] - before[0])
-        rows.append(_single(name, (least - gap) / scale, -by / scale))
-    return rows
+    values = (least - (thickness + behind[0] - before[0])) / scale
+    return [_single(name, float(value), row) for value, row in zip(values, -by / scale, strict=True)]
 
 
-def _points(r: float, *shapes: Shape) -> list[tuple[float, float]]:
-    """Points at a radial height that stand for all round the axis."""
-    return [(r * float(x), r * float(y)) for x, y in zip(*directions(*shapes), strict=True)]
+def _sag_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
+    return shape.derivatives_by(term, x, y)[0]
 
 
-def _sag_by(shape: Shape, x: float, y: float, term: str) -> float:
-    return float(shape.derivatives_by(term, x, y)[0])
-
-
-def _slope_square_by(shape: Shape, x: float, y: float, term: str) -> float:
+def _slope_square_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
     slopes, by = shape.sag_and_slopes(x, y)[1:], shape.derivatives_by(term, x, y)[1:]
-    return 2.0 * float(slopes[0] * by[0] + slopes[1] * by[1])
+    return np.asarray(2.0 * (slopes[0] * by[0] + slopes[1] * by[1]))
 
 
 def _end_by(shape: Shape, part: int, term: str) -> float:
@@ -295,11 +288,10 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
     return best
 
 
-def _by(state: State, i: int, derivative: Callable[[str], float]) -> Array:
-    """Derivatives by all variables of what depends on the shape of one surface alone."""
-    return np.array(
-        [derivative(v.kind) if v.of_shape and v.surface == i else 0.0 for v in state.variables], float
-    )
+def _by(state: State, i: int, derivative: Callable[[str], float | Array]) -> Array:
+    """Derivatives by all variables, a last axis, of what depends on the shape of one surface alone."""
+    parts = [derivative(v.kind) if v.of_shape and v.surface == i else 0.0 for v in state.variables]
+    return np.moveaxis(np.array(np.broadcast_arrays(*parts), float), 0, -1)
 
 
 def _squares(points: Array, by: Array) -> tuple[Array, Array]:
