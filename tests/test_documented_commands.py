@@ -1,27 +1,24 @@
 """Every command that a page shows is run, in the page's order, in a folder that has the designs.
 
 Commands run in this process, through the entry points of the console scripts: starting a hundred interpreters
-would take longer than what they do. What takes minutes is run on a smaller case (SHORTER, shorten_studies):
+would take longer than what they do. What takes minutes is run on a smaller case (SHORTER, copy_designs):
 pages show the sizes of the paper's lens, and what those give is held by the packages' own tests and by the
-benchmarks. Where a page shows what a command prints, and the command runs as it stands there, it must print
-that.
+benchmarks. A command that pages share is run once for the same files (Runner). Where a page shows what a
+command prints, and the command runs as it stands there, it must print that.
 """
 
 from __future__ import annotations
 
 import re
 import shlex
-import shutil
-import tomllib
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-import tomli_w
-from places import DESIGNS, ROOT
-
-from lensdesign import load_design, save_design, scaled
+from places import ROOT
+from short_studies import copy_designs
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMAND = re.compile(r"^(?:lensdesign|wavesim|tolerancing) [a-z]+ .+")
@@ -47,27 +44,32 @@ SHORTER = {
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
     # The whole field of the full-size lens (half an hour): of a tiny twin.
     r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
-    # Its fine lines need samples and exposures that the twin has no room for; nobody runs a cluster here.
-    r" --(chart-at-mm|object-pitch-um|cluster) \S+": "",
+    # Nobody runs a cluster here: the whole field of another page in its place.
+    r" --engine two-level --cluster \S+": " --exposures 1,30,1000 --engine two-level",
+    # Its fine lines need samples and exposures that the twin has no room for.
+    r" --(chart-at-mm|object-pitch-um) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
-    r"^wavesim compare \S+ (.*)": r"wavesim compare designs/small_twin.toml \1 --scale 1 --patch-mm 0.004 "
-    "--most-seconds 0.003 --radius-mm 0.02 --no-maps",
+    r"^wavesim compare \S+ (-o \S+).*": r"wavesim compare designs/small_twin.toml \1 --scale 1 "
+    "--patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-maps",
     # Hundreds of slices of the whole aperture (10 s): tens.
     r"slices(=| )(200|800)": r"slices\g<1>20",
     r"slices=(20|30)": "slices=5",
+    r"^(wavesim resolve designs/(?!paper).*--linewidths-um [\d.]+)\S+ --slices 30": r"\1 --slices 5",
+    r"(?= -o resolved\.png)": " --linewidths-um 1.55",
     # wpm over the whole aperture (20 s): over a small one.
     r"^wavesim resolve \S+ (.*--engine wpm)": r"wavesim resolve designs/small_twin.toml \1",
     r"^(wavesim oracle .*--oracle stigmatic)": r"\1 --semi-diameter-mm 0.5",
-    # Studies of the designs (10 to 60 s): fewer trials; shorten_studies does the rest.
+    # Studies of the designs (10 to 60 s): fewer trials; copy_designs does the rest.
     r"^(tolerancing run designs/.*?)(?: --trials \d+)?$": r"\1 --workers 1 --trials 30",
+    r"^(tolerancing run study.*)": r"\1 --workers 1",
     r"(figure_7.*) --trials 30": r"\1 --trials 4",
     r"--trial 137": "--trial 7",
     r"^(tolerancing budget .*)": r"\1 --verify 20",
 }
 # Statuses beside 0 that are right: a constraint that is not met, which the pages say.
 ALLOWED = {"lensdesign check": (0, 1), "lensdesign verify": (0, 1)}
-# Perturbations of the designs' studies that commands name.
-NAMED = ("surface 2", "conic")
+# Searches for the designs as they are kept: tests/test_gallery.py runs them, and holds what they find.
+OF_THE_GALLERY = re.compile(r"lensdesign optimize designs/(\w+)_spec\.toml -o designs/\1\.toml$")
 
 
 class Step(NamedTuple):
@@ -99,16 +101,6 @@ def _commands(text: str) -> list[Step]:
     return [Step("run", line) for line in lines if COMMAND.match(line)]
 
 
-def run_on_a_later_page(page: Path, command: str) -> bool:
-    """Whether a later page runs the same, and nothing else on this page names the file that it writes."""
-    later = {as_run(step.text) for other in PAGES[PAGES.index(page) + 1 :] for step in steps(other)}
-    words = command.split()
-    if command not in later or "-o" not in words:
-        return False
-    output = words[words.index("-o") + 1]
-    return sum(output in as_run(step.text) for step in steps(page)) == 1
-
-
 def commands_in_text() -> list[str]:
     """Commands in running text and tables, each once, and none that a block has but for its output's name."""
     blocks = {without_output(as_run(step.text)) for page in PAGES for step in steps(page)}
@@ -129,45 +121,67 @@ def as_run(command: str) -> str:
     return command
 
 
-def shorten_studies(designs: Path) -> None:
-    """Two values of every sweep, ten slices, four perturbations; and two twins of the paper's lens."""
-    lens = load_design(designs / "paper_singlet.toml")
-    save_design(scaled(lens, 0.02), designs / "small_twin.toml")
-    save_design(scaled(lens, 0.008), designs / "tiny_twin.toml")
-    for path in designs.glob("*.toml"):
-        study = tomllib.loads(path.read_text(encoding="utf-8"))
-        if "trials" not in study:
-            continue
-        every = study["perturbation"]
-        study["perturbation"] = every[:3] + [p for p in every[3:] if (p["target"], p["parameter"]) == NAMED]
-        for sweep in study.get("sweep", []):
-            sweep["values"] = sweep["values"][:2]
-            sweep.pop("picture_values", None)
-        study["slice_count"] = study.get("slice_count", [])[:1]
-        for count in study["slice_count"]:
-            count["slices"] = [10]
-            count.pop("picture_slices", None)
-        for grid in study.get("grid", []):
-            grid["x"]["values"], grid["y"]["values"] = grid["x"]["values"][:2], grid["y"]["values"][:2]
-        path.write_text(tomli_w.dumps(study), encoding="utf-8")
+class Done(NamedTuple):
+    """What a command did."""
+
+    status: int
+    out: str
+    err: str
+    written: dict[Path, bytes]  # by the place in the working folder
 
 
-def run(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Run a command as its console script does, and return its exit status."""
-    words = shlex.split(command)
-    monkeypatch.setattr("sys.argv", words)
-    try:
-        import_module(f"{words[0]}.cli").main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
+class Runner:
+    """Runs commands as their console scripts do, each once for the same files."""
+
+    def __init__(self) -> None:
+        self.before: dict[tuple[str, str], Done] = {}
+
+    def run(self, command: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Done:
+        """Run a command in the working folder, or write there what it wrote when it was run."""
+        key = command, self._digest(command)
+        if key not in self.before:
+            there = self._files()
+            status = self._status(shlex.split(command), monkeypatch)
+            changed = [path for path, state in self._files().items() if there.get(path) != state]
+            said = capfd.readouterr()
+            self.before[key] = Done(status, said.out, said.err, {path: path.read_bytes() for path in changed})
+            return self.before[key]
+        done = self.before[key]
+        for path, content in done.written.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return done
+
+    def _status(self, words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+        monkeypatch.setattr("sys.argv", words)
+        try:
+            import_module(f"{words[0]}.cli").main()
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
+
+    def _files(self) -> dict[Path, tuple[int, int]]:
+        found = [path for path in Path().rglob("*") if path.is_file()]
+        return {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in found}
+
+    def _digest(self, command: str) -> str:
+        """Of the designs, and of what else the command reads and what lies beside it."""
+        words = shlex.split(without_output(command))
+        tops = {word.partition("/")[0] for word in words} | {"designs"}
+        paths = [path for path in sorted(self._files()) if path.parts[0] in tops]
+        return sha256(b"".join(str(p).encode() + sha256(p.read_bytes()).digest() for p in paths)).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def runner() -> Runner:
+    """What remembers the commands of all pages."""
+    return Runner()
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder with the designs in it."""
-    shutil.copytree(DESIGNS, tmp_path / "designs")
-    shorten_studies(tmp_path / "designs")
+    copy_designs(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     return tmp_path
@@ -175,7 +189,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("page", [p for p in PAGES if steps(p)], ids=lambda p: p.name)
 def test_commands_of_the_page_run(
-    page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    page: Path,
+    folder: Path,
+    runner: Runner,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     said, compared = "", True
     for step in steps(page):
@@ -187,24 +205,26 @@ def test_commands_of_the_page_run(
             said, compared = "", True
         else:
             command = as_run(step.text)
-            if run_on_a_later_page(page, command):
+            if OF_THE_GALLERY.match(command):
                 continue
-            status = run(command, monkeypatch)
-            output = capfd.readouterr()
-            allowed = ALLOWED.get(" ".join(command.split()[:2]), (0,))
-            assert status in allowed, f"{command}\n{output.err}"
-            said, compared = said + output.out, compared and command == step.text
+            done = runner.run(command, monkeypatch, capfd)
+            assert done.status in allowed(command), f"{command}\n{done.err}"
+            said, compared = said + done.out, compared and command == step.text
 
 
 def test_commands_in_the_text_run(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    folder: Path, runner: Runner, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     found = commands_in_text()
     assert len(found) > 5
     for command in found:
-        status = run(command, monkeypatch)
-        allowed = ALLOWED.get(" ".join(command.split()[:2]), (0,))
-        assert status in allowed, f"{command}\n{capfd.readouterr().err}"
+        done = runner.run(command, monkeypatch, capfd)
+        assert done.status in allowed(command), f"{command}\n{done.err}"
+
+
+def allowed(command: str) -> tuple[int, ...]:
+    """Statuses with which a command may end."""
+    return ALLOWED.get(" ".join(command.split()[:2]), (0,))
 
 
 def unsaid(shown: str, said: str) -> str | None:

@@ -1,0 +1,42 @@
+"""The designs, with studies that are done in seconds."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import tomli_w
+from places import DESIGNS
+
+from lensdesign import load_design, save_design, scaled
+
+# The perturbation of the designs' studies that commands name, and the merit that they do without.
+NAMED = ("surface 2", "conic")
+LEFT_OUT = "contrast_1p55um"
+
+
+def copy_designs(folder: Path) -> None:
+    """The designs into a folder's own: three merits, four perturbations, two values of a sweep; two twins."""
+    designs = folder / "designs"
+    shutil.copytree(DESIGNS, designs)
+    lens = load_design(designs / "paper_singlet.toml")
+    save_design(scaled(lens, 0.02), designs / "small_twin.toml")
+    save_design(scaled(lens, 0.008), designs / "tiny_twin.toml")
+    for path in designs.glob("*.toml"):
+        study = tomllib.loads(path.read_text(encoding="utf-8"))
+        if "trials" not in study:
+            continue
+        every = study["perturbation"]
+        study["perturbation"] = every[:3] + [p for p in every[3:] if (p["target"], p["parameter"]) == NAMED]
+        study["merit"] = [m for m in study.get("merit", []) if m.get("name") != LEFT_OUT]
+        for sweep in study.get("sweep", []):
+            sweep["values"] = sweep["values"][:2]
+            sweep.pop("picture_values", None)
+        study["slice_count"] = study.get("slice_count", [])[:1]
+        for count in study["slice_count"]:
+            count["slices"] = [10]
+            count.pop("picture_slices", None)
+        for grid in study.get("grid", []):
+            grid["x"]["values"], grid["y"]["values"] = grid["x"]["values"][:2], grid["y"]["values"][:2]
+        path.write_text(tomli_w.dumps(study), encoding="utf-8")
