@@ -1,16 +1,19 @@
 """The notebooks: each runs from top to bottom, and what they keep is fit to be shown.
 
-They run as they stand but for sizes (SHORTER): what theirs give is held by the packages' own tests.
+They run as they stand but for sizes (SHORTER): what theirs give is held by the packages' own tests. One
+kernel runs them all, each without the names of the one before: to start and to import takes longer than some.
 """
 
 from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client import KernelManager
 from nbclient import NotebookClient
 from places import DESIGNS, ROOT
 
@@ -27,6 +30,7 @@ SHORTER = {
     },
     "lens_models": {
         "1 / 16": "1 / 64",
+        "error=0.01": "error=0.1",
         "(-0.02, 0.02), 2e-3": "(-0.02, 0.02), 1e-2",
         "[5.5, 4.0, 3.0, 2.2, 1.9, 1.55, 1.1, 0.775, 0.56, 0.48]": "[5.5, 1.1]",
     },
@@ -50,14 +54,29 @@ def shorter(path: Path) -> nbformat.NotebookNode:
     return notebook
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for notebooks, with the designs beside it."""
+    top = tmp_path_factory.mktemp("top")
+    shutil.copytree(DESIGNS, top / "designs")
+    (top / "notebooks").mkdir()
+    return top / "notebooks"
+
+
+@pytest.fixture(scope="module")
+def kernel(folder: Path) -> Iterator[KernelManager]:
+    """A running kernel."""
+    manager = KernelManager(kernel_name="python3")
+    manager.start_kernel(cwd=str(folder))
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "notebooks"
-    folder.mkdir()
-    shutil.copytree(DESIGNS, tmp_path / "designs")
+def test_notebook_runs(path: Path, kernel: KernelManager) -> None:
     notebook = shorter(path)
-    settings = {"metadata": {"path": str(folder)}}
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources=settings).execute()
+    notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
+    NotebookClient(notebook, timeout=300, km=kernel).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert not [output for output in outputs if output.get("name") == "stderr"]
