@@ -67,9 +67,11 @@ style: $(READY)
 types: $(READY)
 	$(BIN)/mypy $(PACKAGES)
 
-# A file's tests go to one worker, which makes what they share once.
+# A file's tests go to one worker, which makes what they share once. Python keeps what it compiles, whatever the
+# environment says: workers and the processes that tests start need it again.
 tests: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
+	  $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed: make PYTHON=..."'
@@ -83,7 +85,8 @@ test-lowest: $(READY)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv venv --quiet --clear .venv-lowest
 	$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct --editable '.[dev]'
-	.venv-lowest/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 \
+	  .venv-lowest/bin/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # The variable silences what the theme says of its own future.
 docs: $(READY)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from compile_once import take_turns
 from hypothesis import HealthCheck, settings
 from places import DESIGNS, GOLDEN, ROOT
 
@@ -39,6 +41,12 @@ LONG = (
     "tolerancing/merits/test_chain.py",
     "wavesim/",
 )
+
+
+def pytest_configure() -> None:
+    """Workers compile in turns."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        take_turns(Path(__file__))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
