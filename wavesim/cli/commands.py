@@ -68,6 +68,7 @@ def pupil(
     registered = (to_best_focus if refocus else remove_shift)(sampler.pupil(mounted.pose))
     summary = {
         "design": lens.title or design.stem,
+        "pose": vars(mounted.pose),
         "field_mm": list(field),
         "wavelength_um": sampler.grid.wavelength_um,
         "plane_distance_mm": plane_distance_mm,
@@ -121,8 +122,16 @@ def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
 
 def _title(summary: dict[str, Any]) -> str:
     x, y = summary["field_mm"]
-    focus = f"refocused by {_shown(summary['refocus_um'])} um" if summary["refocused"] else "not refocused"
-    return f"{summary['design']}: field ({x:g}, {y:g}) mm, {summary['wavelength_um']:g} um, {focus}"
+    focus = f"refocused by {_shown(summary['refocus_um'])} µm" if summary["refocused"] else "not refocused"
+    moved = ", ".join(_moved(name, value) for name, value in summary["pose"].items() if value)
+    place = f"field ({x:g}, {y:g}) mm, {summary['wavelength_um']:g} µm"
+    return f"{summary['design']}\nlens: {moved or 'as designed'}; {place}, {focus}"
+
+
+def _moved(name: str, value: float) -> str:
+    """How far the lens is off its place in one way, such as "decenter y 0.03 mm"."""
+    what, unit = name.rsplit("_", 1)
+    return f"{what.replace('_', ' ')} {value:g} {unit}"
 
 
 def _shown(value_um: float) -> str:
@@ -132,7 +141,8 @@ def _shown(value_um: float) -> str:
 
 def _print_tables(summary: dict[str, Any]) -> None:
     x, y = summary["shift_um"]
-    print(visible(_title(summary)))
+    for line in _title(summary).split("\n"):
+        print(visible(line))
     print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
     print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
     smallest = [summary[f"smallest_resolved_line_width_{axis}_um"] for axis in "xy"]

@@ -115,7 +115,8 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     """Names of the files written."""
     from wavesim.camera.frames import write_frame
     from wavesim.fields.files import write_field
-    from wavesim.pictures.frames import frames_figure, object_figure, save
+    from wavesim.pictures.frames import frames_figure, save
+    from wavesim.pictures.objects import object_figure
     from wavesim.pictures.pyramid import write_pyramid
     from wavesim.pictures.result_files import new_results, write_json
 
@@ -126,10 +127,13 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
         write_field(transmission, folder / "object.npz", field_stop_mm=patch.field_stop_mm)
         for quantity, name in (("amplitude", "object_amplitude.tif"), ("phase_rad", "object_phase.tif")):
             write_pyramid(transmission.values, folder / name, 1e3 * patch.grid.pitch_mm, (quantity,))
-        save(
-            object_figure(transmission, patch.inside, f"Object: {imaged.target.name}"), folder / "object.png"
-        )
-        save(frames_figure(imaged.frames, summary["design"]), folder / "frames.png")
+        light = f"{patch.wavelength_um:g} µm"
+        stop = f"field stop {patch.field_stop_mm:g} mm"
+        title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {stop}"
+        drawn = object_figure(transmission, patch.inside, title, elements=imaged.target.elements)
+        save(drawn, folder / "object.png")
+        sensor = f"{light}, pixels of {imaged.sensor.pixel_pitch_um:g} µm"
+        save(frames_figure(imaged.frames, f"{summary['design']}\n{sensor}"), folder / "frames.png")
         names = sorted(path.name for path in folder.iterdir())
         write_json(summary | {"files": [*names, "image.json"]}, folder / "image.json")
         return [*names, "image.json"]

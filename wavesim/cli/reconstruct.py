@@ -18,6 +18,7 @@ from wavesim.cli.runs import engine_summary, memory_teller, print_table, progres
 from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
 
 if TYPE_CHECKING:
+    from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
     from wavesim.runtime.memory import Memory
 
@@ -105,16 +106,17 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     import numpy as np
 
     from wavesim.fields.files import write_field
-    from wavesim.pictures.frames import curves_figure, object_figure, residual_figure, save
+    from wavesim.pictures.frames import curves_figure, residual_figure, save
+    from wavesim.pictures.objects import object_figure
     from wavesim.pictures.pyramid import write_pyramid
     from wavesim.pictures.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     x_mm, y_mm = transmission.grid.centre_mm
     distances = [plane.distance_mm for plane in found.planes]
-    amplitudes = [plane.amplitude for plane in found.recorded]
     what = "CC (A6)" if summary["method"] == "paper" else "misfit"
-    how = f"method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
+    light = f"{found.patch.wavelength_um:g} µm, field stop {found.patch.field_stop_mm:g} mm"
+    how = f"{light}: method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
     title = f"{summary['design']}\n{how}"
     steps = range(1, len(found.curve) + 1)
     curves: dict[str, Any] = {what: (steps, found.curve, "iteration")}
@@ -123,21 +125,39 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
             pitch_um = 1e3 * transmission.grid.pitch_mm
             write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
         write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
-        save(object_figure(transmission, found.inside, title), folder / "reconstruction.png")
-        save(residual_figure(found.residual_maps, amplitudes, distances, pixel_um), folder / "residuals.png")
+        elements = tuple(element for chart in found.charts for element in chart)
+        finest = _finest(found, summary["usaf"])
+        drawn = object_figure(
+            transmission, found.inside, title, truth=found.true, elements=elements, profile=finest
+        )
+        save(drawn, folder / "reconstruction.png")
+        drawn = residual_figure(found.residual_maps, found.recorded, distances, pixel_um, summary["design"])
+        save(drawn, folder / "residuals.png")
         rows = [{"iteration": step, what: value} for step, value in zip(steps, found.curve, strict=True)]
         write_csv(rows, folder / "convergence.csv")
         if what == "CC (A6)":
             curves = {"1 - CC (A6)": (steps, np.maximum(1.0 - np.asarray(found.curve), 1e-9), "iteration")}
         if found.focus is not None:
             curve = (1e3 * found.focus.distances_mm, found.focus.svfg)
-            curves["SVFG"] = (*curve, "distance (um)")
+            curves["SVFG"] = (*curve, "distance (µm)")
             rows = [{"distance_um": at, "svfg": value} for at, value in zip(*curve, strict=True)]
             write_csv(rows, folder / "svfg.csv")
         save(curves_figure(curves, title), folder / "curves.png")
         names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
         write_json(summary | {"files": names}, folder / "reconstruction.json")
     return names
+
+
+def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
+    """The finest element of the chart that is resolved, or else the widest that is there."""
+    from wavesim.objects.region import holds
+
+    if not found.charts:
+        return None
+    there = [one for one in found.charts[0] if holds(found.transmission.grid, one.outline)]
+    finest = usaf.get("smallest_resolved") or {}
+    resolved = [one for one in there if one.line_width_um == finest.get("line_width_um")]
+    return next(iter([*resolved, *there]), None)
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:

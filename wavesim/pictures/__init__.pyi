@@ -1,5 +1,6 @@
-from .frames import curves_figure, frames_figure, object_figure, residual_figure
+from .frames import curves_figure, frames_figure, residual_figure
 from .layers import PictureLayer, field_layers, frame_layer
+from .objects import object_figure
 from .page import write_zoom_page
 from .pyramid import write_pyramid
 from .reconstructions import convergence_figure, starts_figure

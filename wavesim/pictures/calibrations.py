@@ -48,7 +48,7 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
             textcoords="offset points", ha="right", color=NOISE, fontsize=8,
         )  # fmt: skip
     for place, name, column, value in zip(axes[1:], found.parameters, values.T, final, strict=False):
-        unit, factor = ("deg", 1.0) if name in TILTS else ("um", 1e3)
+        unit, factor = ("deg", 1.0) if name in TILTS else ("µm", 1e3)
         place.plot(steps, factor * column, ".-", color=LINE, lw=0.8)
         place.axhline(factor * value, color=BEST, lw=0.8)
         place.set_ylabel(f"{name.rsplit('_', 1)[0].replace('_', ' ')} ({unit})")

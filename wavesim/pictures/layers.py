@@ -12,14 +12,11 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
-from wavesim.pictures.frames import phase_reach
+from wavesim.pictures.objects import LIT, phase_reach
 from wavesim.pictures.pyramid import Function, Level, halved, picture_levels
 
 BRIGHTEST = 0.9999
 """Quantile of amplitudes that is shown brightest: single samples may stand out."""
-
-LIT = 0.1
-"""Of the brightest amplitude, below which phase says nothing."""
 
 MOST_ASKED = 1_000_000
 """Samples by which ranges are found."""

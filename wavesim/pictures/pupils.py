@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from lensdesign.common.text import visible
 from wavesim.fields.field import Orientation
+from wavesim.pictures.panels import title_figure
 from wavesim.pupil.line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -49,7 +49,7 @@ def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], ti
 
     columns = max(3, len(line_widths_um))
     figure = Figure(figsize=(4.9 * columns, 12.4), layout="constrained")
-    figure.suptitle(visible(title), fontsize=14, parse_math=False)
+    title_figure(figure, title, 14.0)
     grid = figure.add_gridspec(3, columns, height_ratios=(1.0, 1.0, 0.72))
     _draw_wavefront(figure, figure.add_subplot(grid[0, 0]), pupil)
     _draw_psf(figure, figure.add_subplot(grid[0, 1]), pupil)
@@ -81,7 +81,7 @@ def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
     )
     _colour_bar(figure, picture, axes, "log10 of the intensity (perfect peak: 0)")
     axes.set_title(f"Point spread: Strehl ratio {strehl(pupil):.4f}")
-    axes.set(xlabel="x (um)", ylabel="y (um)", aspect="equal")
+    axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
 
 def _draw_mtf(axes: Any, pupil: ReconstructionPupil) -> None:
@@ -92,7 +92,7 @@ def _draw_mtf(axes: Any, pupil: ReconstructionPupil) -> None:
     for orientation in ORIENTATIONS:
         values = mtf(pupil, frequencies, orientation)
         axes.plot(frequencies, values, color=COLOURS[orientation], lw=1.8, label=f"across {orientation}")
-    axes.set_title("Modulation transfer of the intensity spread")
+    axes.set_title("Modulation transfer")
     axes.set(xlabel="spatial frequency at the object (lp/mm)", ylabel="modulation")
     axes.set(xlim=(0.0, cut_off), ylim=(0.0, 1.02))
     axes.grid(alpha=0.3)
@@ -105,8 +105,8 @@ def _draw_line_pairs(figure: Figure, axes: Any, pupil: ReconstructionPupil, widt
         coordinates, coordinates, intensity, cmap="gray", vmin=0.0, vmax=intensity.max(), rasterized=True
     )
     _colour_bar(figure, picture, axes, "intensity (large bright area: 1)")
-    axes.set_title(f"Lines of {width_um:g} um across x")
-    axes.set(xlabel="x (um)", ylabel="y (um)", aspect="equal")
+    axes.set_title(f"Lines of {width_um:g} µm across x")
+    axes.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
 
 
 def _draw_profiles(axes: Any, pupil: ReconstructionPupil, width_um: float) -> None:
@@ -117,10 +117,10 @@ def _draw_profiles(axes: Any, pupil: ReconstructionPupil, width_um: float) -> No
         coordinates, intensity = line_pair_profile(pupil, width_um, orientation)
         place = line_pair_displacement_um(pupil, width_um, orientation)
         contrasts.append(f"{orientation} {line_pair_contrast(pupil, width_um, orientation):.3f}")
-        label = f"across {orientation}, displaced by {round(place, 3) + 0.0:.3f} um"
+        label = f"across {orientation}, displaced by {round(place, 3) + 0.0:.3f} µm"
         axes.plot(coordinates - place, intensity, color=COLOURS[orientation], lw=1.6, label=label)
     axes.set_title(f"Contrast: {', '.join(contrasts)}")
-    axes.set(xlabel="across the lines, from their own middle (um)", ylabel="intensity")
+    axes.set(xlabel="across the lines, from their own middle (µm)", ylabel="intensity")
     axes.set(xlim=(-6.0 * width_um, 6.0 * width_um), ylim=(0.0, 1.35 * axes.get_ylim()[1]))
     axes.legend(frameon=False, fontsize=9, loc="upper center")
 

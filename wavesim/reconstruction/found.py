@@ -56,6 +56,8 @@ class FoundObject:
         Where the object is sharpest, if that was asked for.
     of_method : dict
         Figures of one method alone.
+    true : Field, optional
+        The true object on the same samples, if it was given.
     truth : dict
         Figures against the true object; empty without it.
     charts : tuple
@@ -78,6 +80,7 @@ class FoundObject:
     curve: tuple[float, ...]
     focus: Focus | None
     of_method: dict[str, Any]
+    true: Field | None
     truth: dict[str, float | None]
     charts: tuple[tuple[UsafElement, ...], ...]
     diversity: float

@@ -173,7 +173,7 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         transmission, focus = _refocused(case, settings.focus_mm, behind, told)
         behind = None
     assert transmission is not None
-    truth: dict[str, float | None] = {}
+    true, truth = None, dict[str, float | None]()
     if case.truth is not None:
         told.step("comparison with the true object")
         true, light = (cut_field(field, case.shown) for field in (case.truth, case.light))
@@ -190,6 +190,7 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         curve,
         focus,
         of_method,
+        true,
         truth,
         case.charts,
         case.diversity,

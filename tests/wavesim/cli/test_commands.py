@@ -68,7 +68,7 @@ def test_table_and_picture(
         "smallest resolved",
         "frequency (lp/mm)",
         "0.7",
-        "field (0, 1.5) mm",
+        "lens: tilt x 0.05 deg; field (0, 1.5) mm",
     ):
         assert text in out
     assert picture.read_bytes().startswith(b"\x89PNG")

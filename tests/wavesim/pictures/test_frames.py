@@ -1,4 +1,4 @@
-"""Pictures of large frames and objects: drawn with fewer samples, at the same scale."""
+"""Pictures of frames, and of what a result leaves of them."""
 
 from __future__ import annotations
 
@@ -6,24 +6,9 @@ import numpy as np
 import pytest
 
 from wavesim.camera.frames import Frame, FrameSettings
-from wavesim.fields.field import Field, Grid
-from wavesim.pictures.frames import MOST_DRAWN, frames_figure, object_figure
-
-
-@pytest.mark.parametrize(("samples", "factor"), [(300, 1), (2 * MOST_DRAWN + 5, 3)])
-def test_a_picture_has_no_more_samples_than_a_screen(samples: int, factor: int) -> None:
-    grid = Grid((samples, samples), 1e-3, -1.0)
-    values = np.linspace(0.2, 1.0, samples)[None].repeat(samples, axis=0)
-    figure = object_figure(Field(grid, values, 0.532), np.ones(grid.shape, bool))
-    axes = figure.axes[0]
-    shown = axes.images[0].get_array()
-    assert shown is not None
-    assert shown.shape == (samples // factor,) * 2
-    assert float(shown[0, 0]) == pytest.approx(values[0, :factor].mean())
-    bar = next(line for line in axes.lines if line.get_linewidth() == 3.0)
-    length_um = float(np.ptp(np.asarray(bar.get_xdata()))) * factor
-    (text,) = (t.get_text() for t in axes.texts)
-    assert text == (f"{length_um:g} µm" if length_um < 1000.0 else f"{1e-3 * length_um:g} mm")
+from wavesim.camera.recorded import Recorded
+from wavesim.pictures.frames import frames_figure, residual_figure
+from wavesim.pictures.panels import MOST_DRAWN
 
 
 def test_exposures_stand_beside_each_other_and_planes_below() -> None:
@@ -47,7 +32,25 @@ def test_exposures_stand_beside_each_other_and_planes_below() -> None:
     assert alone == ["2 mm behind the exit vertex", "22 mm behind the exit vertex"]
 
 
-def test_a_title_keeps_its_lines_and_shows_what_else_is_in_it() -> None:
-    grid = Grid((20, 20), 1e-3, -1.0)
-    figure = object_figure(Field(grid, np.ones(grid.shape), 0.532), np.ones(grid.shape, bool), "one\ntw\x1bo")
-    assert figure.get_suptitle() == "one\ntw\\x1bo"
+@pytest.mark.parametrize("samples", [120, 2 * MOST_DRAWN])
+def test_residuals_are_shown_in_standard_deviations_of_the_noise(samples: int) -> None:
+    random = np.random.default_rng(3)
+    sigma = np.linspace(0.5, 2.0, samples, dtype=np.float32)[None].repeat(120, axis=0)
+    sigma[0, 0] = np.inf
+    amplitude = np.full(sigma.shape, 10.0, np.float32)
+    error = random.normal(size=sigma.shape).astype(np.float32) * np.where(np.isfinite(sigma), sigma, 9.0)
+    axes, bar = residual_figure([error], [Recorded(0.0, amplitude, sigma)], [2.0], 3.2).axes
+    shown = np.ma.filled(axes.images[0].get_array(), np.nan)
+    assert np.isnan(shown[0, 0])
+    assert np.nanstd(shown) == pytest.approx(1.0, abs=0.05)
+    assert axes.images[0].get_clim() == (-4.0, 4.0)
+    assert bar.get_ylabel() == "standard deviations of the noise"
+    share = 100.0 * np.sqrt(np.mean(sigma[1:] ** 2)) / 10.0
+    assert f"noise alone leaves {share:.2g}" in axes.get_title()
+
+
+def test_residuals_without_a_stated_noise_are_shares_of_the_light() -> None:
+    error = np.full((20, 20), 0.5)
+    (axes, bar) = residual_figure([error], [Recorded(0.0, np.full((20, 20), 10.0))], [2.0], 3.2).axes
+    assert bar.get_ylabel() == "over the recorded root mean square"
+    assert axes.get_title().endswith("residual 5 %")
