@@ -185,6 +185,35 @@ def test_the_page_needs_nothing_beside_itself(full):
     assert set(page.references) <= set(page.ids)
 
 
+def test_the_theme_s_button_stands_beside_what_scrolls(full):
+    _, _, text, _ = full
+    links, button = re.search(r"<nav>\s*<div>(.*?)</div>(.*?)</nav>", text, re.DOTALL).groups()
+    assert links.count("<a ") == len(SECTIONS)
+    assert "<button" not in links
+    assert "<button" in button
+    # A single panel in the last row is as wide as its siblings.
+    assert "auto-fit" not in text
+
+
+def test_field_heights_have_their_own_colours_in_both_themes(full):
+    _, _, text, _ = full
+    from lensdesign.tracing.paths import FIELD_COLORS
+
+    for number, colour in enumerate(FIELD_COLORS, start=1):
+        assert f"stroke:var(--field-{number})" in text.replace(" ", "")
+        # Light, printed; and twice dark, as asked and as the system has it.
+        declared = re.findall(rf"--field-{number}: (#[0-9a-f]{{6}})", text)
+        assert declared.count(colour.lower()) == 2
+        assert len(declared) == 4
+
+
+def test_lengths_in_figures_are_in_micrometres(full):
+    _, _, text, _ = full
+    drawn = " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", text))
+    assert "µm" in drawn
+    assert not re.search(r"\d\s?um\b|\(um\)", drawn)
+
+
 def test_names_cannot_break_out(full):
     _, _, text, page = full
     assert "&lt;script&gt;alert(1)" in text

@@ -25,6 +25,7 @@ from tolerancing.report.blocks import (
     table,
 )
 from tolerancing.report.data import MOST_POINTS, WORST_POINTS, ReportData
+from tolerancing.report.figures.style import axis_label
 from tolerancing.report.html import html_page, safe_json
 from tolerancing.report.pdf.pdf import write_pdf
 from tolerancing.report.pdf.style import FONT, register_fonts
@@ -97,6 +98,20 @@ def test_lines_of_cells_hold_all_of_the_text(text, width):
 def test_numbers_in_words():
     assert [number_text(v) for v in (None, np.nan, np.inf, -np.inf, -0.5)] == ["–", "–", "∞", "−∞", "−0.5"]
     assert [joined(v) for v in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == ["", "a", "a and b", "a, b and c"]
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "shown"),
+    [
+        ("contrast_0p775um", "", "contrast 0.775 µm"),
+        ("shift_um", "um", "shift (µm)"),
+        ("lens_decenter_x_mm", "mm", "lens decenter x (mm)"),
+        ("album_2", "", "album 2"),
+        ("contrast_2um_edge", "", "contrast 2 µm edge"),
+    ],
+)
+def test_names_of_columns_as_figures_show_them(column, unit, shown):
+    assert axis_label(SimpleNamespace(column=column, unit=unit)) == shown
 
 
 def test_kurtosis_is_that_of_the_distribution():

@@ -101,7 +101,8 @@ def _draw_row(
     limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
     axes[1].imshow(np.sqrt(spread), cmap="magma", origin="lower", extent=limits, vmin=0.0)
     axes[1].set_title(f"point spread (amplitude), Strehl {strehl(pupil):.3f}", fontsize=8.0)
-    axes[1].set_xlabel("x (um)")
+    axes[1].set_xlabel("x (µm)")
+    axes[1].set_ylabel("y (µm)")
     _draw_lines(axes[2], trial, pupil, merit)
 
 
@@ -116,5 +117,6 @@ def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) 
     coordinates, intensity = line_pair_image(pupil, width, worse, points=POINTS)
     limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
     panel.imshow(intensity, cmap="gray", origin="lower", extent=limits, vmin=0.0)
-    panel.set_title(f"{width:.3g} um lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)
-    panel.set_xlabel("x (um)")
+    panel.set_title(f"{width:.3g} µm lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)
+    panel.set_xlabel("x (µm)")
+    panel.set_ylabel("y (µm)")

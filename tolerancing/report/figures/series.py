@@ -145,7 +145,7 @@ def _slice_panel(series: SliceCounts, width_um: float, steps: Sequence[StepResul
         axis.set_xlabel("slices of each surface")
         axis.set_ylim(min(-0.02, axis.get_ylim()[0]), 1.05)
         axis.legend()
-    return Panel(figure, f"Contrast of {width_um:g} um lines over the number of slices")
+    return Panel(figure, f"Contrast of {width_um:g} µm lines over the number of slices")
 
 
 def plate_panel(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], alt: str) -> Panel:
@@ -156,11 +156,11 @@ def plate_panel(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], alt: s
         figure = styled_figure(side * columns + 0.2, (side + 0.22) * len(rows))
         axes = figure.subplots(len(rows), columns, squeeze=False)
         for (name, row), line in zip(rows.items(), axes, strict=True):
-            line[0].set_ylabel(name, fontsize=7.0)
+            line[0].set_ylabel(name, fontsize=7.5)
             for axis, (title, picture) in zip(line, row, strict=True):
                 axis.set_xticks([])
                 axis.set_yticks([])
-                axis.set_title(figure_text(title), fontsize=6.5, fontweight="normal", pad=2.5)
+                axis.set_title(figure_text(title), fontsize=7.5, fontweight="normal", pad=2.5)
                 if picture is not None:
                     half = picture.half_width_um
                     extent = (-half, half, -half, half)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,14 @@ STYLE: dict[str, Any] = {
 }
 
 
+_MICROMETRES = re.compile(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])")
+"""Lengths in names of columns, such as 0p775um."""
+
+
+def _in_micrometres(match: re.Match[str]) -> str:
+    return f"{match[1].replace('p', '.')} µm"
+
+
 def styled(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
     """The report's style, with some changes, for figures drawn inside a ``with``."""
     import matplotlib as mpl
@@ -75,7 +84,7 @@ def merit_label(merit: Merit) -> str:
 def series_label(parameter: PerturbedParameter) -> str:
     """What a sweep or a grid's axis varies, with its unit."""
     name = f"{parameter.target} {parameter.quantity}"
-    return f"{name} ({parameter.unit})" if parameter.unit else name
+    return f"{name} ({parameter.unit.replace('um', 'µm')})" if parameter.unit else name
 
 
 def contrast_label(merit: LinePairContrast) -> str:
@@ -91,5 +100,5 @@ def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -
 
 
 def _labelled(column: str, unit: str) -> str:
-    name = column.removesuffix(f"_{unit}").replace("_", " ")
-    return figure_text(f"{name} ({unit})" if unit else name)
+    name = _MICROMETRES.sub(_in_micrometres, column.removesuffix(f"_{unit}")).replace("_", " ")
+    return figure_text(f"{name} ({unit.replace('um', 'µm')})" if unit else name)

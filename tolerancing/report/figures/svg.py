@@ -30,9 +30,10 @@ COLORS = {
     "#333333": "ink",
     "#8a8a8a": "soft",
     "#000000": "ink",
-    "#d55e00": "orange",
-    "#009e73": "green",
-    "#0072b2": "blue",
+    # Of field heights, everywhere the same.
+    "#d55e00": "field-1",
+    "#009e73": "field-2",
+    "#0072b2": "field-3",
 }
 """Names of the page's colours, by those that figures are drawn in."""
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from tolerancing.analysis.summary import MeritSummary
 from tolerancing.merits.base import Merit
+from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.report.blocks import Panel
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.style import (
@@ -19,6 +20,7 @@ from tolerancing.report.figures.style import (
     GREY,
     INK,
     ORANGE,
+    PAPER,
     RED,
     SERIES,
     axis_label,
@@ -87,7 +89,7 @@ def _histogram(axis: Axes, summary: MeritSummary, scores: Array, color: str) -> 
     axis.set_ylabel("trials")
     axis.set_ylim(-0.06 * axis.get_ylim()[1], 1.35 * axis.get_ylim()[1])
     _cumulative(axis, scores)
-    axis.legend(loc="upper left", ncols=2, fontsize=7.0)
+    axis.legend(loc="upper left", ncols=2, fontsize=7.0, frameon=True, facecolor=PAPER, edgecolor="none")
 
 
 def _cumulative(axis: Axes, scores: Array) -> None:
@@ -222,8 +224,9 @@ def fidelity_panel(data: ReportData, cheap: Merit, dear: Merit, places: Places, 
     return Panel(figure, f"{dear.column} against {cheap.column}, trial by trial", points)
 
 
-def bars_panel(names: Sequence[str], changes: Array, merit: Merit) -> Panel:
+def bars_panel(perturbations: Sequence[PerturbedParameter], changes: Array, merit: Merit) -> Panel:
     """Changes of one merit at both ends of each tolerance, shape (perturbations, 2), as bars from nominal."""
+    names = [axis_label(perturbation) for perturbation in perturbations]
     with styled({"axes.grid.axis": "x"}):
         figure = styled_figure(4.7, 0.9 + 0.24 * len(names))
         axis = figure.subplots()
@@ -234,7 +237,7 @@ def bars_panel(names: Sequence[str], changes: Array, merit: Merit) -> Panel:
         ):
             axis.barh(place + offset, np.nan_to_num(ends), height=0.36, color=color, label=label)
         axis.axvline(0.0, color=INK, linewidth=0.8)
-        axis.set_yticks(place, [n.replace("_", " ") for n in names], fontsize=7.5)
+        axis.set_yticks(place, names, fontsize=7.5)
         axis.invert_yaxis()
         axis.set_title(merit_label(merit), loc="left")
         axis.set_xlabel("change from the nominal lens")

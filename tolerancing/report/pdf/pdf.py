@@ -21,7 +21,6 @@ from reportlab.platypus import (
     Flowable,
     Frame,
     PageTemplate,
-    Preformatted,
     Spacer,
     TableStyle,
 )
@@ -62,6 +61,11 @@ from tolerancing.report.pdf.tables import table_flowables
 DOTS_PER_INCH = 200
 LINE_CHARACTERS = 112
 """Of a line of code, in its size of type."""
+
+LINES_OF_ONE_COLUMN, FEWEST_LINES = 20, 5
+
+LEAST_SHARE = 0.6
+"""Of its size, to which a figure that stands alone shrinks so as to fit what is left of a page."""
 
 
 def write_pdf(report: Report, path: Path) -> None:
@@ -220,6 +224,14 @@ def _facts(block: Facts) -> list[Flowable]:
 
 def _figures(block: FigureBlock) -> list[Flowable]:
     columns, width = _layout(block)
+    caption = [words(block.caption, "soft")] if block.caption else []
+    if len(block.panels) == 1 and block.columns == 1:
+        return [
+            CondPageBreak(_first_row(block)),
+            *caption,
+            _Picture(block.panels[0], width),
+            Spacer(1, 4 * mm),
+        ]
     images: list[Any] = [
         _Picture(panel, width - (4.0 if block.columns > 1 else 0.0)) for panel in block.panels
     ]
@@ -236,7 +248,6 @@ def _figures(block: FigureBlock) -> list[Flowable]:
             ]
         )
     )
-    caption = [words(block.caption, "soft")] if block.caption else []
     return [CondPageBreak(_first_row(block)), *caption, grid, Spacer(1, 2 * mm)]
 
 
@@ -246,9 +257,12 @@ def _layout(block: FigureBlock) -> tuple[int, float]:
 
 
 def _first_row(block: FigureBlock) -> float:
-    """Height that the first row of panels takes, with its caption."""
+    """Height that the first row of panels takes at least, with its caption."""
     columns, width = _layout(block)
-    return max(_size(panel, width)[1] for panel in block.panels[:columns]) + 8 * mm
+    share = LEAST_SHARE if columns == block.columns == 1 else 1.0
+    return share * max(_size(panel, width)[1] for panel in block.panels[:columns]) + (
+        10 * mm if block.caption else 4 * mm
+    )
 
 
 def _size(panel: Panel, width: float) -> tuple[float, float]:
@@ -259,14 +273,16 @@ def _size(panel: Panel, width: float) -> tuple[float, float]:
 
 
 class _Picture(Flowable):
-    """A figure, drawn when its page is."""
+    """A figure, drawn when its page is; a little smaller where that lets it stay on a page."""
 
     def __init__(self, panel: Panel, width: float) -> None:
         super().__init__()
         self.panel = panel
-        self.width, self.height = _size(panel, width)
+        self.natural = _size(panel, width)
 
     def wrap(self, width: float, height: float) -> tuple[float, float]:
+        share = min(1.0, max(height / self.natural[1], LEAST_SHARE))
+        self.width, self.height = share * self.natural[0], share * self.natural[1]
         return self.width, self.height
 
     def draw(self) -> None:
@@ -283,7 +299,39 @@ class _Picture(Flowable):
 
 
 def _code(block: Code) -> list[Flowable]:
-    lines = []
-    for line in plain(block.text).expandtabs(4).splitlines():
-        lines += textwrap.wrap(line, LINE_CHARACTERS, drop_whitespace=False) or [""]
-    return [Preformatted("\n".join(lines), STYLES["code"]), Spacer(1, 3 * mm)]
+    """Lines as they stand; many in two columns."""
+    text = plain(block.text).expandtabs(4)
+    columns = 2 if text.count("\n") > LINES_OF_ONE_COLUMN else 1
+    lines: list[str] = []
+    for line in text.splitlines():
+        lines += textwrap.wrap(line, LINE_CHARACTERS // columns - 1, drop_whitespace=False) or [""]
+    return [_Lines(tuple(lines), columns), Spacer(1, 3 * mm)]
+
+
+class _Lines(Flowable):
+    """Lines of code in columns, which fill a page before the next one."""
+
+    def __init__(self, lines: tuple[str, ...], columns: int) -> None:
+        super().__init__()
+        self.lines, self.columns = lines, columns
+        self.rows = -(-len(lines) // columns)
+        self.leading = STYLES["code"].leading
+
+    def wrap(self, width: float, height: float) -> tuple[float, float]:
+        self.width, self.height = width, self.rows * self.leading
+        return self.width, self.height
+
+    def split(self, width: float, height: float) -> list[Flowable]:
+        rows = int(height // self.leading)
+        if rows < FEWEST_LINES:
+            return []
+        kept = rows * self.columns
+        return [_Lines(self.lines[:kept], self.columns), _Lines(self.lines[kept:], self.columns)]
+
+    def draw(self) -> None:
+        self.canv.setFont(STYLES["code"].fontName, STYLES["code"].fontSize)
+        self.canv.setFillColor(STYLES["code"].textColor)
+        for number, line in enumerate(self.lines):
+            column, row = divmod(number, self.rows)
+            x, y = column * self.width / self.columns, self.height - (row + 0.8) * self.leading
+            self.canv.drawString(x, y, line)

@@ -19,6 +19,9 @@ from tolerancing.report.pdf.style import BOLD, FONT, PALE, WIDTH, style_of, tigh
 SIZES, PADDING = (7.0, 6.5, 6.0, 5.5, 5.0), 5.0
 """Of type; of both sides of a cell together."""
 
+WHOLE_SIZES = 3
+"""Of the sizes, the first so many are tried for cells on one line each."""
+
 SAMPLED_ROWS = 300
 """Of a table, that its columns' widths follow."""
 
@@ -123,16 +126,18 @@ def _parts(text: str) -> list[str]:
 
 
 def _fitted(block: Table, cells: list[list[Cell]]) -> tuple[list[float], float]:
-    """Widths of columns that fill the page, in the largest type that breaks no word."""
+    """Widths of columns that fill the page, in the largest type that breaks no cell, or else no word."""
+    for size in SIZES[:WHOLE_SIZES]:
+        natural, _ = _widths(block, cells, size)
+        if sum(natural) <= WIDTH:
+            spare = (WIDTH - sum(natural)) / len(natural)
+            return [w + spare for w in natural], size
     for size in SIZES:
         natural, least = _widths(block, cells, size)
         if sum(least) <= WIDTH:
             break
     else:
         return [w * WIDTH / sum(least) for w in least], SIZES[-1]
-    if sum(natural) <= WIDTH:
-        spare = (WIDTH - sum(natural)) / len(natural)
-        return [w + spare for w in natural], size
     give = (WIDTH - sum(least)) / sum(n - s for n, s in zip(natural, least, strict=True))
     return [s + give * (n - s) for n, s in zip(natural, least, strict=True)], size
 

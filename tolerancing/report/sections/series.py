@@ -18,6 +18,7 @@ from tolerancing.report.blocks import (
     Table,
     Warning,
     cut,
+    joined,
     number_text,
     table,
 )
@@ -158,8 +159,14 @@ def _plates(steps: Sequence[StepResults], title: Callable[[StepResults], str]) -
             for row, line in zip(rows, found, strict=True)
         }
         panel = plate_panel(plate, f"Pictures of line pairs, {where[0]} to {where[-1]}")
-        blocks.append(FigureBlock((panel,), caption="Plate of line pairs with their contrast."))
+        blocks.append(FigureBlock((panel,), caption=_plate_caption(pictured)))
     return blocks
+
+
+def _plate_caption(pictured: Sequence[StepResults]) -> str:
+    widths = {2.0 * picture.half_width_um for step in pictured for picture in step.pictures}
+    sizes = joined([f"{width:.3g} µm" for width in sorted(widths)])
+    return f"Line pairs with their contrast; pictures are {sizes} wide."
 
 
 def _found(step: StepResults, width_um: float, refocused: bool) -> tuple[str, Picture | None]:

@@ -148,8 +148,8 @@ def sensitivity_section(data: ReportData) -> list[Block]:
 
 def _bars(data: ReportData, found: Sensitivity, ranking: np.ndarray, m: int):  # type: ignore[no-untyped-def]
     order = ranking[m][:MOST_BARS]
-    names = [data.study.perturbations[k].column for k in order]
-    return bars_panel(names, found.change[order][:, [0, -1], m], data.study.merits[m])
+    shown = [data.study.perturbations[k] for k in order]
+    return bars_panel(shown, found.change[order][:, [0, -1], m], data.study.merits[m])
 
 
 def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m: int) -> Table:
@@ -201,7 +201,7 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
             [
                 c.merit.column,
                 number_text(c.predicted_mean),
-                f"{number_text(c.mean)} ± {number_text(c.standard_error)}",
+                f"{number_text(c.mean)} ± {c.standard_error:.2g}",
                 number_text(c.predicted_standard_deviation),
                 number_text(c.standard_deviation),
                 percent_text(c.predicted_share),
