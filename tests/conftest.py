@@ -33,6 +33,7 @@ LONG = (
     "wavesim/calibration/",
     "wavesim/engines/whole_field/",
     "wavesim/reconstruction/",
+    "test_gallery.py",
     "test_documentation.py",
     "test_site.py",
     "lensdesign/optimization/test_search.py",
