@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,6 +62,7 @@ def run(
                 fresh=fresh,
                 cluster=cluster,
                 report=lambda done, total: bar.update(task, completed=done, total=total),
+                announce=lambda expected: print(expected.sentence, file=sys.stderr),
             )
     except KeyboardInterrupt:
         kept = f"what was finished is in {store}, and the same command goes on from there"

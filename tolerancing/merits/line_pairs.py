@@ -90,6 +90,12 @@ class LinePairContrast(PupilMerit):
 
         return worse(lambda axis: line_pair_contrast(pupil, self.line_width_um, axis, BARS), self.orientation)
 
+    def best_score(self, pupil: ReconstructionPupil) -> float:
+        def best(axis: Axis) -> float:
+            return line_pairs_in_focus(pupil, self.line_width_um, axis)[0]
+
+        return worse(best, self.orientation)
+
     def _of_patch(self, patch: PerturbedPatch, refocused: bool, seed: int, number: int) -> float:
         from wavesim.pupil import chain_contrast
 
@@ -101,8 +107,23 @@ class LinePairContrast(PupilMerit):
                 axis,
                 BARS,
                 refocused=refocused,
+                best=refocused,
                 electrons=self.electrons,
                 rng=None if self.electrons is None else np.random.default_rng(stream),
             )
 
         return contrast("y") if self.line else worse(contrast, self.orientation)
+
+
+def line_pairs_in_focus(
+    pupil: ReconstructionPupil, line_width_um: float, axis: Axis
+) -> tuple[float, ReconstructionPupil]:
+    """Contrast of line pairs in the focus where it is best, and the pupil there."""
+    from wavesim import line_pair_contrast
+    from wavesim.pupil import best_focus
+
+    def contrast(seen: ReconstructionPupil) -> float:
+        return line_pair_contrast(seen, line_width_um, axis, BARS)
+
+    found = best_focus(pupil, contrast).pupil
+    return contrast(found), found

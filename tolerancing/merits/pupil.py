@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 Axis = Literal["x", "y"]
 Orientation = Literal["x", "y", "worse"]
+FINER = 0.98
+"""Lines for which a pupil is focused anew, over those that are resolved."""
+
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
@@ -33,7 +36,9 @@ class PupilMerit(Merit):
     field_points_mm
         Several object points in its place; the worst of their scores counts.
     refocus
-        Whether the reconstruction is refocused before it is judged. It is always registered sideways.
+        Whether the reconstruction is refocused before it is judged: to where its phase is flattest, which is
+        where the smallest root mean square and the highest Strehl ratio are; contrasts go on from there to
+        where they are best, within :data:`wavesim.pupil.focus.FOCUS_RANGE`. It is always registered sideways.
     """
 
     field_mm: tuple[Finite, Finite] = (0.0, 0.0)
@@ -72,8 +77,9 @@ class PupilMerit(Merit):
         self, point: tuple[float, float], context: Context, batch: PerturbationBatch, compensated: bool
     ) -> Array:
         """Scores at one object point, with or without refocusing and compensators."""
-        pupils = context.pupils(batch, point, self.wavelength_um, compensated and self.refocus, compensated)
-        return np.array([self.score(pupil) for pupil in pupils])
+        refocused = compensated and self.refocus
+        pupils = context.pupils(batch, point, self.wavelength_um, refocused, compensated)
+        return np.array([self.best_score(pupil) if refocused else self.score(pupil) for pupil in pupils])
 
     def worst(self, scores: list[Array]) -> Array:
         """The worst of the object points' scores, by trial; NaN where one is missing."""
@@ -83,6 +89,10 @@ class PupilMerit(Merit):
     def score(self, pupil: ReconstructionPupil) -> float:
         """Score of one reconstruction pupil."""
         raise NotImplementedError
+
+    def best_score(self, pupil: ReconstructionPupil) -> float:
+        """Score of a pupil whose phase is as flat as it gets, in the focus that suits the merit."""
+        return self.score(pupil)
 
 
 class Strehl(PupilMerit):
@@ -122,6 +132,14 @@ class ModulationTransfer(PupilMerit):
 
         return worse(lambda axis: float(mtf(pupil, [self.frequency_lp_per_mm], axis)[0]), self.orientation)
 
+    def best_score(self, pupil: ReconstructionPupil) -> float:
+        from wavesim import mtf
+
+        def best(axis: Axis) -> float:
+            return in_best_focus(pupil, lambda p: float(mtf(p, [self.frequency_lp_per_mm], axis)[0]))
+
+        return worse(best, self.orientation)
+
 
 class SmallestResolvedLine(PupilMerit):
     """Width of the finest line pairs down to which all wider ones reach a contrast; infinite without any.
@@ -146,6 +164,24 @@ class SmallestResolvedLine(PupilMerit):
             lambda axis: -smallest_resolved_line_width_um(pupil, axis, self.contrast), self.orientation
         )
 
+    def best_score(self, pupil: ReconstructionPupil) -> float:
+        return -worse(lambda axis: -self._finest(pupil, axis), self.orientation)
+
+    def _finest(self, pupil: ReconstructionPupil, axis: Axis) -> float:
+        """The finest lines along an axis, focused for those that are a little finer, as long as it helps."""
+        from wavesim import line_pair_contrast
+        from wavesim.pupil import best_focus, smallest_resolved_line_width_um
+
+        finest = smallest_resolved_line_width_um(pupil, axis, self.contrast)
+        while np.isfinite(finest):
+            width = FINER * finest
+            focused = best_focus(pupil, lambda p, w=width: line_pair_contrast(p, w, axis)).pupil  # type: ignore[misc]
+            reached = smallest_resolved_line_width_um(focused, axis, self.contrast)
+            if not reached < finest:
+                break
+            finest = reached
+        return float(finest)
+
 
 class ImageShift(PupilMerit):
     """Distance in the object plane by which the reconstruction stands beside its place."""
@@ -161,6 +197,13 @@ class ImageShift(PupilMerit):
         register = refocus if compensated and self.refocus else remove_shift
         pupils = context.raw_pupils(batch, point, self.wavelength_um, compensated)
         return np.array([float(np.hypot(*register(pupil).shift_um)) for pupil in pupils])
+
+
+def in_best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> float:
+    """A score in the focus where it is best."""
+    from wavesim.pupil import best_focus
+
+    return score(best_focus(pupil, score).pupil)
 
 
 def worse(score: Callable[[Axis], float], orientation: Orientation) -> float:

@@ -12,11 +12,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
+from tolerancing.perturbations.elements import element_deltas, runout_tilt
 from tolerancing.perturbations.parameters import (
     IRREGULARITIES,
     LENS_PARAMETERS,
     RADII,
+    RUNOUTS,
     SHAPE_PARAMETERS,
+    TILTS,
     PerturbedParameter,
 )
 from wavesim.scene.placement import Placement
@@ -25,7 +28,6 @@ D_LINE_UM = 0.5875618
 """Of helium, at which catalogues state n_d and the Abbe number."""
 
 ACROSS = ("decenter_x_mm", "decenter_y_mm")
-TILTS = ("tilt_x_deg", "tilt_y_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +106,12 @@ class PerturbationBatch:
                 add(surface, name, value)
             elif name in IRREGULARITIES:
                 self._add_figure(deltas.setdefault(surface, {}), lens, surface, column)
+            elif name in RUNOUTS:
+                add(surface, *runout_tilt(lens, surface, name, value))
             else:  # abbe_percent
                 add(surface, "index", abbe_index_delta(lens, surface, wavelength_um, value))
+        for surface, name, value in element_deltas(lens, self.parameters, self.values):
+            add(surface, name, np.ascontiguousarray(value))
         if self._has("light", "wavelength_um"):
             for surface, change in self._dispersion(lens, wavelength_um).items():
                 add(surface, "index", change)

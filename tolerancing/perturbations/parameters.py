@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
@@ -35,10 +35,22 @@ GLASS_PARAMETERS = ("index", "abbe_percent")
 LENS_PARAMETERS = tuple(f.name for f in fields(Pose) if f.name != "pivot_z_mm")
 """Of the whole lens: the values of a pose."""
 
+RUNOUTS = ("tir_x_mm", "tir_y_mm")
+"""Total indicator runout of a surface at its clear semi-diameter, along one axis."""
+
 SURFACE_PARAMETERS = tuple(
-    dict.fromkeys((*SURFACE_DELTAS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES))
+    dict.fromkeys(
+        (*SURFACE_DELTAS, *RUNOUTS, *RADII, *SHAPE_PARAMETERS, GLASS_PARAMETERS[1], *IRREGULARITIES)
+    )
 )
 """Of one surface; waves and fringes are those of 632.8 nm over the clear semi-diameter."""
+
+TILTS = ("tilt_x_deg", "tilt_y_deg")
+ROLLS = ("roll_x_deg", "roll_y_deg")
+EDGE_DIFFERENCES = ("edge_difference_x_mm", "edge_difference_y_mm")
+
+ELEMENT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "despace_mm", *TILTS, *ROLLS, *EDGE_DIFFERENCES)
+"""Of one element of glass, which moves as a whole, or whose back surface is wedged against its front one."""
 
 OBJECT_PARAMETERS = ("decenter_x_mm", "decenter_y_mm", "working_distance_mm")
 """Of the object; a longer working distance takes it away from the lens."""
@@ -64,6 +76,7 @@ FIXED_TARGETS = ("object", "sensor", "light")
 PARAMETERS = {
     "lens": LENS_PARAMETERS,
     "surface": SURFACE_PARAMETERS,
+    "element": ELEMENT_PARAMETERS,
     "object": OBJECT_PARAMETERS,
     "sensor": SENSOR_PARAMETERS,
     "light": LIGHT_PARAMETERS,
@@ -76,28 +89,36 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
 class PerturbedParameter(Section):
-    """One parameter of the lens, or of one of its surfaces, that departs from nominal.
+    """One parameter of the lens, or of a part of it, that departs from nominal.
 
     Attributes
     ----------
     name
         Lower-case letters, digits and underscores; made of target and parameter where left out.
     target
-        ``lens``, ``surface N`` with N counted from 1, ``object``, ``sensor`` or ``light``.
+        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor`` or ``light``.
     parameter
         One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
+    seat
+        Of an element: where it turns. A tilt turns it about the vertex of its ``front`` or ``back`` surface,
+        or about a point so many mm behind its front vertex; a roll about the centre of curvature of its
+        ``front`` or ``back`` surface, which lies on the seat.
     """
 
     name: Name = ""
     target: str
     parameter: str
+    seat: Literal["front", "back"] | Annotated[float, Field(strict=False, allow_inf_nan=False)] = "front"
 
     @field_validator("target")
     @classmethod
     def _target(cls, value: str) -> str:
-        if value not in ("lens", *FIXED_TARGETS) and not re.fullmatch(r"surface [1-9]\d{0,3}", value):
+        if value not in ("lens", *FIXED_TARGETS) and not re.fullmatch(
+            r"(surface|element) [1-9]\d{0,3}", value
+        ):
             raise ValueError(
-                f"{value!r} is no target; allowed: lens, surface N (N from 1), object, sensor, light"
+                f"{value!r} is no target; allowed: lens, surface N, element N (N from 1), object, sensor, "
+                "light"
             )
         return value
 
@@ -111,7 +132,21 @@ class PerturbedParameter(Section):
                 f"parameter = {self.parameter!r}: {self.target} has no such parameter; "
                 f"allowed: {', '.join(allowed)}"
             )
+        if "seat" in self.model_fields_set:
+            self._check_seat()
         return self
+
+    def _check_seat(self) -> None:
+        turns = self.target.startswith("element") and self.parameter in (*TILTS, *ROLLS)
+        if not turns:
+            raise ValueError(f"seat = {self.seat!r}: only tilts and rolls of an element have one")
+        if self.parameter in ROLLS and isinstance(self.seat, float):
+            raise ValueError(f"seat = {self.seat:g}: a roll is on a surface; allowed: front, back")
+
+    @property
+    def element(self) -> int | None:
+        """Index of the element, from 0; None for what is no element."""
+        return int(self.target.split()[1]) - 1 if self.target.startswith("element") else None
 
     @property
     def surface(self) -> int | None:
@@ -156,6 +191,8 @@ class PerturbedParameter(Section):
         if self.plane is not None and self.plane >= len(lens.sensor.plane_distances_mm):
             count = len(lens.sensor.plane_distances_mm)
             raise ValueError(f"parameter = {self.parameter!r}: the design has {count} sensor plane(s)")
+        if self.element is not None:
+            self._check_element(lens, self.element)
         if self.surface is None:
             return
         count = len(lens.surfaces)
@@ -163,6 +200,15 @@ class PerturbedParameter(Section):
             allowed = ", ".join(["lens", *(f"surface {i + 1}" for i in range(count)), *FIXED_TARGETS])
             raise ValueError(f"target = {self.target!r}: the design has no such surface; allowed: {allowed}")
         self._check_surface(lens, self.surface)
+
+    def _check_element(self, lens: Lens, number: int) -> None:
+        count = len(lens.glass_fronts)
+        if number >= count:
+            allowed = ", ".join(f"element {i + 1}" for i in range(count))
+            raise ValueError(f"target = {self.target!r}: the design has no such element; allowed: {allowed}")
+        surface = lens.surfaces[lens.glass_fronts[number] + (self.seat == "back")]
+        if self.parameter in ROLLS and surface.radius_mm is None:
+            raise ValueError(f"parameter = {self.parameter!r}: the {self.seat} of {self.target} is a plane")
 
     def _check_surface(self, lens: Lens, number: int) -> None:
         surface, key = lens.surfaces[number], f"parameter = {self.parameter!r}"
@@ -174,7 +220,8 @@ class PerturbedParameter(Section):
             )
         if self.parameter in RADII and getattr(surface, of_shape) is None:
             raise ValueError(f"{key}: {self.target} is a plane and has no {of_shape}")
-        if (self.unit == "fringes" or self.parameter in IRREGULARITIES) and surface.semi_diameter_mm is None:
+        counted = self.unit == "fringes" or self.parameter in (*IRREGULARITIES, *RUNOUTS)
+        if counted and surface.semi_diameter_mm is None:
             raise ValueError(f"{key}: {self.target} has no semi_diameter_mm over which to count it")
         if number < len(lens.surfaces) - 1:
             if self.parameter in GLASS_PARAMETERS and surface.material is None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError
+from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.executors import Perform, RunError, cluster_workers, local_pool, this_process
 from tolerancing.run.tasks import Task, chunk_size, dear_counts, missing_dear, missing_steps, missing_trials
 from tolerancing.store.store import Store, create_store, open_store
@@ -76,6 +77,7 @@ def run_study(
     fresh: bool = False,
     cluster: str | None = None,
     report: Report | None = None,
+    announce: Callable[[RunEstimate], None] | None = None,
 ) -> RunOutcome:
     """Score what the store still lacks of a study.
 
@@ -100,6 +102,9 @@ def run_study(
         Address of a Dask scheduler whose workers are to do it, in place of processes of this machine.
     report
         Called with the amounts done and to do after each batch.
+    announce
+        Called once, before anything is scored, with what there is to do and about how long it takes; some
+        trials are timed for it.
 
     Raises
     ------
@@ -123,6 +128,8 @@ def run_study(
         processes = min(processes, max(1, tasks))
         tally = _Tally(report, lacking)
         if tasks:
+            if announce is not None:
+                announce(estimate_run(loaded, lacking, processes, size))
             store.start_writing()
             with _workers(loaded, levels, processes, cluster) as perform:
                 trial_tasks = missing_trials(store, planned, size, in_order=is_new)

@@ -14,7 +14,7 @@ from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
-from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
 from tolerancing.merits.pupil import Axis, Orientation
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.study.results import Picture, StepResults
@@ -149,13 +149,19 @@ def _line_pair_pictures(
 def line_pair_picture(
     pupil: ReconstructionPupil, line_width_um: float, orientation: Orientation, refocused: bool
 ) -> tuple[float, Picture]:
-    """Contrast and picture of a line pair along an axis, or along the worse of both."""
+    """Contrast and picture of a line pair along an axis, or along the worse of both; in its best focus."""
     from wavesim import line_pair_contrast
     from wavesim.pupil import line_pair_image
 
     axes: tuple[Axis, ...] = ("x", "y") if orientation == "worse" else (orientation,)
-    contrast = {axis: line_pair_contrast(pupil, line_width_um, axis) for axis in axes}
-    axis = min(axes, key=contrast.__getitem__)
-    coordinates, intensity = line_pair_image(pupil, line_width_um, axis, points=PICTURE_POINTS)
+    seen = {
+        axis: line_pairs_in_focus(pupil, line_width_um, axis)
+        if refocused
+        else (line_pair_contrast(pupil, line_width_um, axis), pupil)
+        for axis in axes
+    }
+    axis = min(axes, key=lambda one: seen[one][0])
+    contrast, focused = seen[axis]
+    coordinates, intensity = line_pair_image(focused, line_width_um, axis, points=PICTURE_POINTS)
     half_width = float(coordinates[-1])
-    return contrast[axis], Picture(line_width_um, axis, refocused, half_width, intensity.astype(np.float32))
+    return contrast, Picture(line_width_um, axis, refocused, half_width, intensity.astype(np.float32))

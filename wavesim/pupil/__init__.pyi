@@ -1,4 +1,5 @@
 from .characteristic import PointCharacteristic, PupilSampler
+from .focus import best_focus
 from .line_pairs import (
     line_pair_contrast,
     line_pair_displacement_um,
@@ -28,6 +29,7 @@ __all__ = [
     "RayAimError",
     "ReconstructionPupil",
     "Refocused",
+    "best_focus",
     "chain_contrast",
     "line_pair_contrast",
     "line_pair_displacement_um",

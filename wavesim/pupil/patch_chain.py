@@ -32,8 +32,9 @@ from lensdesign.lens.poses import Pose
 from lensdesign.tracing.compiled import compile_system
 from wavesim.fields.field import Orientation, axis_of
 from wavesim.pupil.characteristic import point_characteristic
+from wavesim.pupil.focus import reach_um, sought
 from wavesim.pupil.patch_rays import NominalRays, nominal_rays
-from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch
+from wavesim.pupil.patch_return import PatchGrid, PerturbedPatch, ReturnedPatch
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil
 from wavesim.scene.engine import Neglected
 from wavesim.scene.placement import NOMINAL, Placement, placed
@@ -202,6 +203,7 @@ def chain_contrast(
     bars: int = 5,
     *,
     refocused: bool = True,
+    best: bool = False,
     electrons: float | None = None,
     rng: np.random.Generator | None = None,
 ) -> float:
@@ -219,7 +221,9 @@ def chain_contrast(
     line_width_um, orientation, bars
         As :meth:`PatchChain.bars`.
     refocused
-        Whether defocus is taken out; displacement always is.
+        Whether defocus is taken out by least squares of the phase; displacement always is.
+    best
+        Whether the focus is then sought that makes the contrast best, as :func:`wavesim.pupil.best_focus`.
     electrons, rng
         As :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
 
@@ -228,14 +232,22 @@ def chain_contrast(
     InputError, SamplingError
         As :meth:`PatchChain.bars` and :meth:`wavesim.pupil.patch_return.PerturbedPatch.returned`.
     """
-    patch, axis = trial.patch, axis_of(orientation)
-    lines = patch.bars(line_width_um, orientation, bars)
+    lines = trial.patch.bars(line_width_um, orientation, bars)
     back = trial.returned(lines, "focus" if refocused else "shift", electrons, rng)
-    moved = back.displacement_um(orientation, 0.75 * patch.wavelength_um / line_width_um)
+
+    def contrast(distance_um: float) -> float:
+        seen = back.moved_along(distance_um) if distance_um else back
+        return _contrast_of(seen, line_width_um, orientation, bars)
+
+    return sought(contrast, reach_um(back.rays.base.grid))[1] if best else contrast(0.0)
+
+
+def _contrast_of(back: ReturnedPatch, line_width_um: float, orientation: Orientation, bars: int) -> float:
+    moved = back.displacement_um(orientation, 0.75 * back.patch.wavelength_um / line_width_um)
     count = 2 * bars - 1
     across = np.asarray(line_width_um * (np.arange(count) - 0.5 * (count - 1)) + moved, float)
     centre = np.zeros(1)
-    field = back.at(across, centre) if axis == 0 else back.at(centre, across)
+    field = back.at(across, centre) if axis_of(orientation) == 0 else back.at(centre, across)
     rows = np.abs(field.reshape(count)) ** 2
     bright, dark = rows[0::2].mean(), rows[1::2].mean()
     return float((bright - dark) / (bright + dark)) if bright + dark > 0.0 else 0.0

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole
 from wavesim.fields.field import Orientation, axis_of
+from wavesim.pupil.focus import axial_path
 from wavesim.pupil.patch_rays import AimedRays, NominalRays
 from wavesim.pupil.pupil import ComplexArray, ReconstructionPupil, plane_waves, refocus, remove_shift
 
@@ -255,6 +256,21 @@ class ReturnedPatch:
             field = down @ (self.spectrum @ across.T)
         bend = mean_bend(self.rays, x_um + self.shift_um[0], y_um + self.shift_um[1])
         return np.asarray(field * bend.conj())
+
+    def moved_along(self, distance_um: float) -> ReturnedPatch:
+        """The same in the plane that lies a distance farther along the axis, its place across it kept."""
+        slopes, path = axial_path(self.pupil)
+        phase = 2.0 * np.pi * distance_um / self.patch.wavelength_um * path
+        spectrum = self.spectrum.copy()
+        spectrum.ravel()[self.pupil.grid.index] *= np.exp(1j * phase)
+        pupil = replace(self.pupil, opd_mm=self.pupil.opd_mm + 1e-3 * distance_um * path)
+        return replace(
+            self,
+            pupil=pupil,
+            spectrum=spectrum,
+            shift_um=self.shift_um - distance_um * slopes[1:],
+            refocus_um=self.refocus_um + distance_um,
+        )
 
     @cached_property
     def values(self) -> ComplexArray:

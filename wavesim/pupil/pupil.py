@@ -216,10 +216,13 @@ class Refocused:
 
 
 def refocus(pupil: ReconstructionPupil) -> Refocused:
-    """Bring a pupil to its best object plane and place, as digital refocusing does (Eqs. 5-6).
+    """Bring a pupil to the object plane and place in which its phase is flattest.
 
     Piston, shift and defocus leave by least squares over the valid samples. Defocus is exact: moving the
-    object along the axis by dz changes the path by -dz sqrt(1 - L^2 - M^2), not by its parabola.
+    object along the axis by dz changes the path by -dz sqrt(1 - L^2 - M^2), not by its parabola. That is the
+    plane of the smallest root mean square, and near that of the highest Strehl ratio; contrast may be best
+    beside it (:func:`wavesim.pupil.best_focus`). Eqs. 5 and 6 instead seek the plane in which a
+    reconstructed picture is sharpest (:func:`wavesim.reconstruction.refocus_field`).
 
     Raises
     ------

@@ -74,8 +74,10 @@ def test_run_ends_by_saying_what_was_done_and_where_it_lies(command, write_study
     ran = command("run", write_study(ray_study), "--store", store, "--workers", "1")
     assert ran.stdout.splitlines()[-1].startswith("40 trials, 8 steps in ")
     assert ran.stdout.splitlines()[-1].endswith(str(store))
+    assert ran.stderr.startswith("40 trials, 8 steps: about ")
     again = command("run", write_study(ray_study), "--store", store, "--workers", "1")
     assert again.stdout.splitlines()[-1] == f"nothing was missing: {store}"
+    assert again.stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -252,9 +254,12 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
     running.send_signal(signal.SIGINT)
     out, err = running.communicate(timeout=60)
     assert (running.returncode, out) == (130, "")
+    expected, *rest = err.splitlines()
+    assert expected.startswith("1000000 trials, 8 steps: about ")
+    assert expected.endswith(" by 1 worker")
     # Older releases of rich end a progress line with a new one.
-    assert (
-        err.strip() == f"interrupted; what was finished is in {path}, and the same command goes on from there"
+    assert "".join(rest).strip() == (
+        f"interrupted; what was finished is in {path}, and the same command goes on from there"
     )
     done = len(finished(path))
     again = command("run", tmp_path / "study.toml", "--store", path, "--workers", "1", "--trials", done + 40)

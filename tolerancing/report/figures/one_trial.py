@@ -11,7 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, atomic_path
 from tolerancing.analysis.trial import SingleTrial
-from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
 from tolerancing.merits.pupil import Axis, PupilMerit
 from tolerancing.report.figures.style import styled, styled_figure
 from tolerancing.study.study import Study
@@ -112,9 +112,15 @@ def _draw_lines(panel: Axes, trial: SingleTrial, pupil: Any, merit: PupilMerit) 
 
     width = getattr(merit, "line_width_um", 0.75 * pupil.wavelength_um / pupil.grid.half_width)
     axes: tuple[Axis, ...] = ("x", "y")
-    contrast = {along: line_pair_contrast(pupil, width, along) for along in axes}
+    seen = {
+        along: line_pairs_in_focus(pupil, width, along)
+        if merit.refocus
+        else (line_pair_contrast(pupil, width, along), pupil)
+        for along in axes
+    }
+    contrast = {along: found for along, (found, _) in seen.items()}
     worse = min(contrast, key=contrast.__getitem__)
-    coordinates, intensity = line_pair_image(pupil, width, worse, points=POINTS)
+    coordinates, intensity = line_pair_image(seen[worse][1], width, worse, points=POINTS)
     limits = (coordinates[0], coordinates[-1], coordinates[0], coordinates[-1])
     panel.imshow(intensity, cmap="gray", origin="lower", extent=limits, vmin=0.0)
     panel.set_title(f"{width:.3g} µm lines along {worse}, contrast {contrast[worse]:.2f}", fontsize=8.0)

@@ -1,0 +1,80 @@
+"""How long a run will take, before it starts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lensdesign.common.text import duration_text
+from tolerancing.study.evaluate import context_of, score_dear, score_trials
+from tolerancing.study.files import LoadedStudy
+from tolerancing.study.results import WORST
+
+SHORT_SECONDS = 0.2
+"""A trial that takes less is timed as one of a chunk, which share work."""
+
+
+@dataclass(frozen=True)
+class RunEstimate:
+    """What a run has to do, and how long that will take.
+
+    Attributes
+    ----------
+    trials, steps, dear
+        Trials, steps of series, and trials for the dear merits that are missing.
+    workers
+        Processes that will do it; 0 where a cluster does.
+    seconds
+        By what one trial takes, timed here, once all that is set up only once is.
+    """
+
+    trials: int
+    steps: int
+    dear: int
+    workers: int
+    seconds: float
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        parts = {"trials": self.trials, "steps": self.steps, "trials by dear merits": self.dear}
+        what = ", ".join(f"{count} {name}" for name, count in parts.items() if count)
+        whom = f"{self.workers} {'worker' if self.workers == 1 else 'workers'}"
+        if not self.workers:
+            whom = "one worker of a cluster like this machine"
+        return f"{what}: about {duration_text(self.seconds)} by {whom}"
+
+
+def estimate_run(loaded: LoadedStudy, lacking: dict[str, int], workers: int, chunk: int) -> RunEstimate:
+    """Time some trials of a study, and tell how long what is missing takes.
+
+    Parameters
+    ----------
+    loaded
+        The study, its merits' levels settled.
+    lacking
+        How many ``trials``, ``steps`` and ``dear`` trials are missing.
+    workers
+        Number of processes; 0 for a cluster.
+    chunk
+        How many trials a task has.
+    """
+    study, context = loaded.study, context_of(loaded.lens, loaded.study)
+    score_trials(context, study, (0,))  # once, for what is set up once
+    single = _seconds(lambda: score_trials(context, study, (0,)))
+    each = single
+    if single < SHORT_SECONDS and chunk > 1:
+        each = _seconds(lambda: score_trials(context, study, range(chunk))) / chunk
+    seconds = each * lacking["trials"] + single * lacking["steps"]
+    if lacking["dear"]:
+        score_dear(context, study, (0,), (WORST,))
+        seconds += lacking["dear"] * _seconds(lambda: score_dear(context, study, (0,), (WORST,)))
+    counts = (lacking["trials"], lacking["steps"], lacking["dear"])
+    return RunEstimate(*counts, workers, seconds / max(workers, 1))
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start

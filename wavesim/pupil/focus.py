@@ -1,0 +1,109 @@
+"""The focus in which a reconstruction is best by what it is judged by.
+
+:func:`wavesim.refocus` makes the phase as flat as it gets, in the least squares sense. Contrast or a
+Strehl ratio may be better beside that plane, and whoever refocuses by eye, or by a merit, finds it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import SamplingError
+from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, Refocused
+
+FOCUS_RANGE = 1.5
+"""How far the best focus is sought to either side of where a pupil is, in wavelength / NA^2."""
+
+STEPS = 4
+"""To either side; between the best of them and its neighbours a parabola tells."""
+
+
+def best_focus(pupil: ReconstructionPupil, score: Callable[[ReconstructionPupil], float]) -> Refocused:
+    """The pupil in the object plane where a score is highest, its place across the axis kept.
+
+    Parameters
+    ----------
+    pupil
+        A pupil that is registered (:func:`wavesim.refocus`): the plane is sought within `FOCUS_RANGE` of
+        where that has put it.
+    score
+        Of a pupil; the higher the better. A plane in which it raises a SamplingError is passed over.
+
+    Returns
+    -------
+    Refocused
+        Shift and refocus beside those that were taken out already.
+
+    Raises
+    ------
+    SamplingError
+        If the score cannot be had where the pupil is.
+    """
+    slopes, across = axial_path(pupil)
+
+    def moved(distance_um: float) -> ReconstructionPupil:
+        return replace(pupil, opd_mm=pupil.opd_mm + 1e-3 * distance_um * across) if distance_um else pupil
+
+    distance, _ = sought(lambda distance_um: score(moved(distance_um)), reach_um(pupil.grid))
+    grid, found = pupil.grid, moved(distance)
+    shift = -distance * slopes[1:]
+    means = np.append(grid.cosines.mean(axis=0), grid.axial_cosine.mean())
+    return Refocused(
+        pupil=found,
+        shift_um=shift,
+        refocus_um=distance,
+        piston_um=float(distance * slopes[0] + np.append(shift, distance) @ means),
+    )
+
+
+def reach_um(grid: PupilGrid) -> float:
+    """How far the best focus is sought to either side."""
+    return FOCUS_RANGE * grid.wavelength_um / grid.half_width**2
+
+
+def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
+    """What a plane that lies 1 farther along the axis adds to the path, without piston and shift.
+
+    Returns
+    -------
+    slopes : ndarray, shape (3,)
+        Of piston, x and y that went out of the axial cosine.
+    path : ndarray, shape (n,)
+        What is left of it at the samples; 0 where they are not valid.
+    """
+    basis, valid = pupil.grid.basis, pupil.valid
+    slopes = np.linalg.lstsq(basis[:3, valid].T, basis[3, valid], rcond=None)[0]
+    return slopes, np.where(valid, basis[3] - slopes @ basis[:3], 0.0)
+
+
+def sought(score: Callable[[float], float], reach: float) -> tuple[float, float]:
+    """Where within a reach of 0 a score is highest, and how high.
+
+    `STEPS` points to either side tell about where, a parabola through the best and its neighbours where.
+    """
+
+    def tolerant(distance: float) -> float:
+        try:
+            return score(distance)
+        except SamplingError:
+            if distance == 0.0:
+                raise
+            return -np.inf
+
+    distances = reach * np.arange(-STEPS, STEPS + 1) / STEPS
+    scores = np.array([tolerant(float(distance)) for distance in distances])
+    best = int(np.argmax(scores))
+    place, highest = float(distances[best]), float(scores[best])
+    if 0 < best < 2 * STEPS and np.all(np.isfinite(scores[best - 1 : best + 2])):
+        before, here, after = scores[best - 1 : best + 2]
+        bend = before - 2.0 * here + after
+        if bend < 0.0:
+            vertex = place + 0.5 * (before - after) / bend * reach / STEPS
+            there = tolerant(vertex)
+            if there > highest:
+                place, highest = vertex, there
+    return place, highest
