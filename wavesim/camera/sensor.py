@@ -69,8 +69,7 @@ def on_sensor(field: Field, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Field
     own = replace(field.grid, centre_mm=(0.0, 0.0))
     if not any(tilt_deg):
         return replace(field, grid=own)
-    tilt = (math.radians(tilt_deg[0]), math.radians(tilt_deg[1]))
-    tilted = propagate(field, own.at(0.0), target_tilt_rad=tilt, coarse_output=True)
+    tilted = propagate(field, own.at(0.0), target_tilt_deg=tilt_deg, coarse_output=True)
     return replace(tilted, grid=own)
 
 

@@ -31,7 +31,7 @@ class Passage:
         Both lines, or both planes; the target may lie in front of the source.
     wavelength_um, index : float
         Vacuum wavelength, and refractive index between the grids.
-    source_tilt_rad, target_tilt_rad : (about x, about y), optional
+    source_tilt_deg, target_tilt_deg : (about x, about y), optional
         Of one of the planes, turned about the centre of the grid on the other; its own grid is in its own
         frame, at z = 0 (:mod:`wavesim.fields.tilted_planes`).
     pad
@@ -52,8 +52,8 @@ class Passage:
     target: Grid
     wavelength_um: float
     index: float = 1.0
-    source_tilt_rad: Tilt | None = None
-    target_tilt_rad: Tilt | None = None
+    source_tilt_deg: Tilt | None = None
+    target_tilt_deg: Tilt | None = None
     pad: Pad = "auto"
     band_limit: bool = True
 
@@ -90,11 +90,11 @@ class Passage:
             raise InputError("input grid and output grid: both must be lines, or both planes")
         ends = (self.source, self.target, self.wavelength_um, self.index)
         chosen = self.pad != "auto" or not self.band_limit
-        tilt = self.source_tilt_rad or self.target_tilt_rad
+        tilt = self.source_tilt_deg or self.target_tilt_deg
         if tilt is not None:
-            if chosen or (self.source_tilt_rad and self.target_tilt_rad):
+            if chosen or (self.source_tilt_deg and self.target_tilt_deg):
                 raise InputError("a tilted plane: the other must be straight, and padding is not chosen")
-            return TiltedSamples(*ends, tilt, straight=self.source_tilt_rad is None)
+            return TiltedSamples(*ends, tilt, straight=self.source_tilt_deg is None)
         if chosen:
             return SameSamples(*ends, self.pad, self.band_limit)
         chirped = OtherSamples(*ends)
@@ -109,8 +109,8 @@ def propagate(
     field: Field,
     to: Grid | float,
     *,
-    source_tilt_rad: Tilt | None = None,
-    target_tilt_rad: Tilt | None = None,
+    source_tilt_deg: Tilt | None = None,
+    target_tilt_deg: Tilt | None = None,
     pad: Pad = "auto",
     band_limit: bool = True,
     check: bool = True,
@@ -125,7 +125,7 @@ def propagate(
     to
         Grid, or how far along the axis in mm, onto the field's own samples; in front of the field, or
         negative, if it is to be carried back.
-    source_tilt_rad, target_tilt_rad, pad, band_limit
+    source_tilt_deg, target_tilt_deg, pad, band_limit
         As of :class:`Passage`.
     check
         Whether to judge the sampling first (:func:`wavesim.fields.guards.check_propagation`).
@@ -147,7 +147,7 @@ def propagate(
     """
     grid = field.grid.towards(to)
     passage = Passage(
-        field.grid, grid, field.wavelength_um, field.index, source_tilt_rad, target_tilt_rad, pad, band_limit
+        field.grid, grid, field.wavelength_um, field.index, source_tilt_deg, target_tilt_deg, pad, band_limit
     )
     if check:
         passage.check(field.values, coarse_output=coarse_output)

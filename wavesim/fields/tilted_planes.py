@@ -53,7 +53,7 @@ class TiltedSamples:
     ----------
     source, target, wavelength_um, index
         Of the passage.
-    tilt_rad
+    tilt_deg
         About x and y, of the tilted plane.
     straight
         Whether the source is the plane that is not tilted: light travels along that one's z.
@@ -70,14 +70,14 @@ class TiltedSamples:
         target: Grid,
         wavelength_um: float,
         index: float,
-        tilt_rad: tuple[float, float],
+        tilt_deg: tuple[float, float],
         *,
         straight: bool,
     ) -> None:
         tilted = target if straight else source
         if tilted.z_mm != 0.0:
             raise InputError(f"grid z_mm = {tilted.z_mm:g}: a tilted plane lies at z = 0 of its own frame")
-        rotation = _rotation(tilted, tilt_rad)
+        rotation = _rotation(tilted, tilt_deg)
         # With the target's axes as columns.
         self.rotation = rotation if straight else rotation.T
         self.source, self.target = source, target
@@ -263,13 +263,13 @@ class TiltedSamples:
         return 0.5 / max(abs(f.centre) + 0.5 * f.step * f.count for f in self.frequencies)
 
 
-def _rotation(grid: Grid, tilt_rad: tuple[float, float]) -> Array:
-    about_x, about_y = tilt_rad
-    if not (abs(about_x) < 0.5 * math.pi and abs(about_y) < 0.5 * math.pi):
-        raise InputError(f"tilt_rad = {tilt_rad}: both must lie between -pi/2 and pi/2")
+def _rotation(grid: Grid, tilt_deg: tuple[float, float]) -> Array:
+    about_x, about_y = tilt_deg
+    if not (abs(about_x) < 90.0 and abs(about_y) < 90.0):
+        raise InputError(f"tilt_deg = {tilt_deg}: both must lie between -90 and 90")
     if grid.is_line and about_y != 0.0:
-        raise InputError(f"tilt_rad = {tilt_rad}: a meridional line has only a tilt about x")
-    return rotation_matrix(np.asarray(about_x), np.asarray(about_y))
+        raise InputError(f"tilt_deg = {tilt_deg}: a meridional line has only a tilt about x")
+    return rotation_matrix(np.deg2rad(about_x), np.deg2rad(about_y))
 
 
 def _nufft_library(xp: Any) -> tuple[ModuleType, bool]:

@@ -311,7 +311,7 @@ for shape in ((64,), (48, 64)):
         for there, back in (
             (Passage(grid, grid.at(0.03), 0.5), Passage(grid.at(0.03), grid, 0.5)),
             (Passage(grid, other, 0.5), Passage(other, grid, 0.5)),
-            (Passage(grid, grid, 0.5, target_tilt_rad=(0.1, 0.0)),) * 2,
+            (Passage(grid, grid, 0.5, target_tilt_deg=(6.0, 0.0)),) * 2,
         ):
             there.check(strict.asarray(values))
             for work in (there.forward, back.adjoint):
