@@ -9,15 +9,15 @@ import typer
 from lensdesign.common.console import print_json
 from wavesim.cli.options import AsJson, print_warnings, settings_text
 from wavesim.cli.runs import print_table
+from wavesim.engines.registry import ENGINES
+from wavesim.oracles.registry import ORACLES
 from wavesim.scene.settings import SingleEngineDetails
 
 
 def oracle(
-    engine: Annotated[str, typer.Option(help="eikonal, slices, wpm, thin-lens or no-lens.")],
+    engine: Annotated[str, typer.Option(help=f"One of {', '.join(ENGINES)}.")],
     details: SingleEngineDetails,
-    oracle: Annotated[
-        str, typer.Option(help="cylinder, sphere, stigmatic, plate, tilted-plate, plane or beam.")
-    ] = "cylinder",
+    oracle: Annotated[str, typer.Option(help=f"One of {', '.join(ORACLES)}.")] = "cylinder",
     radius_mm: Annotated[float | None, typer.Option(help="Of cylinder or sphere.")] = None,
     semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens.")] = None,
     incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import inspect
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from wavesim.scene.engine import Engine
+
+if TYPE_CHECKING:
+    from wavesim.scene.engine import Engine
 
 ENGINES: dict[str, str] = {
     "eikonal": "wavesim.engines.tiles.engine:EikonalTiles",

@@ -11,12 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
-from wavesim.fields.field import Field
-from wavesim.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wavesim.fields.field import Field
+    from wavesim.scene.scene import Scene
 
 ORACLES: dict[str, str] = {
     "cylinder": "wavesim.oracles.cylinder:cylinder_scene",

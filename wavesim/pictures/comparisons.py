@@ -15,16 +15,19 @@ from wavesim.evaluation.failures import REFUSED, WARNED, FailureMap
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STYLES = {
-    "eikonal": ("#1f5fa8", "o"),
-    "slices, oblique": ("#2f8f4e", "s"),
-    "slices, vertical": ("#d1622b", "D"),
-    "wpm": ("#7a4fa3", "^"),
-    "thin lens": ("#555555", "P"),
-    "no lens": ("#999999", "X"),
-    "": ("#b03a6b", "v"),
-}
-"""Colour and marker of families whose names begin so."""
+STYLES = (
+    ("#1f5fa8", "o"),
+    ("#2f8f4e", "s"),
+    ("#d1622b", "D"),
+    ("#7a4fa3", "^"),
+    ("#555555", "P"),
+    ("#999999", "X"),
+    ("#b03a6b", "v"),
+)
+"""Colour and marker of families, in the order of the registry of engines."""
+
+SECOND = ("mean", "staircase")
+"""Ends of the names of families that take the style of the one before them, hollow and dashed."""
 
 DECADES = (-4.0, 0.5)
 
@@ -73,10 +76,12 @@ def _draw(
         zorder=1,
         label="front: none is both better and cheaper",
     )
+    number = -1
     for family, members in families(rows):
         done = [row for row in members if math.isfinite(row.relative_error)]
-        colour, marker = next(style for key, style in STYLES.items() if family.startswith(key))
-        second = family.endswith(("mean", "staircase"))
+        second = family.endswith(SECOND)
+        number += not second
+        colour, marker = STYLES[number % len(STYLES)]
         axes.plot(
             [cost(r) for r in done],
             [r.relative_error for r in done],
