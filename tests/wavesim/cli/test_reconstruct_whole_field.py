@@ -87,14 +87,14 @@ def test_progress_is_told_within_an_iteration(
     def shown() -> Iterator[Bar]:
         yield bar
 
-    make = frames_case.engine_for
+    make = frames_case.imaging_engine
 
     def kept(*arguments: Any, **settings: Any) -> Any:
         engines.append(make(*arguments, **settings))
         return engines[-1]
 
     monkeypatch.setattr(runs, "progress_bar", shown)
-    monkeypatch.setattr(frames_case, "engine_for", kept)
+    monkeypatch.setattr(frames_case, "imaging_engine", kept)
     options = ("--engine", "two-level", "--device", "cpu", "--kind", "amplitude", "--iterations", 2)
     code, _, err = run(*options, "-o", tmp_path)
     assert code == 0, err
