@@ -20,6 +20,7 @@ from wavesim.cli.commands import main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
 from wavesim.objects.patch import make_illumination, make_target, object_patch
+from wavesim.pictures import frames as pictures
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
@@ -27,7 +28,8 @@ PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 def run_wavesim(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
 ) -> tuple[object, str, str]:
-    """Exit status, standard output and standard error."""
+    """Exit status, standard output and standard error; pictures are of few dots, which are drawn sooner."""
+    monkeypatch.setattr(pictures, "DPI", 40)
     monkeypatch.setattr(sys, "argv", ["wavesim", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         main()

@@ -26,10 +26,10 @@ REACH = 4.0
 """Standard deviations of the noise to which the colours of residuals reach."""
 
 
-def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
-    """Write a figure to a picture file."""
+def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
+    """Write a figure to a picture file, of `DPI` dots per inch unless others are asked for."""
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=dpi)
+        figure.savefig(temporary, dpi=dpi or DPI)
 
 
 def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:
