@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
 from wavesim.engines.choosing import Prediction, choose, engine_for, predictions
-from wavesim.evaluation.engines import lens_case
+from wavesim.evaluation.comparison import lens_case
 from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning

@@ -5,7 +5,7 @@ from .fabrication.drawing.sheets import lens_drawing, write_drawing
 from .fabrication.mesh.mesh import write_mesh
 from .fabrication.mesh.reading import read_mesh
 from .fabrication.mesh.verification import verify_mesh
-from .fabrication.step.export import write_step
+from .fabrication.step.writing import write_step
 from .files.codev import read_seq, write_seq
 from .files.design import load_design, save_design
 from .files.zemax import read_zmx, write_zmx

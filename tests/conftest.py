@@ -29,7 +29,7 @@ LONG = (
     "test_notebooks.py",
     "wavesim/cli/",
     "wavesim/camera/test_recording.py",
-    "wavesim/evaluation/test_engines.py",
+    "wavesim/evaluation/test_comparison.py",
     "wavesim/calibration/",
     "wavesim/engines/whole_field/",
     "wavesim/reconstruction/",

@@ -4,7 +4,7 @@ from .exports import Exported, ExportOptions, export_lens
 from .mesh.mesh import lens_mesh, write_mesh
 from .mesh.reading import TriangleMesh, read_mesh
 from .mesh.verification import MeshReport, verify_mesh
-from .step.export import StepReport, write_step
+from .step.writing import StepReport, write_step
 
 __all__ = [
     "DrawingOptions",

@@ -87,7 +87,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
 
 
 def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
-    from lensdesign.fabrication.step.export import write_step
+    from lensdesign.fabrication.step.writing import write_step
 
     if options.measured:
         raise InputError(

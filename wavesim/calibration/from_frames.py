@@ -11,7 +11,6 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.estimation import RIGID, Calibrated, calibrate
 from wavesim.camera.frame_sets import recorded_planes
-from wavesim.camera.framed import framed_patch, key_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import (
     parameter_names,
@@ -19,6 +18,7 @@ from wavesim.camera.mounting import (
     values_of,
     with_values,
 )
+from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.fields.field import Field

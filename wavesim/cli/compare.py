@@ -39,8 +39,8 @@ def compare(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from lensdesign.lens.scaling import scaled
-    from wavesim.evaluation.engines import compare as measure
-    from wavesim.evaluation.engines import lens_case, variants
+    from wavesim.evaluation.comparison import compare as measure
+    from wavesim.evaluation.comparison import lens_case, variants
     from wavesim.oracles.registry import oracle_case
     from wavesim.pictures.comparisons import comparison_figure
     from wavesim.pictures.frames import save

@@ -14,7 +14,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
 from wavesim.engines.choosing import engine_for
-from wavesim.evaluation.engines import lens_case
+from wavesim.evaluation.comparison import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.fields.passage import propagate

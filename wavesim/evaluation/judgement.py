@@ -21,7 +21,7 @@ from wavesim.runtime.threads import row_blocks
 from wavesim.scene.engine import Engine
 
 
-def truth_figures(
+def truth_metrics(
     found: Field,
     true: Field,
     illumination: Field,
@@ -81,7 +81,7 @@ def _moduli(values: Any, factor: float = 1.0) -> Any:
     return result
 
 
-def chart_figures(transmission: Field, elements: Sequence[UsafElement], ground: Ground) -> dict[str, Any]:
+def chart_metrics(transmission: Field, elements: Sequence[UsafElement], ground: Ground) -> dict[str, Any]:
     """Contrast of every element of a chart that lies in a part of the object, and the finest resolved."""
     contrasts = [
         # From the samples about it alone.
@@ -113,7 +113,7 @@ def chart_figures(transmission: Field, elements: Sequence[UsafElement], ground: 
     }
 
 
-def plane_figures(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
+def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
     """Residual, what the stated noise alone would leave of it, and the correlation of amplitudes (A6).
 
     Over the pixels that are known, in blocks of rows.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.text import visible
-from wavesim.evaluation.engines import Measured, families
+from wavesim.evaluation.comparison import Measured, families
 from wavesim.evaluation.failures import REFUSED, WARNED, FailureMap
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     Parameters
     ----------
     rows
-        Of :func:`wavesim.evaluation.engines.compare`.
+        Of :func:`wavesim.evaluation.comparison.compare`.
     title
         Written on top.
     """

@@ -13,7 +13,7 @@ from lensdesign.errors import atomic_path
 from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
 from wavesim.camera.recorded import Array, Recorded
-from wavesim.evaluation.judgement import plane_figures
+from wavesim.evaluation.judgement import plane_metrics
 from wavesim.pictures.panels import AS_SAMPLED, colour_bar, for_screen, panel_row, scale_bar, title_figure
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def residual_figure(
     figure, (axes,) = panel_row(len(maps), f"{title}\nAmplitude of the result less the recorded one".strip())
     for place, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
         shown, drawn_pitch_um, reach, label = _residual(error, plane, pitch_um)
-        found = plane_figures(plane.amplitude, plane.sigma, error)
+        found = plane_metrics(plane.amplitude, plane.sigma, error)
         said = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
         if found["noise"] is not None:
             said += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"

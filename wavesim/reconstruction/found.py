@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_picture, html_table
 from wavesim.camera.frame_sets import PlaneFrames
 from wavesim.camera.recorded import Recorded
-from wavesim.evaluation.judgement import chart_figures, plane_figures
+from wavesim.evaluation.judgement import chart_metrics, plane_metrics
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch
 from wavesim.objects.usaf import UsafElement
@@ -100,7 +100,7 @@ class FoundObject:
                 {
                     "plane_distance_mm": told.distance_mm,
                     "exposures": list(told.exposures),
-                    **plane_figures(plane.amplitude, plane.sigma, error),
+                    **plane_metrics(plane.amplitude, plane.sigma, error),
                     "saturated_share": told.saturated_share,
                 }
                 for told, plane, error in zip(self.planes, self.recorded, self.residual_maps, strict=True)
@@ -119,7 +119,7 @@ class FoundObject:
         """Contrast of each element of the chart and the finest resolved; the same of those beside it."""
         if not self.charts or self.settings.usaf is None:
             return {}
-        middle, *others = (chart_figures(self.transmission, c, self.settings.usaf) for c in self.charts)
+        middle, *others = (chart_metrics(self.transmission, c, self.settings.usaf) for c in self.charts)
         beside = zip(self.settings.chart_at_mm, others, strict=True)
         return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in beside]}
 

@@ -15,9 +15,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
-from wavesim.camera.framed import framed_patch, key_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import light_on, planes_at
+from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
 from wavesim.camera.recorded import Recorded
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.engines.whole_field.on_cluster import refuse_no_tiles

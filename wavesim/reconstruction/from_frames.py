@@ -13,7 +13,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
 from wavesim.camera.recording import Progress
 from wavesim.engines.whole_field.on_cluster import tiles_in
-from wavesim.evaluation.judgement import truth_figures
+from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
@@ -178,7 +178,7 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         told.step("comparison with the true object")
         true, light = (cut_field(field, case.shown) for field in (case.truth, case.light))
         with engine_on(case.shown) as engine:
-            truth = truth_figures(transmission, true, light, case.inside, engine, case.scratch)
+            truth = truth_metrics(transmission, true, light, case.inside, engine, case.scratch)
     return FoundObject(
         settings,
         case.patch,

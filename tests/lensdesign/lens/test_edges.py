@@ -18,7 +18,7 @@ from lensdesign.analysis.spread import edge_thickness_mm
 from lensdesign.errors import DesignError, InputError
 from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
-from lensdesign.fabrication.step.export import write_step
+from lensdesign.fabrication.step.writing import write_step
 from lensdesign.files.design import load_design, save_design
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.edges import Edge, Flange

@@ -15,7 +15,7 @@ from lensdesign.errors import InputError, SamplingError
 from wavesim.cli.commands import main
 from wavesim.engines.choosing import choose, engine_for, predict, predictions
 from wavesim.engines.registry import ENGINES
-from wavesim.evaluation.engines import compare, lens_case, variants
+from wavesim.evaluation.comparison import compare, lens_case, variants
 from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning

@@ -14,7 +14,7 @@ import pytest
 
 from lensdesign import load_design
 from wavesim.camera.recorded import Recorded
-from wavesim.evaluation.judgement import truth_figures
+from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import LIGHT_BYTES, Patch, make_illumination
 from wavesim.reconstruction.from_object import Kind, reconstruct
@@ -209,7 +209,7 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
 
     def compare(room: Scratch) -> None:
         inside = np.ones(SHAPE, bool)
-        truth_figures(fields[0], fields[1], light, inside, engine, room)
+        truth_metrics(fields[0], fields[1], light, inside, engine, room)
 
     most, least = told(engine, truth=True)
     held = 24.0  # light, truth and what was found: made before

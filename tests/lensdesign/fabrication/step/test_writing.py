@@ -22,10 +22,10 @@ from typer.testing import CliRunner
 from lensdesign import Lens
 from lensdesign.cli.commands import app
 from lensdesign.errors import InputError
-from lensdesign.fabrication.step import export as cad
 from lensdesign.fabrication.step import solids as cad_solids
-from lensdesign.fabrication.step.export import StepReport, write_step
+from lensdesign.fabrication.step import writing as cad
 from lensdesign.fabrication.step.occ import parts_of, read_solids, silent_ocp, step_text
+from lensdesign.fabrication.step.writing import StepReport, write_step
 from lensdesign.lens.meridian import SurfaceMeridian
 from lensdesign.lens.solid import closed_elements
 from lensdesign.lens.surface import Surface
@@ -476,7 +476,7 @@ def test_missing_ocp_says_what_to_install(
 
 def test_ocp_is_imported_only_when_writing() -> None:
     code = (
-        "import sys, lensdesign.fabrication.step.export, lensdesign.cli.commands; "
+        "import sys, lensdesign.fabrication.step.writing, lensdesign.cli.commands; "
         "raise SystemExit('OCP' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from wavesim.cli.commands import main
 from wavesim.engines.registry import engine_class
 from wavesim.evaluation import failures
-from wavesim.evaluation.engines import (
+from wavesim.evaluation.comparison import (
     Measured,
     compare,
     lens_case,
@@ -171,7 +171,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     design, out = tmp_path / "twin.toml", tmp_path / "out"
     save_design(TWIN, design)
     small = [v for v in variants() if v[1] == "eikonal"][:2]
-    monkeypatch.setattr("wavesim.evaluation.engines.variants", lambda: small)
+    monkeypatch.setattr("wavesim.evaluation.comparison.variants", lambda: small)
     options = ["--patch-mm", "0.01", "--radius-mm", "0.05", "--no-maps", "--json"]
     monkeypatch.setattr(sys, "argv", ["wavesim", "compare", str(design), "-o", str(out), *options])
     with warnings.catch_warnings():
