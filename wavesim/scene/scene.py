@@ -23,6 +23,8 @@ Coating = Literal["ideal", "bare"]
 class Scene:
     """A lens, and the two grids between which a field is carried.
 
+    All is where and as it is; :func:`placed_scene` makes it of a design's scene and the deltas of a placement.
+
     Attributes
     ----------
     lens : Lens
