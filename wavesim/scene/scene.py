@@ -23,7 +23,7 @@ Coating = Literal["ideal", "bare"]
 class Scene:
     """A lens, and the two grids between which a field is carried.
 
-    All is where and as it is; :func:`placed_scene` makes it of a design's scene and the deltas of a placement.
+    All is where and as it is; :func:`placed_scene` makes it of a nominal scene and the deltas of a placement.
 
     Attributes
     ----------
