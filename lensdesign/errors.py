@@ -33,6 +33,10 @@ class SamplingError(InputError):
     """A grid that cannot hold what was asked of it."""
 
 
+UNFINISHED: set[Path] = set()
+"""Temporary files and folders that are being written; a process that ends at once removes them."""
+
+
 def refuse_not_positive(name: str, value: float) -> None:
     """Raise InputError unless a value is finite and above 0."""
     if not (math.isfinite(value) and value > 0.0):
@@ -73,9 +77,20 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     InputError
         If the folder or the file cannot be written.
     """
-    import tempfile
+    temporary, place = _temporary_for(Path(path))
+    try:
+        yield temporary
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, place)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+        UNFINISHED.discard(temporary)
 
-    target = Path(path)
+
+def _temporary_for(target: Path) -> tuple[Path, Path]:
+    """An empty file beside the one that is to be written, and that one without symbolic links."""
     try:
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder; give a file name")
@@ -86,10 +101,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
         place.parent.mkdir(parents=True, exist_ok=True)
         # The start of the name will do: with all of a long one, the temporary name would be too long.
-        with tempfile.NamedTemporaryFile(
-            dir=place.parent, prefix=f".{place.stem[:32]}.", suffix=place.suffix, delete=False
-        ) as handle:
-            temporary = Path(handle.name)
+        temporary = place.parent / f".{place.stem[:32]}.{os.urandom(4).hex()}{place.suffix}"
+        UNFINISHED.add(temporary)
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError(f"cannot write {target}: a file stands where a folder is needed") from error
     except OSError as error:
@@ -98,14 +112,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         if isinstance(error, InputError):
             raise
         raise InputError(f"cannot write {str(target)!r}: {error}") from error  # a NUL character in the name
-    try:
-        yield temporary
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, place)
-    except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    return temporary, place
 
 
 def _umask() -> int:

@@ -1,5 +1,5 @@
 """`python -m lensdesign.cli`."""
 
-from lensdesign.cli.commands import main
+from lensdesign.cli import main
 
 main()

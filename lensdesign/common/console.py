@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import json
 import os
-import signal
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from lensdesign.common.interrupts import stop_status, stoppable
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 
 class _Group(TyperGroup):
-    """Commands that say so when they are interrupted, and exit with status 130, as shells expect."""
+    """Commands that say so when they are stopped, and exit with the status that shells expect."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:
             print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
-            raise typer.Exit(130) from None
+            raise typer.Exit(stop_status()) from None
 
 
 def make_app(purpose: str) -> typer.Typer:
@@ -63,17 +63,14 @@ def _show_version(asked: bool) -> None:
 
 
 def run_app(app: typer.Typer) -> None:
-    """Run a Typer application; our own errors become one clear message and exit status 2.
-
-    Being terminated unwinds as an interrupt does, so that no temporary file stays behind.
-    """
-    before = signal.signal(signal.SIGTERM, _terminated)
+    """Run a Typer application; our own errors become one clear message and exit status 2."""
     try:
-        try:
-            app()
-        finally:
-            if sys.stdout is not None:
-                sys.stdout.flush()
+        with stoppable():
+            try:
+                app()
+            finally:
+                if sys.stdout is not None:
+                    sys.stdout.flush()
     except TransferLensError as error:
         fail(str(error))
     except OSError as error:  # full disks behind named files are told where they are written
@@ -83,12 +80,6 @@ def run_app(app: typer.Typer) -> None:
         if error.errno == errno.EPIPE:
             raise SystemExit(1) from None
         fail(f"cannot write to standard output: {error.strerror}")
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _terminated(number: int, _frame: Any) -> None:
-    raise SystemExit(128 + number)
 
 
 def _drop_output() -> None:

@@ -1,5 +1,5 @@
 """`python -m tolerancing.cli`."""
 
-from tolerancing.cli.commands import main
+from tolerancing.cli import main
 
 main()

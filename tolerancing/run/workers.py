@@ -28,8 +28,10 @@ def start_local(loaded: LoadedStudy) -> None:
     """Get a process of a local pool ready."""
     from tolerancing.study.evaluate import context_of
 
-    # An interrupt goes to the whole group; only the process that holds the store may act on it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # They go to the whole group; only the process that holds the store may act on them.
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     global _own
     _own = (context_of(loaded.lens, loaded.study), loaded.study)

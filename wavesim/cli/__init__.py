@@ -1,5 +1,11 @@
 """The `wavesim` command."""
 
-import lazy_loader
+from lensdesign.common.interrupts import stoppable
 
-__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submod_attrs={"commands": ["app", "main"]})
+
+def main() -> None:
+    """Entry point of the console script: from its first import on it ends well when it is stopped."""
+    with stoppable():
+        from wavesim.cli.commands import main
+
+        main()

@@ -1,5 +1,5 @@
 """`python -m wavesim.cli`."""
 
-from wavesim.cli.commands import main
+from wavesim.cli import main
 
 main()

@@ -6,14 +6,13 @@ import csv
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from lensdesign.common.text import safe_cell
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import UNFINISHED, InputError, atomic_path
 
 
 @contextmanager
@@ -35,7 +34,9 @@ def new_results(folder: Path) -> Iterator[Path]:
     made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(prefix=".new.", dir=folder))
+        place = folder / f".new.{os.urandom(4).hex()}"
+        UNFINISHED.add(place)
+        place.mkdir(0o700)
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError(f"cannot make the folder {folder}: a file stands in its place") from error
     except OSError as error:
@@ -48,6 +49,7 @@ def new_results(folder: Path) -> Iterator[Path]:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
+        UNFINISHED.discard(place)
         if made and not any(folder.iterdir()):
             folder.rmdir()
 

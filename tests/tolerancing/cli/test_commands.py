@@ -9,6 +9,7 @@ import time
 from typing import NamedTuple
 
 import pytest
+from stopping import heeding
 
 from tolerancing.analysis import scorer
 from tolerancing.cli.commands import main
@@ -245,8 +246,7 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # What is started in the background of a shell ignores interrupts.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=heeding,
     )
     until = time.monotonic() + 60.0
     while time.monotonic() < until and not (path.exists() and finished(path)):

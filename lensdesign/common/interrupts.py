@@ -1,0 +1,118 @@
+"""Interrupts, terminations and hang-ups end a command alike: it unwinds, and says what is kept."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from lensdesign.errors import UNFINISHED
+
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+NERVOUS_SECONDS = 1.0
+"""After the first signal, in which others are not heeded: keys are pressed twice, groups signalled as one."""
+
+GRACE_SECONDS = 10.0
+"""In which a command must have unwound; what holds it up then is left behind."""
+
+LOST_SECONDS = 0.05
+"""After which an interrupt is raised again that a callback has swallowed."""
+
+
+class _Stop:
+    """The first signal, and what becomes of those that follow."""
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self.at = 0.0
+        self.lost = False
+
+    def heed(self, number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if self.number is None:
+            self.number, self.at = number, time.monotonic()
+            last = threading.Timer(GRACE_SECONDS, self.end_at_once)
+            last.daemon = True
+            last.start()
+            raise KeyboardInterrupt
+        if self.lost:
+            self.lost = False
+            raise KeyboardInterrupt
+        if time.monotonic() - self.at > NERVOUS_SECONDS:
+            self.end_at_once()
+
+    def swallowed(self, told: Any) -> None:
+        """Raise an interrupt again that came up where none can be raised, as in callbacks of a compiler."""
+        if self.number is None or not issubclass(told.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(told)
+            return
+        self.lost = True
+        threading.Timer(
+            LOST_SECONDS, signal.pthread_kill, (threading.main_thread().ident, self.number)
+        ).start()
+
+    def end_at_once(self) -> None:
+        """End without unwinding; workers end with the process that started them."""
+        _sweep()
+        os.write(2, b"interrupted; ended before all had come to its end\n")
+        os._exit(self.status)
+
+    @property
+    def status(self) -> int:
+        """Exit status, as shells expect it."""
+        return 128 + (self.number or signal.SIGINT)
+
+
+def _sweep() -> None:
+    """Remove what is unfinished."""
+    for path in list(UNFINISHED):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+        UNFINISHED.discard(path)
+
+
+_stop: _Stop | None = None
+
+
+def stop_status() -> int:
+    """Exit status of a command that was interrupted."""
+    return (_stop or _Stop()).status
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let signals that end a command raise KeyboardInterrupt, once; if nobody takes it, end with its status.
+
+    Within another of its kind, and in threads beside the main one, it does nothing.
+    """
+    global _stop
+    if _stop is not None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _stop = _Stop()
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    hook, sys.unraisablehook = sys.unraisablehook, _stop.swallowed
+    for number, handler in before.items():
+        # A shell that starts a command in its background, or nohup, has it ignore them.
+        if handler != signal.SIG_IGN:
+            signal.signal(number, _stop.heed)
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
+        raise SystemExit(_stop.status) from None
+    finally:
+        _sweep()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        sys.unraisablehook, _stop = hook, None
