@@ -6,6 +6,8 @@ import errno
 import json
 import os
 import sys
+import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -63,9 +65,10 @@ def _show_version(asked: bool) -> None:
 
 
 def run_app(app: typer.Typer) -> None:
-    """Run a Typer application; our own errors become one clear message and exit status 2."""
+    """Run a Typer application; errors of ours become one clear message and exit status 2, warnings a line."""
     try:
-        with stoppable():
+        with stoppable(), warnings.catch_warnings():
+            warnings.showwarning = _told(warnings.showwarning)
             try:
                 app()
             finally:
@@ -80,6 +83,18 @@ def run_app(app: typer.Typer) -> None:
         if error.errno == errno.EPIPE:
             raise SystemExit(1) from None
         fail(f"cannot write to standard output: {error.strerror}")
+
+
+def _told(shown: Callable[..., None]) -> Callable[..., None]:
+    """Tells warnings of the toolkit without the place in the code; others as they were shown."""
+
+    def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+        if category.__module__.partition(".")[0] in ("lensdesign", "wavesim", "tolerancing"):
+            print(f"warning: {visible(str(message))}", file=sys.stderr)
+        else:
+            shown(message, category, *place, **more)
+
+    return show
 
 
 def _drop_output() -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
 from lensdesign.tracing import kernel
-from lensdesign.tracing.kept_kernels import drop_outdated
+from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 from lensdesign.tracing.kernel import (
     CONIC,
     MISSED,
@@ -23,7 +22,7 @@ from lensdesign.tracing.kernel import (
 
 SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(5)
 
-_jit = njit(cache=True, nogil=True, error_model="numpy")
+_jit = kept_njit(nogil=True, error_model="numpy")
 
 
 @_jit

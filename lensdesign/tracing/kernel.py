@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
 from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
-from lensdesign.tracing.kept_kernels import drop_outdated
+from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 
 BLOCK = 128
 X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
@@ -24,8 +23,8 @@ CONIC = 0
 
 OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
 
-_jit = njit(cache=True, nogil=True, error_model="numpy")
-_inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+_jit = kept_njit(nogil=True, error_model="numpy")
+_inline = kept_njit(nogil=True, error_model="numpy", inline="always")
 
 
 @_jit

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from numba import njit
 from numpy import conj, zeros
 from numpy.typing import NDArray
 
-_jit = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+from lensdesign.tracing.kept_kernels import kept_njit
+
+_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})
 
 
 @_jit

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
 from numpy import conj, empty, sqrt
 from numpy.typing import NDArray
 
-_jit = njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+from lensdesign.tracing.kept_kernels import kept_njit
+
+_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
 @_jit

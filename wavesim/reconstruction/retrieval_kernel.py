@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
 from numpy import empty, float64
 from numpy.typing import NDArray
 
+from lensdesign.tracing.kept_kernels import kept_njit
+
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
+_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
 
 @_jit

@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy import empty, sqrt
 from numpy.typing import NDArray
 
+from lensdesign.tracing.kept_kernels import kept_njit
 from wavesim.runtime.threads import THREADS, for_blocks
 
 Values = NDArray[np.inexact[Any]]
@@ -30,7 +30,7 @@ ROWS = 64
 
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
+_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
 
 @_jit

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import pytest
+from numba.core import caching
 
 from lensdesign.lens.shapes.compiled import SOURCES
 from lensdesign.lens.shapes.registry import shape_classes
-from lensdesign.tracing.kept_kernels import drop_outdated
+from lensdesign.tracing.kept_kernels import KernelCacheWarning, _own_place, drop_outdated, kept_njit
 
 
 @pytest.fixture
@@ -55,3 +59,56 @@ def test_nothing_is_touched_where_nothing_is_kept(formula: Path, tmp_path: Path)
 def test_kernels_of_rays_are_kept_with_the_formulas_of_all_shapes() -> None:
     assert {shape.__module__ for shape in shape_classes()} < SOURCES
     assert all(name in sys.modules for name in SOURCES)
+
+
+@pytest.fixture
+def nowhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Neither the modules' folders nor a home can be written: Numba has the place that it is told."""
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    _own_place.cache_clear()
+    yield
+    _own_place.cache_clear()
+
+
+def test_without_a_place_kernels_are_kept_in_a_private_temporary_folder(
+    nowhere: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.warns(
+        KernelCacheWarning, match=r"are kept in .*transferlens-kernels-.*NUMBA_CACHE_DIR"
+    ) as told:
+        kernels = [kept_njit(nogil=True)(double) for _ in range(2)]
+    assert len(told) == 1
+    assert kernels[0](3) == 6
+    (place,) = tmp_path.iterdir()
+    assert place.stat().st_mode & 0o777 == 0o700
+    assert list(place.rglob("*.nbi"))
+    assert os.environ["NUMBA_CACHE_DIR"] == str(place)
+
+
+@pytest.mark.parametrize("fault", ["others can write", "a link", "no folder"])
+def test_a_place_that_others_could_have_filled_is_not_taken(
+    nowhere: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    place = tmp_path / f"transferlens-kernels-{os.getuid()}"
+    if fault == "others can write":
+        place.mkdir()
+        place.chmod(0o777)
+    elif fault == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        place.symlink_to(tmp_path / "elsewhere")
+    else:
+        place.touch()
+    with pytest.warns(KernelCacheWarning, match="are not kept: every process compiles its own"):
+        kernel = kept_njit(nogil=True)(double)
+    assert kernel(3) == 6
+    assert not list(tmp_path.rglob("*.nbi"))
+    assert "NUMBA_CACHE_DIR" not in os.environ
+
+
+def double(value: int) -> int:
+    """To be compiled."""
+    return 2 * value

@@ -19,8 +19,10 @@ from numpy import abs as magnitude
 from numpy import complex64, copysign, empty, float32, float64, floor, zeros
 from numpy.typing import NDArray
 
+from lensdesign.tracing.kept_kernels import kept_njit
+
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_jit = njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
+_jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
 _QUARTER, _ZERO, _ONE = float32(0.25), float32(0.0), float32(1.0)
 _S1, _S3, _S5, _S7, _S9, _S11 = (
