@@ -11,6 +11,7 @@ PACKAGES := lensdesign wavesim tolerancing
 
 demo: $(READY)
 	@mkdir -p $(OUT)
+	@date +%s > $(OUT)/.started
 	@# Exit status 1 says that a constraint is not met: the paper's lens is 0.9 % over its spread limit.
 	$(BIN)/lensdesign check designs/paper_singlet.toml || test $$? -eq 1
 	$(BIN)/lensdesign optimize designs/feasible_singlet_spec.toml -o $(OUT)/feasible_singlet.toml
@@ -33,9 +34,11 @@ demo: $(READY)
 	@echo "  feasible_singlet.toml       the strictly feasible sibling, as a design file"
 	@echo "  paper_singlet/              layout, spots, arrival angles, 3D view, mesh, effect of a decentration"
 	@echo "  feasible_singlet/           the same of the sibling"
-	@echo "  frames/, object/            two noisy frames of a chart through a small twin, and the chart found in them"
+	@echo "  frames/, object/            two noisy frames of a chart through a small twin; the chart found in them, beside the true one"
 	@echo "  paper_tolerances.db         the tolerance study's trials and sweeps"
 	@echo "  report/report.html          its report; open it in a browser"
+	@seconds=$$(( $$(date +%s) - $$(cat $(OUT)/.started) )); rm $(OUT)/.started; \
+	  echo "It took $$(( seconds / 60 )) min $$(( seconds % 60 )) s."
 
 # The lenses of docs/gallery.md from their specifications, with pictures, meshes and drawings: two minutes.
 GALLERY := feasible_singlet thinnest_singlet moulded_pair wide_field phone_lens stock_pair rectangular_sensor

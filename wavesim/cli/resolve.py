@@ -67,7 +67,12 @@ def resolve(
     print_warnings(dict.fromkeys(str(warning.message) for warning in caught))
     title = lens.title or design.stem
     if output is not None:
-        save(resolving_figure([result for results in tests for result in results], title), output, dpi=140)
+        light = f"{wavelength_um or lens.wavelengths_um[0]:g} µm"
+        where = f"exit plane {plane_distance_mm:g} mm behind the exit vertex"
+        drawn = resolving_figure(
+            [result for results in tests for result in results], f"{title}\n{light}, {where}"
+        )
+        save(drawn, output, dpi=140)
     if as_json:
         summaries = [_resolve_summary(results, widths, title) for results in tests]
         print_json(summaries[0] if len(tests) == 1 else {"design": title, "engines": summaries})

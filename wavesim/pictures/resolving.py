@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.evaluation.resolving import Resolved
+from wavesim.pictures.panels import title_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ def resolving_figure(
     heights = list(dict.fromkeys(result.field_mm for result in results))
     labels = list(dict.fromkeys(engine_label(result) for result in results))
     figure = Figure(figsize=(6.2 * len(heights) + 0.6, 5.6), layout="constrained")
-    figure.suptitle(visible(title), fontsize=13, parse_math=False)
+    title_figure(figure, title)
     lowest = min(line.contrast for result in results for line in result.lines)
     charts = figure.subplots(1, len(heights), squeeze=False, sharex=True, sharey=True)[0]
     for axes, height in zip(charts, heights, strict=True):

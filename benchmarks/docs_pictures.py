@@ -1,0 +1,109 @@
+"""Pictures of the documentation that are put together from several results.
+
+    python -m benchmarks.docs_pictures figure-7 STORE PICTURE
+    python -m benchmarks.docs_pictures whole-field FRAMES OBJECT PICTURE
+
+STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of the whole field's
+`wavesim image` and `wavesim reconstruct` in docs/reconstruction.md.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+DOTS_PER_INCH = 112
+CHART_MM, FINE = 0.07, 8
+"""Side of what is shown of a chart, and the coarsest group in it."""
+
+
+def figure_7(store: Path, picture: Path) -> None:
+    """Curves and plates of slices, and below them those of decenter and tilt side by side."""
+    from PIL import Image
+
+    from tolerancing import open_store
+    from tolerancing.report.blocks import FigureBlock
+    from tolerancing.report.report import report_data
+    from tolerancing.report.sections.series import series_section
+
+    with open_store(store) as opened:
+        blocks = [block for block in series_section(report_data(opened)) if isinstance(block, FigureBlock)]
+    drawn = [[_drawn(panel.figure) for panel in block.panels] for block in blocks]
+    decenter, decenter_plate, tilt, tilt_plate, slices, slices_plate, *_ = drawn
+    rows = [slices, slices_plate, [decenter[0], tilt[0]], [*decenter_plate, *tilt_plate]]
+    width = max(sum(part.width for part in row) for row in rows)
+    scaled = [[_of_width(part, width // len(row)) for part in row] for row in rows]
+    heights = [max(part.height for part in row) for row in scaled]
+    page = Image.new("RGB", (width, sum(heights)), "white")
+    for top, row in zip(np.cumsum([0, *heights[:-1]]), scaled, strict=True):
+        for number, part in enumerate(row):
+            page.paste(part, (number * (width // len(row)), int(top)))
+    page.save(picture, optimize=True)
+
+
+def _drawn(figure: Any) -> Image:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(DOTS_PER_INCH)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def _of_width(picture: Image, width: int) -> Image:
+    return picture.resize((width, round(picture.height * width / picture.width)))
+
+
+def whole_field(frames: Path, found: Path, picture: Path, at_mm: tuple[float, float] = (0.0, 1.3)) -> None:
+    """The finest groups in the middle and off the axis, as they were found, and as they are."""
+    from matplotlib.figure import Figure
+
+    from lensdesign import load_design
+    from wavesim.objects.patch import object_patch, usaf_charts_of
+    from wavesim.objects.usaf import chart_outline
+    from wavesim.pictures.panels import AS_SAMPLED, scale_bar
+
+    with np.load(found / "reconstruction.npz") as one, np.load(frames / "object.npz") as other:
+        result, true, pitch_um = np.abs(one["values"]), np.abs(other["values"]), float(one["pitch_um"])
+    side_mm = 1e-3 * pitch_um * len(result)
+    lens = load_design("designs/paper_singlet.toml")
+    charts = usaf_charts_of(object_patch(lens, side_mm, object_pitch_um=pitch_um), [at_mm])
+    figure = Figure(figsize=(12.0, 4.4), layout="constrained")
+    off = f"{math.hypot(*at_mm):g} mm off the axis"
+    for axes, title, values, chart in zip(
+        figure.subplots(1, 3),
+        ("found in the middle", f"found {off}", "the true chart"),
+        (result, result, true),
+        (charts[0], charts[1], charts[1]),
+        strict=True,
+    ):
+        around = chart_outline([one for one in chart if one.group >= FINE])
+        middle = (0.5 * (around.low_mm + around.high_mm), 0.5 * (around.left_mm + around.right_mm))
+        half = round(0.5e3 * CHART_MM / pitch_um)
+        row, column = (round(0.5 * (len(values) - 1) + 1e3 * at / pitch_um) for at in middle)
+        shown = values[row - half : row + half, column - half : column + half]
+        axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, **AS_SAMPLED)
+        axes.set_title(title)
+        scale_bar(axes, shown.shape, pitch_um)
+    figure.savefig(picture, dpi=100)
+
+
+def main(arguments: list[str]) -> None:
+    """Draw what is asked for."""
+    pictures = {"figure-7": (figure_7, 2), "whole-field": (whole_field, 3)}
+    name, *paths = arguments or [""]
+    if name not in pictures or len(paths) != pictures[name][1]:
+        raise SystemExit(__doc__)
+    pictures[name][0](*map(Path, paths))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
