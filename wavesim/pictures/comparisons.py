@@ -148,7 +148,8 @@ def _draw_map(axes: Any, found: FailureMap) -> Any:
         _outline(axes, found.guard >= level, style)
     axes.set_xticks(range(len(found.x)), [f"{v:g}" for v in found.x])
     axes.set_yticks(range(len(found.y)), [f"{v:g}" for v in found.y])
-    axes.set(xlabel=found.x_label, ylabel=found.y_label)
+    # Columns of tables keep to ASCII.
+    axes.set(xlabel=found.x_label.replace("(um)", "(µm)"), ylabel=found.y_label.replace("(um)", "(µm)"))
     always = ", warns everywhere" if np.all(found.guard >= WARNED) else ""
     axes.set_title(found.method + always, loc="left")
     return picture
