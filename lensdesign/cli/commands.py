@@ -302,7 +302,9 @@ def _table(title: str, *columns: str) -> Any:
     width = min(len(shown), WIDEST_TITLE)
     table = Table(title=escape(shown) or None, title_justify="left", title_style="bold", min_width=width)
     for column in columns:
-        table.add_column(column, justify="right" if column in ("value", "limit") else "left")
+        # A name that were cut could look like another one: it goes on below.
+        side: Any = "right" if column in ("value", "limit") else "left"
+        table.add_column(column, justify=side, overflow="fold")
     return table
 
 

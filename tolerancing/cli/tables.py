@@ -13,8 +13,6 @@ def print_table(
     numbers: Sequence[str],
     rows: Iterable[Sequence[str]],
     last: Sequence[str] = (),
-    *,
-    no_wrap: bool = False,
 ) -> None:
     """Print a table of columns of words and, behind them, of numbers.
 
@@ -26,8 +24,6 @@ def print_table(
         Headings of the columns that are flush left and flush right.
     rows, last
         The cells; `last` below a line.
-    no_wrap
-        Whether the first column keeps its width.
     """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
@@ -36,10 +32,11 @@ def print_table(
 
     heading = escape(visible(title)) or None
     table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(words):
-        table.add_column(name, no_wrap=no_wrap and k == 0)
+    # A name that were cut could look like another one, and a number be another: names go on below.
+    for name in words:
+        table.add_column(name, overflow="fold")
     for name in numbers:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     if last:

@@ -242,4 +242,4 @@ def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:
 
 
 def _print_table(title: str, numbers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    print_table(title, ["perturbation"], numbers, rows, no_wrap=True)
+    print_table(title, ["perturbation"], numbers, rows)

@@ -253,7 +253,7 @@ def _print_choice(choice: Any, runs: int) -> None:
         mark = "*" if p is choice.chosen else ""
         rows.append((mark, p.label, *(("refused", "", "") if p.refused else figures)))
     columns = ("error, at most", f"seconds, {runs} run(s)", "memory (MB)")
-    print_table(("", "engine"), columns, rows, no_wrap=True)
+    print_table(("", "engine"), columns, rows)
     print()
     for sentence in choice.reason.split(". "):
         print(sentence.removesuffix("."))

@@ -36,18 +36,17 @@ def print_table(
     numbers: Sequence[str],
     rows: Iterable[Sequence[str]],
     title: str = "",
-    *,
-    no_wrap: bool = False,
 ) -> None:
     """Print a table of columns of words, flush left, and behind them of numbers, flush right."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
+    # A name that were cut could look like another one, and a number be another: names go on below.
     for name in words:
-        table.add_column(name, no_wrap=no_wrap)
+        table.add_column(name, overflow="fold")
     for name in numbers:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     Console(highlight=False, markup=False).print(table)
