@@ -36,7 +36,7 @@ def figure_7(store: Path, picture: Path) -> None:
     with open_store(store) as opened:
         blocks = [block for block in series_section(report_data(opened)) if isinstance(block, FigureBlock)]
     drawn = [[_drawn(panel.figure) for panel in block.panels] for block in blocks]
-    decenter, decenter_plate, tilt, tilt_plate, slices, slices_plate, *_ = drawn
+    decenter, decenter_plate, tilt, tilt_plate, _, slices, slices_plate, *_ = drawn
     rows = [slices, slices_plate, [decenter[0], tilt[0]], [*decenter_plate, *tilt_plate]]
     width = max(sum(part.width for part in row) for row in rows)
     scaled = [[_of_width(part, width // len(row)) for part in row] for row in rows]
@@ -45,7 +45,7 @@ def figure_7(store: Path, picture: Path) -> None:
     for top, row in zip(np.cumsum([0, *heights[:-1]]), scaled, strict=True):
         for number, part in enumerate(row):
             page.paste(part, (number * (width // len(row)), int(top)))
-    page.save(picture, optimize=True)
+    page.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 
 def _drawn(figure: Any) -> Image:
