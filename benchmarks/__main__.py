@@ -23,6 +23,7 @@ SCRIPTS = (
     "refocusing",
     "uncertainty",
     "patch_chain",
+    "focus_rule",
     "study_speed",
     "study_faults",
     "two_levels",
