@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import visible
 from lensdesign.errors import InputError, TransferLensError, atomic_path
 from tolerancing.analysis.trial import SingleTrial
 from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
@@ -37,9 +38,8 @@ def trial_figure(trial: SingleTrial) -> Figure:
     rows: list[tuple[tuple[float, float], PupilMerit]] = list(pictured.items())
     with styled({"axes.grid": False}):
         figure = styled_figure(9.0, 2.9 * len(rows) + 0.4)
-        figure.suptitle(
-            f"Trial {trial.number} of {trial.study.title or trial.study.design}", fontweight="bold"
-        )
+        title = f"Trial {trial.number} of {trial.study.title or trial.study.design}"
+        figure.suptitle(visible(title), fontweight="bold", parse_math=False)
         axes = figure.subplots(len(rows), 3, squeeze=False)
         for row, (point, merit) in zip(axes, rows, strict=True):
             try:
@@ -47,7 +47,7 @@ def trial_figure(trial: SingleTrial) -> Figure:
             except TransferLensError as error:
                 for axis in row:
                     axis.set_axis_off()
-                row[0].text(0.0, 0.5, str(error), wrap=True, fontsize=7.5)
+                row[0].text(0.0, 0.5, visible(str(error)), wrap=True, fontsize=7.5, parse_math=False)
     return figure
 
 

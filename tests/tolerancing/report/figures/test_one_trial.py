@@ -1,5 +1,8 @@
 """The picture of one trial."""
 
+from dataclasses import replace
+from xml.etree import ElementTree
+
 import pytest
 
 from lensdesign.errors import InputError
@@ -18,3 +21,12 @@ def test_the_picture_shows_each_field_point(small_store, tmp_path):
     with pytest.raises(InputError, match="suffix must be one of"):
         write_trial_figure(trial, tmp_path / "trial.jpeg")
     assert not (tmp_path / "trial.jpeg").exists()
+
+
+@pytest.mark.parametrize("title", ["$\\frac{ $ </title><script>x</script>", "\x1b]0;owned\x07 \x00 5 $"])
+def test_titles_are_drawn_as_they_stand(small_store, tmp_path, title):
+    trial = single_trial(small_store, 2)
+    study = trial.study.model_copy(update={"title": title})
+    write_trial_figure(replace(trial, study=study), tmp_path / "trial.svg")
+    root = ElementTree.parse(tmp_path / "trial.svg").getroot()
+    assert not [e for e in root.iter() if e.tag.endswith("script")]
