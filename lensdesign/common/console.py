@@ -7,7 +7,8 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -114,6 +115,34 @@ def fail(message: str) -> None:
 def print_json(data: dict[str, Any]) -> None:
     """Print one JSON object, and nothing else, on standard output."""
     print(json.dumps(data, indent=2, allow_nan=False))
+
+
+@contextmanager
+def messages_only() -> Iterator[None]:
+    """Have all that is printed meanwhile go to standard error, so that standard output holds results alone.
+
+    Whoever prints: a library, a user's code, and processes that are started meanwhile.
+    """
+    with redirect_stdout(sys.stderr):
+        try:
+            kept = os.dup(1)
+        except OSError:  # standard output is closed
+            yield
+            return
+        try:
+            _lead_to(2)
+            yield
+        finally:
+            _lead_to(kept)
+            os.close(kept)
+
+
+def _lead_to(descriptor: int) -> None:
+    """Lead standard output elsewhere, but for what was printed before."""
+    if sys.__stdout__ is not None:
+        sys.__stdout__.flush()
+    with suppress(OSError):  # standard error is closed
+        os.dup2(descriptor, 1)
 
 
 def message_console() -> Console:

@@ -164,7 +164,7 @@ def summary_of(
 def merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
     """Summarize one merit's scores of all trials."""
     known = scores[np.isfinite(scores)]
-    nominal = None if nominal is None or np.isnan(nominal) else nominal
+    nominal = None if nominal is None or not np.isfinite(nominal) else nominal
     values = np.percentile(known, PERCENTILES) if len(known) else ()
     mean, deviation = mean_and_deviation(known)
     return MeritSummary(

@@ -121,4 +121,4 @@ def single_trial(store: Store, number: int, *, dear: bool = False) -> SingleTria
 
 
 def _or_none(value: Any) -> float | None:
-    return None if np.isnan(value) else float(value)
+    return float(value) if np.isfinite(value) else None

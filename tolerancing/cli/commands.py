@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.console import make_app, messages_only, print_json, run_app
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from tolerancing.cli import tolerances as cli_tolerances
 from tolerancing.cli.tables import print_table
-from tolerancing.cli.tolerances import Json, StorePath
+from tolerancing.cli.tolerances import Json, StorePath, Trust
 
 if TYPE_CHECKING:
     from tolerancing.analysis.summary import Summary
@@ -52,7 +52,7 @@ def run(
 
     loaded = load_study(study)
     try:
-        with progress_bar() as bar:
+        with messages_only(), progress_bar() as bar:
             task = bar.add_task("trials and steps", total=None)
             outcome = run_study(
                 loaded,
@@ -95,18 +95,20 @@ def show(
         Path | None, typer.Option("--output", "-o", help="With --trial: its picture (png, svg or pdf).")
     ] = None,
     dear: Annotated[bool, typer.Option("--dear", help="With --trial: by the dear merits too.")] = False,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Show the yield that a store holds, merit by merit, or one of its trials.
 
-    A store holds its study's files; merits in Python among them are run again with a trial.
+    A trial is scored again from the files of its study, which the store holds. Python among them is run
+    only with --trust, or where your own copy of the file lies beside the store.
     """
     from tolerancing.analysis.summary import summarize
     from tolerancing.store.store import open_store
 
     if trial is None and (output is not None or dear):
         raise InputError("--output and --dear go with --trial")
-    with open_store(store) as opened:
+    with open_store(store, trust=trust) as opened:
         if trial is not None:
             _show_trial(opened, trial, output, dear, as_json)
             return
@@ -121,9 +123,10 @@ def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_j
     from tolerancing.analysis.trial import single_trial
     from tolerancing.report.figures.one_trial import write_trial_figure
 
-    trial = single_trial(store, number, dear=dear)
-    if output is not None:
-        write_trial_figure(trial, output)
+    with messages_only():
+        trial = single_trial(store, number, dear=dear)
+        if output is not None:
+            write_trial_figure(trial, output)
     if as_json:
         print_json({"store": str(store.path), **trial.as_dict()})
         return

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lensdesign.common.console import print_json
+from lensdesign.common.console import messages_only, print_json
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Let Python that the store holds be run: you know who made it.")
+]
 MeritName = Annotated[str | None, typer.Option("--merit", help="Only this merit, by its name.")]
 
 
@@ -86,7 +89,7 @@ def inverse(
     from tolerancing.analysis.limits import inverse
     from tolerancing.study.files import load_study
 
-    with progress_bar() as bar:
+    with messages_only(), progress_bar() as bar:
         task = bar.add_task("lenses scored", total=None)
         found = inverse(load_study(study), merit, change=change, report=lambda n: bar.advance(task, n))
     if as_json:
@@ -104,12 +107,14 @@ def budget(
         typer.Option(help="COLUMN=WEIGHT: what a tolerance costs, over the others; several times."),
     ] = None,
     verify: Annotated[int, typer.Option(help="Trials of the lens itself, and as many fresh ones.")] = 500,
+    trust: Trust = False,
     as_json: Json = False,
 ) -> None:
     """Find the loosest tolerances that keep a yield, from a run's trials, and write them as a study.
 
     What is found is verified by random trials of another seed. Interrupted, it writes the loosest tolerances
-    that were known to do until then.
+    that were known to do until then. Lenses are scored again: Python that the store holds is run only
+    with --trust, or where your own copy of the file lies beside the store.
     """
     from lensdesign.common.console import progress_bar
     from lensdesign.common.text import duration_text
@@ -123,10 +128,10 @@ def budget(
     from tolerancing.study.files import save_study
 
     interrupted, weights = False, _weights(weight or [])
-    with open_store(store) as opened:
+    with open_store(store, trust=trust) as opened:
         study = opened.study
         try:
-            with progress_bar() as bar:
+            with messages_only(), progress_bar() as bar:
                 task = bar.add_task("trials of the lens", total=None)
 
                 def report(done: int, most: int) -> None:

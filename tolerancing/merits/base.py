@@ -18,6 +18,9 @@ from tolerancing.perturbations.parameters import Name, with_unit
 
 Level = Literal["auto", "ray", "pupil", "wave"]
 
+LARGEST_SCORE = 1e100
+"""Scores beyond it, either way, are none: sums and squares of them would not be finite."""
+
 
 class Merit(Section):
     """One figure of merit and its limit.
@@ -81,8 +84,21 @@ class Merit(Section):
         return None
 
     def loaded(self, folder: Path) -> Self:
-        """The merit with what its file holds; relative to the study's folder."""
+        """The merit with what its file holds; relative to the study's folder. Nothing of it is run."""
         return self
+
+    def refused(self, why: str) -> Self:
+        """The merit without leave to run a user's code; where it would, that is an InputError: `why`."""
+        return self
+
+    def get_ready(self) -> None:
+        """Make sure, before the first trial, that it can score.
+
+        Raises
+        ------
+        InputError
+            If the code of a user that it needs cannot be run, or is not to be.
+        """
 
     def is_compensated(self, compensators: bool) -> bool:
         """Whether refocusing, or the study's compensators if it has any, change the scores."""

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, field_validator
 
-from lensdesign.errors import DesignError, InputError
+from lensdesign.errors import DesignError, InputError, TransferLensError
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import LARGEST_SCORE, Merit
+from tolerancing.merits.containment import contained
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch
 from wavesim.scene.placement import Placement
@@ -67,7 +68,8 @@ class PythonMerit(Merit):
     ----------
     function
         ``file.py:name``, the file relative to the study. It is called with a :class:`Trial` and returns a
-        number; whatever it raises, and NaN, is that trial's failure.
+        number. Whatever it raises is that trial's failure, leaving the program too, and so is a number that
+        is not finite, or beyond :data:`LARGEST_SCORE`.
     score_unit
         Unit of the scores, for columns and reports.
     """
@@ -76,6 +78,7 @@ class PythonMerit(Merit):
     score_unit: Annotated[str, Field(pattern=r"^[a-z%_]*$", max_length=20)] = ""
 
     _source: str = PrivateAttr(default="")
+    _refusal: str = PrivateAttr(default="")
 
     @field_validator("function")
     @classmethod
@@ -98,18 +101,34 @@ class PythonMerit(Merit):
 
         own = self.model_copy()
         own._source = read_text(folder / self.file_name)
-        function_of(own._source, self.function)
         return own
 
+    def refused(self, why: str) -> Self:
+        own = self.model_copy()
+        own._refusal = why
+        return own
+
+    def get_ready(self) -> None:
+        self._runnable()
+
     def scores(self, context: Context, batch: PerturbationBatch) -> NDArray[np.float64]:
-        function = function_of(self._source, self.function)
+        function = self._runnable()
         systems = context.placements(batch, self.wavelength_um)
+
+        def score(trial: Trial) -> float:
+            return contained(lambda: _number(function(trial), self.function), self.file_name)
+
         return np.array(
             [
-                _number(function(self._trial(context, one, system)), self.function)
+                score(self._trial(context, one, system))
                 for one, system in zip(batch.single_trials(), systems, strict=True)
             ]
         )
+
+    def _runnable(self) -> Any:
+        if self._refusal:
+            raise InputError(self._refusal)
+        return function_of(self._source, self.function)
 
     def _trial(self, context: Context, one: PerturbationBatch, system: Placement) -> Trial:
         columns = [p.column for p in one.parameters]
@@ -129,14 +148,18 @@ def _number(value: Any, function: str) -> float:
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{function} returned {type(value).__name__}: must be a number") from None
+    except OverflowError:
+        number = math.inf
     if math.isnan(number):
         raise InputError(f"{function} returned NaN")
+    if abs(number) > LARGEST_SCORE:
+        raise InputError(f"{function} returned {number:g}: must lie within +-{LARGEST_SCORE:g}")
     return number
 
 
 @lru_cache(maxsize=32)
 def function_of(source: str, function: str) -> Any:
-    """The function in the text of a file.
+    """The function in the text of a file, which is run.
 
     Raises
     ------
@@ -146,9 +169,9 @@ def function_of(source: str, function: str) -> Any:
     file, _, name = function.rpartition(":")
     namespace: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
     try:
-        exec(compile(source, file, "exec"), namespace)
-    except Exception as error:
-        raise DesignError(f"{file}: cannot be run: {type(error).__name__}: {error}") from error
+        contained(lambda: exec(compile(source, file, "exec"), namespace), file)
+    except TransferLensError as error:
+        raise DesignError(f"{file}: cannot be run: {error}") from error
     found = namespace.get(name)
     if not callable(found):
         raise DesignError(f"{file}: there is no function {name!r}")

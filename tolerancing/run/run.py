@@ -117,6 +117,8 @@ def run_study(
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
+    for merit in loaded.study.all_merits:
+        merit.get_ready()
     store, is_new = _ready_store(Path(store_path), loaded, planned, fresh)
     with store:
         levels = {merit.label: merit.level for merit in store.merits()}

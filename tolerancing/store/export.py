@@ -9,15 +9,15 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from lensdesign.common.text import FORMULA_STARTS, safe_cell
+from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, atomic_path
+from tolerancing.store.checks import Columns, check_kinds
+from tolerancing.store.file import undamaged
 from tolerancing.store.schema import number_columns
 from tolerancing.store.store import Store
 
 Rows = Sequence[Sequence[Any]]
 Write = Callable[[Rows], None]
-Columns = dict[str, str]
-"""Names of columns and what they hold: ``integer``, ``number``, ``flag`` or ``text``."""
 
 
 def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
@@ -34,8 +34,8 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     InputError
-        If the name has another ending, the file cannot be written, or ``pyarrow`` is not installed for
-        Parquet; whatever stood there stays.
+        If the name has another ending, the file cannot be written, ``pyarrow`` is not installed for Parquet,
+        or the store holds what no run writes; whatever stood there stays.
     """
     study = store.study
     columns: Columns = {"trial": "integer", "status": "text", "message": "text"}
@@ -105,21 +105,20 @@ def _write(store: Store, path: Path, columns: Columns, blocks: Iterator[Rows]) -
         raise InputError(f"cannot write {path}: it is the store itself; give another file name")
     with atomic_path(path) as temporary, writers[path.suffix](temporary, columns) as write:
         for rows in blocks:
+            with undamaged(store.path):
+                check_kinds(columns, rows)
             write(rows)
 
 
 @contextmanager
 def _csv_writer(path: Path, columns: Columns) -> Iterator[Write]:
-    texts = [k for k, kind in enumerate(columns.values()) if kind == "text"]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(columns)
+        table.writerow([safe_cell(name) for name in columns])
 
         def write(rows: Rows) -> None:
             for row in rows:
-                if any(row[k] and row[k].startswith(FORMULA_STARTS) for k in texts):
-                    row = [safe_cell(v) if v and k in texts else v for k, v in enumerate(row)]
-                table.writerow(row)
+                table.writerow([safe_cell(v) if isinstance(v, str) else v for v in row])
 
         yield write
 

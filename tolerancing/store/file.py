@@ -62,9 +62,11 @@ def connect(path: Path) -> sqlite3.Connection:
     if not (os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)):
         how = "mode=ro" if _log_holds_rows(place) else "mode=ro&immutable=1"
     with reported(path, "open"):
-        return sqlite3.connect(
+        connection = sqlite3.connect(
             f"{place.as_uri()}?{how}", uri=True, isolation_level=None, timeout=PATIENCE_SECONDS
         )
+        connection.execute("PRAGMA trusted_schema = OFF")  # others may have made it
+        return connection
 
 
 def start_writing(connection: sqlite3.Connection) -> None:

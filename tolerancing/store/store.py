@@ -24,6 +24,16 @@ from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_table
 from lensdesign.errors import DesignError, TransferLensError
+from tolerancing.store.checks import (
+    STEP_COLUMNS,
+    check_coordinates,
+    check_kinds,
+    check_picture,
+    check_scores,
+    check_tables,
+    check_trials,
+    record_of,
+)
 from tolerancing.store.creation import create_store
 from tolerancing.store.file import check_is_store, connect, put_log_away, reported, start_writing, undamaged
 from tolerancing.store.schema import (
@@ -36,6 +46,7 @@ from tolerancing.store.schema import (
     step_rows,
     trial_rows,
 )
+from tolerancing.store.trust import without_leave
 from tolerancing.study.files import LoadedStudy, load_from_files
 from tolerancing.study.results import DearResults, Picture, Results, StepResults, TrialResults
 from tolerancing.study.study import MOST_TRIALS, Study
@@ -46,8 +57,16 @@ ROWS_AT_ONCE = 20_000
 """Rows that are turned into arrays, or written by an export, at a time."""
 
 
-def open_store(path: str | os.PathLike[str]) -> Store:
+def open_store(path: str | os.PathLike[str], *, trust: bool = False) -> Store:
     """Open a store that is there.
+
+    Parameters
+    ----------
+    path
+        The store.
+    trust
+        Whether merits in Python that it holds may be run, by whoever scores its lenses again. Else those of
+        which no copy of one's own lies beside the store refuse to score; all that is stored can be read.
 
     Raises
     ------
@@ -56,7 +75,13 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     """
     path = Path(path)
     check_is_store(path)
-    return Store(path)
+    store = Store(path, trust)
+    try:
+        store.check()
+    except BaseException:
+        store.close()
+        raise
+    return store
 
 
 class Store:
@@ -66,10 +91,13 @@ class Store:
     ----------
     path
         A file that :func:`create_store` made; go through :func:`open_store`, which makes sure.
+    trust
+        As of :func:`open_store`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, trust: bool = False) -> None:
         self.path = path
+        self._trust = trust
         self._folder: TemporaryDirectory[str] | None = None
         self._connection = connect(path)
 
@@ -118,24 +146,42 @@ class Store:
             except DesignError as error:
                 raise ValueError(str(error)) from error
         levels = {merit.label: merit.level for merit in self.merits()}
-        return replace(loaded, study=loaded.study.with_levels(levels))
+        loaded = replace(loaded, study=loaded.study.with_levels(levels))
+        return loaded if self._trust else without_leave(loaded, self.path)
 
     @property
     def study(self) -> Study:
         """The study whose results these are."""
         return self.loaded.study
 
+    def check(self) -> None:
+        """Refuse a database whose tables are no store's.
+
+        Raises
+        ------
+        InputError
+            If one is missing, or is something else than a run makes.
+        """
+        with reported(self.path, "open"), undamaged(self.path):
+            check_tables(self._connection)
+
     def record(self) -> StudyRecord:
         """The study's particulars."""
         rows = self._rows("SELECT * FROM study")
         with undamaged(self.path):
             (row,) = rows
-            return StudyRecord(*row)
+            record = record_of(StudyRecord, row)
+            if not 1 <= record.planned_trials <= MOST_TRIALS:
+                raise ValueError(f"planned_trials = {record.planned_trials}: must be from 1 to {MOST_TRIALS}")
+            return record
 
     def merits(self) -> list[MeritRecord]:
         """What the store knows of each merit."""
         with undamaged(self.path):
-            return [MeritRecord(*row) for row in self._rows("SELECT * FROM merit ORDER BY rowid")]
+            rows = self._rows("SELECT * FROM merit ORDER BY rowid")
+            merits = [record_of(MeritRecord, row) for row in rows]
+            check_scores("nominal", np.array([merit.nominal for merit in merits], float))
+            return merits
 
     def nominal(self) -> dict[str, float]:
         """Scores of the nominal lens, by merit."""
@@ -218,11 +264,15 @@ class Store:
             rows = self._array(
                 f"SELECT trial, {names}passed, seconds FROM trial WHERE 1 {which} ORDER BY trial", count
             )
-            told = dict(self._rows(f"SELECT trial, message FROM trial WHERE message != '' {which}"))
+            messages = self._rows(f"SELECT trial, message FROM trial WHERE message != '' {which}")
         width = len(columns) + 3
         with undamaged(self.path):
             rows = rows.reshape(len(rows), width)
             numbers = rows[:, 0].astype(np.int64)
+            check_trials(numbers)
+            check_scores("trial", rows[:, 1 + perturbations :])
+            check_kinds({"trial": "integer", "message": "text"}, messages)
+            told = dict(messages)
         values, scores, extras = np.split(
             rows[:, 1 : 1 + len(columns)], [perturbations, perturbations + merits], axis=1
         )
@@ -240,8 +290,11 @@ class Store:
         """Scores of the first trials by one merit, shape (trials,); NaN where there is none."""
         (column,) = [m.column for m in self.study.merits if m.label == label]
         rows = self._array(f'SELECT trial, "{column}" FROM trial WHERE trial < {trials}').reshape(-1, 2)
-        scores = np.full(trials, np.nan)
-        scores[rows[:, 0].astype(np.int64)] = rows[:, 1]
+        scores, numbers = np.full(trials, np.nan), rows[:, 0].astype(np.int64)
+        with undamaged(self.path):
+            check_trials(numbers)
+            check_scores("trial", rows[:, 1])
+        scores[numbers] = rows[:, 1]
         return scores
 
     def dear(self) -> DearResults:
@@ -250,8 +303,11 @@ class Store:
         names = "".join(f', "{merit.column}"' for merit in merits)
         rows = self._rows(f"SELECT trial, chosen, message, seconds{names} FROM dear ORDER BY trial")
         with undamaged(self.path):
+            check_kinds({"trial": "integer", "chosen": "text", "message": "text", "seconds": "number"}, rows)
+            check_trials(np.array([row[0] for row in rows], np.int64))
             scores = np.array([row[4:] for row in rows], float).reshape(len(rows), len(merits))
             seconds = np.array([row[3] for row in rows], float)
+            check_scores("dear", scores)
         return DearResults(
             trials=tuple(row[0] for row in rows),
             chosen=tuple(row[1] for row in rows),
@@ -264,13 +320,16 @@ class Store:
         """All steps, series by series in order, with their pictures."""
         pictures = self._pictures()
         found: dict[tuple[str, int], StepResults] = {}
-        for series, step, coordinates, merit, score, message, seconds in self._rows(
-            "SELECT * FROM step ORDER BY series, step, rowid"
-        ):
+        rows = self._rows("SELECT * FROM step ORDER BY series, step, rowid")
+        with undamaged(self.path):
+            check_kinds(STEP_COLUMNS, rows)
+            check_scores("step", np.array([row[4] for row in rows], float))
+        for series, step, coordinates, merit, score, message, seconds in rows:
             key = (series, step)
             if key not in found:
                 with undamaged(self.path):
                     where = json.loads(coordinates)
+                    check_coordinates(where)
                 found[key] = StepResults(
                     series, step, where, {}, message, tuple(pictures.get(key, ())), seconds
                 )
@@ -284,6 +343,7 @@ class Store:
         ):
             with undamaged(self.path):
                 intensity = np.frombuffer(data, dtype="<f4").reshape(points, points)
+                check_picture(width, half_width, orientation, intensity)
             picture = Picture(width, orientation, bool(refocused), half_width, intensity)
             pictures.setdefault((series, step), []).append(picture)
         return pictures
@@ -322,9 +382,10 @@ class Store:
             self._connection.execute("BEGIN")
         try:
             yield
-        finally:
+        finally:  # nothing was written: a rollback ends it as well, and reads nothing more
             if self._connection.in_transaction:
-                self._connection.execute("COMMIT")
+                with reported(self.path, "read"):
+                    self._connection.execute("ROLLBACK")
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:

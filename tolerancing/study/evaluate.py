@@ -24,7 +24,20 @@ PROBED_TRIALS = 6
 
 
 def context_of(lens: Lens, study: Study) -> Context:
-    """What the merits of a study share."""
+    """What the merits of a study share, all of them ready to score.
+
+    Raises
+    ------
+    InputError
+        If one is not; as of :meth:`Merit.get_ready`.
+    """
+    for merit in study.all_merits:
+        merit.get_ready()
+    return pupils_of(lens, study)
+
+
+def pupils_of(lens: Lens, study: Study) -> Context:
+    """As :func:`context_of`, for those who look at pupils and score by no merit."""
     points = dict.fromkeys(
         (point, merit.wavelength_um)
         for merit in study.all_merits
@@ -113,7 +126,7 @@ def _nominal_score(merit: Merit, context: Context, batch: PerturbationBatch) -> 
         return float(merit.scores(context, batch)[0])
     except Exception as error:
         raise InputError(
-            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(merit, error)}; nothing was "
+            f"merit {merit.label!r} cannot score the nominal lens: {fault_text(error)}; nothing was "
             "run: mend the merit or the design"
         ) from error
 

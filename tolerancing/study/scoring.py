@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Sequence
 
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -40,18 +40,13 @@ def _score_singly(
         try:
             scores[0, k] = merit.scores(context, batch)[0]
         except Exception as error:
-            faults.append(f"{merit.label}: {fault_text(merit, error)}")
+            faults.append(f"{merit.label}: {fault_text(error)}")
     return scores, ("; ".join(dict.fromkeys(faults)) or _missing(merits, scores[0]),)
 
 
-def fault_text(merit: Merit, error: Exception) -> str:
-    """What went wrong in a merit, with the line of a user's own file that it went wrong in."""
-    if isinstance(error, TransferLensError):
-        return str(error)
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame.lineno for frame in frames if frame.filename == merit.file_name]
-    place = f" ({merit.file_name}, line {own[-1]})" if own else ""
-    return f"{type(error).__name__}: {error}{place}"
+def fault_text(error: Exception) -> str:
+    """What went wrong in a merit, in printable characters."""
+    return visible(str(error) if isinstance(error, TransferLensError) else f"{type(error).__name__}: {error}")
 
 
 def _missing(merits: Sequence[Merit], scores: Array) -> str:

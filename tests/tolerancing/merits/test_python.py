@@ -1,11 +1,13 @@
 """A user's own merit: what it is given, and what goes wrong."""
 
+import os
 import pickle
+import signal
 
 import numpy as np
 import pytest
 
-from lensdesign import DesignError
+from lensdesign import DesignError, InputError
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -102,6 +104,103 @@ def test_it_travels_to_other_processes(tmp_path, context, batch):
         ("tilt", "1 / 0", "mine.py: cannot be run: ZeroDivisionError"),
     ],
 )
-def test_files_without_the_function_are_refused(tmp_path, name, source, message):
+def test_files_without_the_function_are_refused_before_the_first_trial(tmp_path, name, source, message):
     with pytest.raises(DesignError, match=message):
-        own(tmp_path, name, source)
+        own(tmp_path, name, source).get_ready()
+
+
+def test_reading_runs_nothing(tmp_path, context, batch):
+    """Neither a file, nor a merit without leave."""
+    merit = own(tmp_path, "tilt", f"open({str(tmp_path / 'run')!r}, 'w')\n" + SOURCE)
+    with pytest.raises(InputError, match="a stranger's"):
+        merit.refused("a stranger's").get_ready()
+    with pytest.raises(InputError, match="a stranger's"):
+        pickle.loads(pickle.dumps(merit.refused("a stranger's"))).scores(context, batch)
+    assert not (tmp_path / "run").exists()
+    merit.get_ready()
+    assert (tmp_path / "run").exists()
+
+
+WAYS_OUT = """
+import os
+import sys
+
+
+class Own(BaseException):
+    def __str__(self):
+        raise Own
+
+
+class Number:
+    def __float__(self):
+        sys.exit(0)
+
+
+def leave(trial):
+    tilt = trial.deltas["lens_tilt_x_deg"]
+    if tilt == 0.0:
+        sys.exit(0)
+    if tilt == 0.05:
+        os._exit(0)
+    if tilt == 0.1:
+        raise Own
+    if tilt == 0.15:
+        raise ValueError("\\ud800\\x1b[31m")
+    return Number()
+
+
+def huge(trial):
+    sizes = {0.0: 1.7e308, 0.05: -1.7e308, 0.1: float("inf"), 0.15: 10**400, -0.05: 1e100}
+    return sizes[trial.deltas["lens_tilt_x_deg"]]
+"""
+
+
+def test_whatever_leaves_the_program_is_that_trials_failure(tmp_path, context, batch):
+    scores, messages = score_batch([own(tmp_path, "leave", WAYS_OUT)], context, batch)
+    assert np.all(np.isnan(scores))
+    assert messages == (
+        "python: SystemExit: 0: asks for the end of the run (mine.py, line 19)",
+        "python: os._exit(0) would end the run (mine.py, line 21)",
+        "python: Own: it cannot say why (mine.py, line 23)",
+        r"python: ValueError: \ud800\x1b[31m (mine.py, line 25)",
+        "python: SystemExit: 0: asks for the end of the run (mine.py, line 13)",
+    )
+    assert os._exit is not None
+    assert os._exit.__module__ == "posix"
+
+
+def test_scores_too_large_to_be_counted_with_are_failures(tmp_path, context, batch):
+    scores, messages = score_batch([own(tmp_path, "huge", WAYS_OUT)], context, batch)
+    assert scores[-1, 0] == 1e100
+    assert np.all(np.isnan(scores[:-1]))
+    assert [message.partition("returned ")[2] for message in messages] == [
+        "1.7e+308: must lie within +-1e+100",
+        "-1.7e+308: must lie within +-1e+100",
+        "inf: must lie within +-1e+100",
+        "inf: must lie within +-1e+100",
+        "",
+    ]
+
+
+@pytest.mark.parametrize(
+    "way", ["sys.exit(0)", "os._exit(0)", "raise KeyError('x')", "class B(BaseException): 0\nraise B"]
+)
+def test_a_file_that_leaves_the_program_is_refused(tmp_path, way):
+    with pytest.raises(DesignError, match=r"mine.py: cannot be run: "):
+        own(tmp_path, "tilt", f"import os, sys\n{way}\n{SOURCE}").get_ready()
+
+
+def test_interrupts_pass(tmp_path, context, batch):
+    merit = own(
+        tmp_path, "tilt", "import signal\ndef tilt(trial):\n    signal.raise_signal(signal.SIGUSR1)\n"
+    )
+
+    def stop(number, frame):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGUSR1, stop)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            score_batch([merit], context, batch)
+    finally:
+        signal.signal(signal.SIGUSR1, before)

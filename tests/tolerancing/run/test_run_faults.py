@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import stored_rows
 
-from lensdesign import InputError
+from lensdesign import InputError, TransferLensError
 from tolerancing.run.run import run_study
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
@@ -163,3 +163,49 @@ def test_a_folder_that_cannot_be_written(study, tmp_path):
 def test_a_place_where_nothing_can_be_made(study):
     with pytest.raises(InputError, match="cannot write /proc/store"):
         run_study(load_study(study), "/proc/store", workers=1, trials=3)
+
+
+LEAVING = """
+import os
+import sys
+
+
+def score(trial):
+    print("a merit may print")
+    if trial.number == 1:
+        sys.exit(0)
+    if trial.number == 2:
+        os._exit(0)
+    return 1.0
+"""
+OWN_MERIT = """
+[[merit]]
+kind = "python"
+function = "mine.py:score"
+at_least = 0.0
+"""
+
+
+def test_a_merit_that_ends_the_program_ends_its_trial(write_study, ray_study, tmp_path, capfd):
+    (tmp_path / "mine.py").write_text(LEAVING)
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    assert run_study(study, tmp_path / "a.db", workers=1, trials=4).trials_run == 4
+    with open_store(tmp_path / "a.db") as store:
+        messages = store.trials().messages
+    assert [bool(message) for message in messages] == [False, True, True, False]
+    assert "SystemExit" in messages[1]
+    assert "os._exit(0)" in messages[2]
+
+
+@pytest.mark.parametrize("way", ["sys.exit(0)", "os._exit(0)"])
+@pytest.mark.parametrize("place", ["import", "nominal"])
+def test_a_merit_that_ends_the_program_at_once_is_told_at_the_start(
+    write_study, ray_study, tmp_path, way, place
+):
+    indent = "" if place == "import" else "    "
+    source = f"import os, sys\ndef score(trial):\n    pass\n{indent}{way}\n"
+    (tmp_path / "mine.py").write_text(source)
+    study = load_study(write_study(ray_study + OWN_MERIT))
+    with pytest.raises(TransferLensError, match="end"):
+        run_study(study, tmp_path / "a.db", workers=1, trials=4)
+    assert not (tmp_path / "a.db").exists()

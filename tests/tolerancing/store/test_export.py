@@ -171,3 +171,29 @@ def test_a_file_that_was_there_stays_when_an_export_breaks_off(store, tmp_path, 
         write_trials(store, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == "mine"
     assert sorted(p.name for p in tmp_path.glob("*.csv")) == ["t.csv"]
+
+
+@pytest.mark.parametrize("name", ["t.csv", "t.parquet"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE trial SET strehl = '=HYPERLINK(1)' WHERE trial = 2",
+        "UPDATE dear SET seconds = '=1' WHERE trial = 4",
+    ],
+)
+def test_text_among_numbers_is_no_export(store, tmp_path, name, change):
+    store._connection.execute(change)
+    with pytest.raises(InputError, match=r"damaged: (strehl|dear_seconds) = '=.*': must be number"):
+        write_trials(store, tmp_path / name)
+    assert not (tmp_path / name).exists()
+
+
+def test_no_heading_is_a_formula(store, tmp_path):
+    store._connection.execute("""UPDATE step SET coordinates = '{"=HYPERLINK(1)": 1.0, "@x": "=2"}'""")
+    write_steps(store, tmp_path / "s.csv")
+    with (tmp_path / "s.csv").open(newline="") as file:
+        heading, *rows = csv.reader(file)
+    assert "'=HYPERLINK(1)" in heading
+    assert "'@x" in heading
+    cells = [cell for row in (heading, *rows) for cell in row]
+    assert not [cell for cell in cells if cell.startswith(("=", "@", "+"))]

@@ -289,6 +289,17 @@ def test_missing_store_is_not_made(tmp_path):
         "UPDATE step SET coordinates = 'x'",
         "UPDATE trial SET strehl = 'high'",
         "UPDATE picture SET points = 7",
+        "UPDATE picture SET half_width_um = 9e999",
+        "UPDATE study SET planned_trials = 'abc'",
+        "UPDATE study SET planned_trials = 9223372036854775807",
+        "UPDATE study SET fingerprint = x'00'",
+        "UPDATE merit SET nominal = 'zzz'",
+        "UPDATE merit SET nominal = 1.7e308",
+        "UPDATE trial SET strehl = 1.7e308",
+        "UPDATE trial SET trial = -1 WHERE trial = 0",
+        "UPDATE trial SET message = x'ff'",
+        "UPDATE step SET score = -1.7e308",
+        """UPDATE step SET coordinates = '{"a": [1]}'""",
     ],
 )
 def test_a_store_that_makes_no_sense_is_damaged(path, damage):
@@ -301,7 +312,64 @@ def test_a_store_that_makes_no_sense_is_damaged(path, damage):
     connection.close()
     message = r"the store .*a\.store is damaged: .*--fresh"
     with open_store(path) as store, pytest.raises(InputError, match=message):
-        store.trials(), store.steps()
+        store.record(), store.nominal(), store.trials(), store.steps()
+
+
+ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (f"DROP TABLE study; CREATE VIEW study AS {ENDLESS} x FROM c", "'study' is no table"),
+        (f"DROP TABLE trial; CREATE VIEW trial AS {ENDLESS} x AS trial FROM c", "'trial' is no table"),
+        ("DROP TABLE dear; CREATE VIRTUAL TABLE dear USING fts5(trial)", "'dear' is no table"),
+        (
+            "DROP TABLE trial; CREATE TABLE trial (trial INTEGER PRIMARY KEY, a AS (zeroblob(9)) STORED)",
+            "'trial' is no table",
+        ),
+        ("CREATE TRIGGER t AFTER INSERT ON trial BEGIN DELETE FROM trial; END", "'t' is a trigger"),
+        ("DROP TABLE file", "'file' is missing"),
+    ],
+)
+def test_tables_that_no_run_makes_are_refused_unread(path, change, told):
+    connection = sqlite3.connect(path)
+    connection.executescript(change)
+    connection.close()
+    with pytest.raises(InputError, match=rf"a\.store is damaged: {told}"):
+        open_store(path)
+
+
+def test_views_of_ones_own_do_no_harm(path):
+    connection = sqlite3.connect(path)
+    connection.executescript("CREATE VIEW mine AS SELECT trial FROM trial; CREATE INDEX i ON trial (strehl)")
+    connection.close()
+    with open_store(path) as store:
+        assert store.trial_count() == 0
+
+
+def test_a_damaged_page_is_told_by_the_store_wherever_it_is(path):
+    with open_store(path) as store:
+        store.add(some_trials(0, 400))
+    whole, told = path.read_bytes(), []
+    for page in range(len(whole) // 4096):
+        for filler in (b"\0", b"\xff"):
+            start, end = 4096 * page + (100 if page == 0 else 0), 4096 * (page + 1)
+            path.write_bytes(whole[:start] + filler * (end - start) + whole[end:])
+            told.append(fault_of(path))
+    assert all("a.store" in message for message in told if message)
+    assert sum(1 for message in told if message) > 10
+
+
+def fault_of(path):
+    """What is told of a store when all of it is read; nothing if all is well."""
+    try:
+        with open_store(path) as store:
+            store.record(), store.merits(), store.trials(), store.steps()
+            list(store.blocks("SELECT * FROM trial"))
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def test_log_is_written_ahead_and_put_away(path):
