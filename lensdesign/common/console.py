@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import stop_status, stoppable
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
@@ -48,11 +49,20 @@ def make_app(purpose: str) -> typer.Typer:
 
     @app.callback()
     def common(
+        context: typer.Context,
         version: Annotated[
             bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
         ] = False,
+        outside_files: Annotated[
+            bool,
+            typer.Option(
+                "--outside-files", help="Let designs and studies name files outside their own folders."
+            ),
+        ] = False,
     ) -> None:
         """Options of every command."""
+        if outside_files:
+            context.with_resource(files_from("/"))
 
     return app
 

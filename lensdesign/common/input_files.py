@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from lensdesign.errors import InputError
@@ -23,6 +26,54 @@ TABLE_BYTES = 256 * 2**20
 
 MESH_BYTES = 2**30
 """Most bytes of a mesh, which are 20 million triangles of a binary STL file."""
+
+
+_files_from: ContextVar[Path | None] = ContextVar("files_from", default=None)
+
+
+@contextmanager
+def files_from(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Let designs, specifications and studies name files anywhere in a folder; ``"/"`` is everywhere.
+
+    Else they may name those in their own folders: one that somebody else has written could have any file of
+    the reader's read, and kept in a store that goes back to him.
+    """
+    token = _files_from.set(Path(folder).resolve())
+    try:
+        yield
+    finally:
+        _files_from.reset(token)
+
+
+def allowed_folder() -> Path | None:
+    """The folder of :func:`files_from`; None where none was given."""
+    return _files_from.get()
+
+
+def refuse_outside(file: Path, source: Path, key: str, fault: type[InputError] = InputError) -> None:
+    """Refuse a file that lies neither in the folder of the file that names it, nor in that of `files_from`.
+
+    Parameters
+    ----------
+    file
+        What is named, from here.
+    source, key
+        The file that names it, and where in it.
+    fault
+        What to raise.
+
+    Raises
+    ------
+    InputError
+        Of the kind `fault`; it names the file.
+    """
+    folder = source.parent.resolve()
+    if not file.resolve().is_relative_to(allowed_folder() or folder):
+        raise fault(
+            f"{source}: {key}: {file.resolve()} lies outside {folder}; copy it there, or, if you know who "
+            "named it, allow it by --outside-files before the command's name (in Python: "
+            'with files_from("/"))'
+        )
 
 
 def read_input(

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import tomli_w
 
+from lensdesign.common.input_files import refuse_outside
 from lensdesign.common.toml_files import read_toml, validate
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
@@ -20,7 +21,8 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     Parameters
     ----------
     path
-        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder.
+        A TOML file. Paths of glass catalogues and measured figures in it are relative to its own folder, and
+        lead to nothing outside it but within :func:`lensdesign.common.input_files.files_from`.
 
     Returns
     -------
@@ -41,6 +43,11 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     lens = validate(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
     surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
+    for catalog in catalogs:
+        refuse_outside(catalog, path, "glass_catalogs", DesignError)
+    for number, surface in enumerate(surfaces, start=1):
+        if surface.figure is not None and surface.figure.file is not None:
+            refuse_outside(surface.figure.file, path, f"surface {number}, figure, file", DesignError)
     lens = lens.model_copy(update={"glass_catalogs": catalogs, "surfaces": surfaces})
     try:
         check_figures(lens)

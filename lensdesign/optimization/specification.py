@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.common.input_files import refuse_outside
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError
@@ -273,6 +274,8 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
     path = Path(path)
     specification = validate(Specification, read_toml(path), path)
     catalogs = tuple((path.parent / c).resolve() for c in specification.glass_catalogs)
+    for catalog in catalogs:
+        refuse_outside(catalog, path, "glass_catalogs", DesignError)
     specification = specification.model_copy(update={"glass_catalogs": catalogs})
     try:
         for wavelength in specification.wavelengths_um:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from lensdesign.common.input_files import allowed_folder
 from lensdesign.errors import InputError
 
 NO_DISPLAY_STATUS = 3
@@ -24,7 +25,9 @@ if sys.platform.startswith("linux"):
         raise SystemExit({NO_DISPLAY_STATUS})
 from lensdesign.files.design import load_design
 from lensdesign.pictures.scene3d import show_lens
-show_lens(load_design(sys.argv[1]))
+from lensdesign.common.input_files import files_from
+with files_from(sys.argv[2]):
+    show_lens(load_design(sys.argv[1]))
 os._exit(0)  # some drivers crash when they are unloaded
 """
 """VTK falls back to drawing unseen where the display does not answer, and waits for ever: so ask first."""
@@ -45,7 +48,8 @@ def open_window(design: str | os.PathLike[str]) -> None:
     """
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise InputError(_refusal("there is no display"))
-    command = [sys.executable, "-P", "-c", CHILD, str(Path(design).resolve())]
+    path = Path(design).resolve()
+    command = [sys.executable, "-P", "-c", CHILD, str(path), str(allowed_folder() or path.parent)]
     child = subprocess.run(command, check=False, capture_output=True, text=True)
     if child.returncode == NO_DISPLAY_STATUS:
         raise InputError(_refusal("the display does not answer"))

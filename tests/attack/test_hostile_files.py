@@ -18,9 +18,16 @@ import tomli_w
 from engine_checks import peak_bytes
 from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 
-from lensdesign import InputError, Lens, Surface, load_design
+from lensdesign import DesignError, InputError, Lens, Surface, load_design
 from lensdesign.cli.commands import main
-from lensdesign.common.input_files import CATALOG_BYTES, LENS_FILE_BYTES, MESH_BYTES, TABLE_BYTES, TOML_BYTES
+from lensdesign.common.input_files import (
+    CATALOG_BYTES,
+    LENS_FILE_BYTES,
+    MESH_BYTES,
+    TABLE_BYTES,
+    TOML_BYTES,
+    files_from,
+)
 from lensdesign.common.text import safe_cell, visible
 from lensdesign.errors import atomic_path
 from lensdesign.fabrication.drawing.sheets import lens_drawing, write_drawing
@@ -35,7 +42,7 @@ from lensdesign.optimization.specification import load_specification
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store
-from tolerancing.study.files import load_study
+from tolerancing.study.files import load_from_files, load_study
 from wavesim.camera.frames import read_frame
 from wavesim.camera.mounting import read_mounting
 from wavesim.cli.commands import main as wavesim_main
@@ -99,11 +106,11 @@ def test_pipes_devices_and_folders_are_refused(tmp_path: Path, name: str) -> Non
 def test_devices_named_in_a_design_are_refused(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.toml"
     save_design(paper_lens.replaced(glass_catalogs=(Path("/dev/zero"),)), path)
-    with pytest.raises(InputError, match="no regular file"):
+    with files_from("/"), pytest.raises(InputError, match="no regular file"):
         load_design(path)
     save_design(paper_lens, path)
     path.write_text(path.read_text() + '\n[surface.figure]\nfile = "/dev/zero"\n')
-    with pytest.raises(InputError, match="no regular file"):
+    with files_from("/"), pytest.raises(InputError, match="no regular file"):
         load_design(path)
 
 
@@ -217,6 +224,8 @@ def test_meshes_that_lie_about_themselves(tmp_path: Path, name: str) -> None:
     content, message = LYING_MESHES[name]
     path = tmp_path / name
     path.write_bytes(content)
+    with pytest.raises(InputError, match=message):  # libraries that are imported for it count not
+        read_mesh(path)
     tracemalloc.start()
     with pytest.raises(InputError, match=message) as caught:
         read_mesh(path)
@@ -493,3 +502,77 @@ def test_glass_names_in_files_of_other_programs(tmp_path: Path, paper_lens: Lens
         write(lens, tmp_path / name)
         assert read(tmp_path / name, Supplement(glass_catalogs=(own,))).lens == lens
     assert isinstance(lens.surfaces[0], Surface)
+
+
+GLASS = "NM OWN 2 517642 1.5 64\nCD 1.04 0.006 0.23 0.02 1.01 103.5\nLD 0.4 0.7\n"
+
+
+@pytest.mark.parametrize("way", ["catalogue", "figure", "link"])
+def test_files_outside_a_designs_folder_need_consent(
+    tmp_path: Path, paper_lens: Lens, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They would be read, and kept in a store that goes back to whoever made the design."""
+    own = tmp_path / "own.agf"
+    own.write_text(GLASS)
+    (tmp_path / "grid.csv").write_text("# spacing_mm = 3\n# unit = um\n" + "0,0,0,0,0,0,0,0,0\n" * 9)
+    design = tmp_path / "strange" / "lens.toml"
+    save_design(paper_lens, design)
+    text = design.read_text()
+    if way == "figure":
+        text += '\n[surface.figure]\nfile = "../grid.csv"\n'
+    else:
+        (design.parent / "near.agf").symlink_to(own)
+        named = str(own) if way == "catalogue" else "near.agf"
+        text = f'glass_catalogs = ["{named}"]\n' + text
+    design.write_text(text)
+    with pytest.raises(DesignError, match=r"(own\.agf|grid\.csv) lies outside .*strange; copy it there, or"):
+        load_design(design)
+    with files_from(tmp_path):
+        assert load_design(design).surfaces
+    study = design.parent / "study.toml"
+    study.write_text((HEAD + DECENTER + SPREAD).replace("design.toml", "lens.toml"))
+    with pytest.raises(DesignError, match="lies outside"):
+        load_study(study)
+    for words, code in ((["check", str(design)], 2), (["--outside-files", "check", str(design)], 1)):
+        monkeypatch.setattr("sys.argv", ["lensdesign", *words])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == code
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        '[[merit]]\nkind = "python"\nfunction = "../mine.py:f"\nat_least = 0.0\n',
+        '[[perturbation]]\ntarget = "lens"\nparameter = "tilt_x_deg"\ndistribution = "empirical"\n'
+        'file = "../measured.csv"\ncolumn = "a"\n',
+    ],
+)
+def test_files_outside_a_studys_folder_need_consent(tmp_path: Path, part: str) -> None:
+    (tmp_path / "mine.py").write_text("def f(trial):\n    return 1.0\n")
+    (tmp_path / "measured.csv").write_text("a\n0.1\n0.2\n0.3\n")
+    study = tmp_path / "strange" / "study.toml"
+    study.parent.mkdir()
+    study.write_text(HEAD + DECENTER + SPREAD + part)
+    (study.parent / "design.toml").write_text(DESIGN)
+    with pytest.raises(DesignError, match=r"(merit|perturbation) 2: .* lies outside .*strange"):
+        load_study(study)
+    with files_from("/"):
+        held = load_study(study)
+    assert "strange/study.toml" in held.files
+    again = load_from_files(held.name, held.files, tmp_path / "again")
+    assert again.fingerprint == held.fingerprint
+
+
+@pytest.mark.parametrize("change", ['glass_catalogs = ["{own}"]\n', "design"])
+def test_a_store_reads_no_file_of_its_reader(tmp_path: Path, change: str) -> None:
+    (tmp_path / "own.agf").write_text(GLASS)
+    (tmp_path / "design.toml").write_text(DESIGN)
+    study, design = HEAD + DECENTER + SPREAD, DESIGN
+    if change == "design":
+        study = study.replace("design.toml", str(tmp_path / "design.toml"))
+    else:
+        design = change.format(own=tmp_path / "own.agf") + design
+    files = {"study.toml": study.encode(), "design.toml": design.encode()}
+    with files_from("/"), pytest.raises(DesignError, match="lies outside"):
+        load_from_files("study.toml", files, tmp_path / "again")

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, Self, TypeVar
 
-from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, refuse_outside
 from lensdesign.common.section import Section
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
@@ -26,6 +26,9 @@ from tolerancing.study.sweep import ParameterGrid, Sweep
 
 
 class _Item(Protocol):
+    @property
+    def file_name(self) -> str | None: ...
+
     def loaded(self, folder: Path) -> Self: ...
 
 
@@ -98,6 +101,8 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     study = study_from_tables(read_toml(path), str(path))
     study = _with_files(study, path)
     design = path.parent / study.design
+    if allowed_folder() is not None:  # of a store: its own, not a design of the reader
+        refuse_outside(design, path, "design", DesignError)
     lens = load_design(design)
     check_against(study, lens, str(path))
     return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
@@ -135,9 +140,12 @@ def _with_files(study: Study, path: Path) -> Study:
         found = []
         for number, item in enumerate(items, start=1):
             try:
+                if item.file_name is not None:
+                    refuse_outside(folder / item.file_name, path, f"{key} {number}")
                 found.append(item.loaded(folder))
             except InputError as error:
-                faults.append(f"{path}: {key} {number}: {error}")
+                told = str(error)
+                faults.append(told if told.startswith(f"{path}: ") else f"{path}: {key} {number}: {told}")
         return tuple(found)
 
     perturbations = loaded(study.perturbations, "perturbation")
@@ -188,7 +196,8 @@ def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> Load
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(content)
     try:
-        return load_study(root / name)
+        with files_from(root):
+            return load_study(root / name)
     except DesignError as error:
         raise DesignError(str(error).replace(f"{root}{os.sep}", "")) from None
 
