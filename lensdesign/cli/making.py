@@ -76,19 +76,47 @@ def drawing(
         Path | None,
         typer.Option(metavar="SHEET", help="Title block and tolerances (TOML); else those of ISO 10110-11."),
     ] = None,
+    tolerances: Annotated[
+        Path | None,
+        typer.Option(metavar="STUDY", help="Tolerance study or budget whose tolerances the sheet states."),
+    ] = None,
+    as_drawn: Annotated[
+        Path | None,
+        typer.Option(metavar="DESIGN", help="Design to write, with the edges and values of the sheet."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Draw the lens for the shop, after ISO 10110: a sheet for each glass element."""
+    """Draw the lens for the shop, after ISO 10110: a sheet for each glass element.
+
+    Where the design has no edge, one is chosen that leaves room for mount, bevel and tolerance; radii and
+    thicknesses are rounded to a tenth of their tolerance. Notes say what was chosen and rounded. A lens that
+    cannot be made so is refused.
+    """
     from lensdesign.common.toml_files import read_toml, validate
-    from lensdesign.fabrication.drawing.sheets import DrawingOptions, lens_drawing, write_drawing
-    from lensdesign.files.design import load_design
+    from lensdesign.fabrication.drawing.assumed import load_tolerances
+    from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated, write_drawing
+    from lensdesign.files.design import load_design, save_design
 
     options = None if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
-    made = lens_drawing(load_design(design), options)
+    lens = load_design(design)
+    assumed = None if tolerances is None else load_tolerances(tolerances, lens)
+    made, stated = drawing_as_stated(lens, options, assumed)
     write_drawing(made, output)
+    if as_drawn is not None:
+        save_design(stated.lens, as_drawn)
+    notes = list(stated.notes)
+    if assumed is not None and tolerances is not None:
+        if assumed.design and (tolerances.parent / assumed.design).resolve() != design.resolve():
+            notes.append(f"{tolerances} is a study of {assumed.design}, not of {design}")
+        if missing := assumed.missing(lens):
+            notes.append(f"not in {tolerances}, so not by it: {', '.join(missing)}")
+        if assumed.left_out:
+            notes.append(f"not on the sheet: {', '.join(assumed.left_out)}")
     if as_json:
-        print_json({"file": str(output), "sheets": len(made.sheets)})
+        print_json({"file": str(output), "sheets": len(made.sheets), "notes": notes})
     else:
+        for note in notes:
+            typer.echo(f"note: {visible(note)}", err=True)
         typer.echo(f"wrote {output}: {len(made.sheets)} {'sheet' if len(made.sheets) == 1 else 'sheets'}")
 
 

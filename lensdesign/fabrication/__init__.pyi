@@ -1,4 +1,5 @@
-from .drawing.sheets import DrawingOptions, lens_drawing, write_drawing
+from .drawing.assumed import AssumedTolerances, load_tolerances
+from .drawing.sheets import DrawingOptions, drawing_as_stated, lens_drawing, write_drawing
 from .drawing.tolerances import DrawingTolerances, SurfaceTolerances
 from .exports import Exported, ExportOptions, export_lens
 from .mesh.mesh import lens_mesh, write_mesh
@@ -7,6 +8,7 @@ from .mesh.verification import MeshReport, verify_mesh
 from .step.writing import StepReport, write_step
 
 __all__ = [
+    "AssumedTolerances",
     "DrawingOptions",
     "DrawingTolerances",
     "ExportOptions",
@@ -15,9 +17,11 @@ __all__ = [
     "StepReport",
     "SurfaceTolerances",
     "TriangleMesh",
+    "drawing_as_stated",
     "export_lens",
     "lens_drawing",
     "lens_mesh",
+    "load_tolerances",
     "read_mesh",
     "verify_mesh",
     "write_drawing",

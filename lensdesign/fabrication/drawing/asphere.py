@@ -19,7 +19,9 @@ DIGITS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"), str.make
 """Below and above the line."""
 
 
-def asphere_panel(lens: Lens, number: int, name: str, area: Area) -> list[Item]:
+def asphere_panel(
+    lens: Lens, number: int, name: str, area: Area, conic_tolerance: float | None = None
+) -> list[Item]:
     """Formula and constants of one surface, and its sag table.
 
     Parameters
@@ -32,6 +34,8 @@ def asphere_panel(lens: Lens, number: int, name: str, area: Area) -> list[Item]:
         What the drawing calls it.
     area
         Where the panel stands.
+    conic_tolerance
+        Of the conic constant, to both sides.
     """
     surface = lens.surfaces[number]
     top = area.top - LINE_MM
@@ -40,7 +44,7 @@ def asphere_panel(lens: Lens, number: int, name: str, area: Area) -> list[Item]:
     ]
     items += _formula(surface.radius_mm is not None, surface.shape.drawn(), Area(*area[:3], top))
     top -= 2.6 * LINE_MM
-    constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn())
+    constants = _constants(surface.radius_mm, surface.conic, surface.shape.drawn(), conic_tolerance)
     columns = 1 if len(constants) <= MOST_ROWS else 2
     size = min(fitted(text, area.width / columns - 3.0, TEXT_MM)[1] for text in constants)
     rows = -(-len(constants) // columns)
@@ -57,9 +61,12 @@ def asphere_panel(lens: Lens, number: int, name: str, area: Area) -> list[Item]:
     return items
 
 
-def _constants(radius: float | None, conic: float, asphere: tuple[float, ...]) -> list[str]:
+def _constants(
+    radius: float | None, conic: float, asphere: tuple[float, ...], conic_tolerance: float | None
+) -> list[str]:
     """For r and z in mm, as the drawing's dimensions are."""
-    base = [] if radius is None else [f"R = {radius:.10g}", f"k = {conic:.10g}"]
+    allowed = "" if conic_tolerance is None else f" ±{conic_tolerance:g}"
+    base = [] if radius is None else [f"R = {radius:.10g}", f"k = {conic:.10g}{allowed}"]
     terms = [
         f"A{str(order).translate(DIGITS[0])} = {value:.10g}"
         for order, value in zip(range(4, 4 + 2 * len(asphere), 2), asphere, strict=True)

@@ -21,6 +21,7 @@ from lensdesign.fabrication.drawing.strokes import (
     line,
     text_width_mm,
 )
+from lensdesign.fabrication.drawing.table import clear_text
 from lensdesign.fabrication.drawing.tolerances import DrawingTolerances
 from lensdesign.lens.edges import Flange
 from lensdesign.lens.solid import Element
@@ -290,10 +291,10 @@ def _clear_diameters(body: _Body, element: Element) -> list[Item]:
     )
     for (x, crossing), rim, meridian in zip(places, body.clear, (element.front, element.back), strict=True):
         if rim is not None:
-            semi = meridian.surface.semi_diameter_mm or 0.0
+            text = clear_text(meridian.surface.semi_diameter_mm or 0.0)
             start, height = rim
             low, high = body.axis_y - height, body.axis_y + height
-            items += _vertical(x, low, high, start, f"Øₑ {2.0 * semi:.6g}", crossing).items
+            items += _vertical(x, low, high, start, text, crossing).items
     return items
 
 

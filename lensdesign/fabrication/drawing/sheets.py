@@ -11,6 +11,8 @@ from pydantic import Field, field_validator
 from lensdesign.common.section import Section, tuples
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.drawing.asphere import asphere_panel
+from lensdesign.fabrication.drawing.assumed import AssumedTolerances
+from lensdesign.fabrication.drawing.nominal import Stated, fitting, stated_lens
 from lensdesign.fabrication.drawing.section_view import section_view
 from lensdesign.fabrication.drawing.strokes import (
     SHEET_MM,
@@ -64,6 +66,8 @@ class DrawingOptions(Section):
 def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
     """Draw every glass element of a lens, as designed: a measured figure is left out.
 
+    Nothing is chosen or rounded for a shop; :func:`drawing_as_stated` does.
+
     Each sheet has a section to scale, the table of ISO 10110-10, formula and sags of conics and aspheres
     (ISO 10110-12) and a title block. Left is the surface that light meets first; the datum axis A, to which
     4/ refers, is that of the ground edge at the mechanical semi-diameter of the lens.
@@ -85,10 +89,7 @@ def lens_drawing(lens: Lens, options: DrawingOptions | None = None) -> Drawing:
     """
     options = options or DrawingOptions()
     elements = closed_elements(lens)
-    if len(options.tolerances) > len(elements):
-        raise InputError(
-            f"tolerances are given for {len(options.tolerances)} elements, but the lens has {len(elements)}"
-        )
+    _refuse_surplus(options, len(elements))
     sheets = tuple(_sheet(lens, element, options, len(elements)) for element in elements)
     return Drawing(options.title or lens.title or "Lens", sheets)
 
@@ -118,7 +119,7 @@ def write_drawing(drawing: Drawing, path: str | os.PathLike[str]) -> None:
 
 
 def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -> Sheet:
-    tolerances = _tolerances(element, options)
+    tolerances = element_tolerances(element, options)
     material = material_of(lens, element, tolerances)
     aspheric = [i for i in element.surfaces if lens.surfaces[i].kind not in ("plane", "sphere")]
     upper = Area(FRAME.left, TABLE_TOP, FRAME.right, FRAME.top)
@@ -129,7 +130,8 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
         left = room.right + PANEL_MM * place
         name = "Left surface (L)" if i == element.surfaces[0] else "Right surface (R)"
         panel = Area(left, upper.bottom + 2.0, left + PANEL_MM, upper.top - 2.0)
-        items += asphere_panel(lens, i, name, panel)
+        side = tolerances.left if i == element.surfaces[0] else tolerances.right
+        items += asphere_panel(lens, i, name, panel, side.conic)
     media = lens.indices(lens.wavelengths_um[0])
     first, last = element.surfaces
     cemented = bool(media[first] != 1.0), bool(media[last + 1] != 1.0)
@@ -139,15 +141,77 @@ def _sheet(lens: Lens, element: Element, options: DrawingOptions, sheets: int) -
     return Sheet(tuple(items))
 
 
-def _tolerances(element: Element, options: DrawingOptions) -> DrawingTolerances:
+def element_tolerances(
+    element: Element, options: DrawingOptions, assumed: AssumedTolerances | None = None
+) -> DrawingTolerances:
+    """Tolerances of an element: those assumed, over those of the options or the general ones of its size.
+
+    Raises
+    ------
+    InputError
+        If it is too large for the general tolerances.
+    """
     given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
-    if given is not None:
-        return given
-    thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
-    try:
-        return general_tolerances(max(2.0 * element.edge_mm, thickness))
-    except InputError as error:
-        raise InputError(f"{element.name}: {error}") from error
+    if given is None:
+        thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
+        try:
+            given = general_tolerances(max(2.0 * element.edge_mm, thickness))
+        except InputError as error:
+            raise InputError(f"{element.name}: {error}") from error
+    return given if assumed is None else assumed.stated(element.number, element.surfaces[0], given)
+
+
+def drawing_as_stated(
+    lens: Lens, options: DrawingOptions | None = None, assumed: AssumedTolerances | None = None
+) -> tuple[Drawing, Stated]:
+    """Draw a lens for a shop: edges chosen where the design has none, values rounded, tolerances as assumed.
+
+    Parameters
+    ----------
+    lens
+        As designed.
+    options
+        Title block and tolerances.
+    assumed
+        Of :func:`lensdesign.fabrication.drawing.assumed.load_tolerances`: what a tolerance study assumed.
+
+    Returns
+    -------
+    drawing : Drawing
+        As :func:`lens_drawing` makes it.
+    stated : Stated
+        The lens that is drawn, and what was chosen and rounded.
+
+    Raises
+    ------
+    InputError
+        As of :func:`lens_drawing`; also if an element cannot be made so.
+    """
+    options = options or DrawingOptions()
+    _refuse_surplus(options, len(lens.glass_fronts))
+
+    def tolerances_of(element: Element) -> DrawingTolerances:
+        made = element_tolerances(element, options, assumed)
+        given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+        return fitting(element, made) if given is None else made
+
+    stated = stated_lens(lens, tolerances_of)
+    elements = closed_elements(stated.lens)
+    made = tuple(tolerances_of(element) for element in elements)
+    closer = tuple(
+        f"{element.name}: ground diameter ±{own.diameter_mm:g} mm: more would cut into its clear aperture"
+        for element, own in zip(elements, made, strict=True)
+        if own.diameter_mm != element_tolerances(element, options, assumed).diameter_mm
+    )
+    drawing = lens_drawing(stated.lens, options.replaced(tolerances=made))
+    return drawing, Stated(stated.lens, (*stated.notes, *closer))
+
+
+def _refuse_surplus(options: DrawingOptions, elements: int) -> None:
+    if len(options.tolerances) > elements:
+        raise InputError(
+            f"tolerances are given for {len(options.tolerances)} elements, but the lens has {elements}"
+        )
 
 
 def _title_block(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,11 +39,14 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
     name = f"n = {summary['name']}" if constant else f"{summary['name']} ({summary['catalog']})"
     fraunhofer = [] if summary["nd"] is None or constant else [f"n(587.56 nm) = {summary['nd']:.5f}"]
     if summary["vd"] is not None:
-        fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}")
+        abbe = f" ±{tolerances.abbe_percent:g} %" if tolerances.abbe_percent else ""
+        fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}{abbe}")
     indices = [
         f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
         for wavelength in lens.wavelengths_um[:WAVELENGTHS]
     ]
+    if tolerances.index is not None:
+        indices[-1] += f" ±{tolerances.index:g}"
     more = len(lens.wavelengths_um) - WAVELENGTHS
     return Material(
         name,
@@ -82,8 +86,9 @@ def data_table(
         Where the table stands.
     """
     (_, front_bevel), (_, back_bevel) = element.edge.sides()
-    left = _surface_rows(element.front.surface, tolerances.left, 1.0, cemented[0], front_bevel)
-    right = _surface_rows(element.back.surface, tolerances.right, -1.0, cemented[1], back_bevel)
+    fringe = tolerances.fringe_wavelength_um
+    left = _surface_rows(element.front.surface, tolerances.left, fringe, 1.0, cemented[0], front_bevel)
+    right = _surface_rows(element.back.surface, tolerances.right, fringe, -1.0, cemented[1], back_bevel)
     columns = (("Left surface (L)", left), ("Material", material.rows), ("Right surface (R)", right))
     step = area.height / (len(left) + 1)
     width = area.width / len(columns)
@@ -114,19 +119,30 @@ def _column(rows: Sequence[str], area: Area, is_surface: bool) -> list[Item]:
 
 
 def _surface_rows(
-    surface: Surface, tolerances: SurfaceTolerances, outward: float, cemented: bool, bevel_mm: float
+    surface: Surface,
+    tolerances: SurfaceTolerances,
+    fringe_um: float,
+    outward: float,
+    cemented: bool,
+    bevel_mm: float,
 ) -> tuple[str, ...]:
-    semi, centring = surface.semi_diameter_mm, tolerances.centring_arcmin
+    semi = surface.semi_diameter_mm
     return (
-        _radius(surface, tolerances, outward),
-        f"Øₑ {2.0 * semi:.6g}" if semi is not None else f"Øₑ {OPEN}",
+        _radius(surface, tolerances, outward, fringe_um),
+        clear_text(semi) if semi is not None else f"Øₑ {OPEN}",
         f"Prot. chamfer {_chamfer(bevel_mm, tolerances.chamfer_mm)}",
         tolerances.coating or ("cemented" if cemented else OPEN),
         _form(tolerances),
-        f"4/ {f'{centring:g}′' if centring is not None else OPEN}",
+        _centring(tolerances),
         f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}",
         f"6/ {tolerances.laser_damage or OPEN}",
     )
+
+
+def clear_text(semi_diameter_mm: float) -> str:
+    """A clear diameter, from 1 mm on rounded up to 0.01 mm."""
+    diameter = 2.0 * semi_diameter_mm
+    return f"Øₑ {0.01 * math.ceil(100.0 * diameter - 1e-6) if diameter >= 1.0 else diameter:.6g}"
 
 
 def _chamfer(bevel_mm: float, allowed_mm: tuple[float, float] | None) -> str:
@@ -136,12 +152,21 @@ def _chamfer(bevel_mm: float, allowed_mm: tuple[float, float] | None) -> str:
     return f"{allowed_mm[0]:g} - {allowed_mm[1]:g}" if allowed_mm else OPEN
 
 
-def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float) -> str:
-    """With CX or CC; of an asphere, at the vertex."""
+def _centring(tolerances: SurfaceTolerances) -> str:
+    """4/, and in brackets the lateral displacement of an asphere."""
+    tilt, aside = tolerances.centring_arcmin, tolerances.decenter_mm
+    across = f" ({aside:g})" if aside is not None else ""
+    return f"4/ {f'{tilt:g}′' if tilt is not None else OPEN}{across}"
+
+
+def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fringe_um: float) -> str:
+    """With CX or CC; of an asphere, at the vertex. In brackets: what the fringes of 3/ allow."""
     kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
     if surface.radius_mm is None:
         return f"R ∞{kind}"
     tolerance = f" ±{tolerances.radius_mm:g}" if tolerances.radius_mm is not None else ""
+    if not tolerance and (allowed := tolerances.radius_allowed_mm(surface, fringe_um)):
+        tolerance = f" (±{allowed:.2g})"
     side = "CX" if outward * surface.radius_mm > 0.0 else "CC"
     return f"R {abs(surface.radius_mm):.8g}{tolerance} {side}{kind}"
 
@@ -156,8 +181,13 @@ def _form(tolerances: SurfaceTolerances) -> str:
             tolerances.symmetric_fringes,
         )
     )
-    if a == b == OPEN:
+    if a == b == OPEN and tolerances.rms_irregularity_fringes is None:
         return f"3/ {OPEN}"
     inner = b if c == OPEN else f"{b}/{c}"
     over = tolerances.test_diameter_mm
-    return f"3/ {a}({inner})" + (f" (all Ø {over:g})" if over is not None else "")
+    rms = tolerances.rms_irregularity_fringes
+    return (
+        f"3/ {a}({inner})"
+        + (f" RMSi < {rms:g}" if rms is not None else "")
+        + (f" (all Ø {over:g})" if over is not None else "")
+    )

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.errors import InputError
+from lensdesign.lens.surface import Surface
 
 MERCURY_LINE_UM = 0.54607
 """Green line, in which ISO 10110-5 counts fringe spacings unless told otherwise."""
@@ -29,8 +30,12 @@ class SurfaceTolerances(Section):
         B and C: irregularity, and the rotationally symmetric part of it.
     test_diameter_mm
         Over which these hold, anywhere on the surface; None is all of the clear aperture.
-    centring_arcmin
-        4/: tilt of the surface against the datum axis.
+    rms_irregularity_fringes
+        D of 3/A(B/C) RMSi < D: root mean square irregularity.
+    centring_arcmin, decenter_mm
+        4/: tilt of the surface against the datum axis, and, of an asphere, its lateral displacement.
+    conic
+        Of the conic constant, to both sides.
     imperfections
         5/: number and grade, such as ``5x0.25``.
     laser_damage
@@ -46,13 +51,29 @@ class SurfaceTolerances(Section):
     irregularity_fringes: NotNegative | None = None
     symmetric_fringes: NotNegative | None = None
     test_diameter_mm: Positive | None = None
+    rms_irregularity_fringes: NotNegative | None = None
     centring_arcmin: NotNegative | None = None
+    decenter_mm: NotNegative | None = None
+    conic: Positive | None = None
     imperfections: ShortText = ""
     laser_damage: ShortText = ""
     chamfer_mm: tuple[NotNegative, NotNegative] | None = None
     coating: ShortText = ""
 
     _lists = field_validator("chamfer_mm", mode="before")(tuples)
+
+    def radius_allowed_mm(self, surface: Surface, fringe_um: float) -> float | None:
+        """How far the radius of a surface may be off, to both sides; None where nothing says so.
+
+        Fringe spacings A over a radial height h are a sagitta of A wavelength / 2, which is h^2 dR / (2 R^2).
+        """
+        if self.radius_mm is not None or self.radius_fringes is None or surface.radius_mm is None:
+            return self.radius_mm
+        clear = surface.semi_diameter_mm
+        heights = [h for h in (clear, 0.5 * (self.test_diameter_mm or 0.0)) if h]
+        if not heights:
+            return None
+        return 1e-3 * fringe_um * self.radius_fringes * (surface.radius_mm / min(heights)) ** 2
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -74,6 +95,8 @@ class DrawingTolerances(Section):
         Of the surface that light meets first, and of the other one.
     thickness_mm, diameter_mm
         Of the centre thickness and of the ground edge, to both sides.
+    index, abbe_percent
+        Of the glass, to both sides.
     stress_birefringence, bubbles, inhomogeneity
         0/ in nm/cm, 1/ and 2/, as ISO 10110-2 to 10110-4 write them.
     fringe_wavelength_um
@@ -88,6 +111,8 @@ class DrawingTolerances(Section):
     right: SurfaceTolerances = SurfaceTolerances()
     thickness_mm: Positive | None = None
     diameter_mm: Positive | None = None
+    index: Positive | None = None
+    abbe_percent: Positive | None = None
     stress_birefringence: ShortText = ""
     bubbles: ShortText = ""
     inhomogeneity: ShortText = ""

@@ -214,6 +214,23 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     own.write_text('number = "TL-001"\n[[tolerances]]\nthickness_mm = 0.05\n')
     assert command("drawing", paper_design, "-o", sheet, "--sheet", own)[0] == 0
     assert "TL-001" in sheet.read_text(encoding="utf-8")
+    study, drawn = tmp_path / "study.toml", tmp_path / "drawn.toml"
+    study.write_text(
+        'design = "other.toml"\n'
+        '[[perturbation]]\ntarget = "surface 1"\nparameter = "thickness_mm"\nsigma = 0.01\n'
+    )
+    code, out, err = command(
+        "drawing", paper_design, "-o", sheet, "--tolerances", study, "--as-drawn", drawn, "--json"
+    )
+    assert (code, err) == (0, "")
+    notes = json.loads(out)["notes"]
+    assert "ground diameter 22.5 mm chosen" in notes[0]
+    assert notes[1] == f"{study} is a study of other.toml, not of {paper_design}"
+    assert notes[2].startswith(
+        f"not in {study}, so not by it: radius of surface 1, irregularity of surface 1, "
+    )
+    assert "9.7 ±0.02" in sheet.read_text(encoding="utf-8")
+    assert load_design(drawn).edges[0].semi_diameter_mm == 11.25
     own.write_text("thicknes = 3\n")
     refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
     code, out, _ = command("sag", paper_design, "--surface", 2, "-o", table, "--json")

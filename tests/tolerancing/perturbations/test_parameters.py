@@ -1,10 +1,13 @@
 """Perturbations: what tables and lenses allow."""
 
 import pytest
+import tomli_w
 
 from lensdesign import DesignError
+from lensdesign.fabrication.drawing.assumed import load_tolerances
 from lensdesign.lens.lens import Lens
 from tolerancing.perturbations.distributions import Normal
+from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 from tolerancing.perturbations.parameters import PerturbedParameter, perturbation_from_table
 
 
@@ -106,3 +109,22 @@ def test_a_shape_brings_its_own_parameters(paper_lens, parameter):
     if parameter.startswith("radius"):
         with pytest.raises(ValueError, match="surface 2 is a plane and has no radius_x_mm"):
             perturbed.check(flat)
+
+
+WIDTHS = {"sigma": 0.01, "limit": 0.015, "half_width": 0.02}
+
+
+@pytest.mark.parametrize("kind", [name for name, shape in DISTRIBUTIONS.items() if shape.widths])
+def test_a_drawing_states_the_tolerance_that_a_study_assumes(tmp_path, paper_lens, kind):
+    """It reads study files by a rule of its own."""
+    tables = [
+        {"target": "surface 1", "parameter": name, "distribution": kind, "mean": mean}
+        | {width: WIDTHS[width] for width in DISTRIBUTIONS[kind].widths}
+        for name, mean in (("thickness_mm", 0.0), ("irregularity_pv_waves", 0.02))
+    ]
+    path = tmp_path / "study.toml"
+    path.write_text(tomli_w.dumps({"perturbation": tables}))
+    thickness, irregularity = (perturbation_from_table(table, "here").tolerance for table in tables)
+    assumed = load_tolerances(path, paper_lens)
+    assert assumed.elements[0]["thickness_mm"] == pytest.approx(thickness)
+    assert assumed.surfaces[0]["irregularity_fringes"] == pytest.approx(2.0 * irregularity)

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from drawing_checks import assert_tidy
+from drawing_checks import FULL, assert_tidy, lens_of, said, singlet
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from random_lenses import lenses, numbers, signed
@@ -31,51 +31,12 @@ from lensdesign.fabrication.drawing.strokes import (
     fitted,
     text_width_mm,
 )
-from lensdesign.fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances, general_tolerances
+from lensdesign.fabrication.drawing.tolerances import SurfaceTolerances, general_tolerances
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import closed_elements
 
-SECTIONS: dict[str, Any] = {
-    "wavelengths_um": [0.532],
-    "object": {"field_diameter_mm": 1.0, "numerical_aperture": 0.1, "working_distance_mm": 1000.0},
-    "sensor": {"pixel_pitch_um": 3.2, "pixels": [4000, 3000], "plane_distances_mm": [2.0, 20.0]},
-}
 SVG = "{http://www.w3.org/2000/svg}"
 LONG = "A spatial information transfer lens of which there is a great deal to say " * 8
-FULL = DrawingTolerances(
-    left=SurfaceTolerances(
-        radius_mm=0.0125,
-        irregularity_fringes=0.5,
-        symmetric_fringes=0.25,
-        centring_arcmin=1.5,
-        imperfections="3x0.16",
-        laser_damage="10 J/cm²; 532 nm; 10 ns",
-        chamfer_mm=(0.1, 0.3),
-        coating="AR, R < 0.25 % at 532 nm, 0° to 30°",
-    ),
-    right=SurfaceTolerances(radius_fringes=3.0, test_diameter_mm=10.0),
-    thickness_mm=0.05,
-    diameter_mm=0.1,
-    stress_birefringence="10",
-    bubbles="3x0.1",
-    inhomogeneity="2;3",
-    fringe_wavelength_um=0.6328,
-    density_g_per_cm3=2.51,
-    source="agreed with the shop",
-)
-
-
-def lens_of(*surfaces: dict[str, Any], **more: Any) -> Lens:
-    return Lens.model_validate(SECTIONS | {"surface": list(surfaces)} | more)
-
-
-def singlet(
-    front: float | None, back: float | None, thickness: float, semi: tuple[float, float], **more: Any
-) -> Lens:
-    return lens_of(
-        {"radius_mm": front, "thickness_mm": thickness, "material": "N-BK7", "semi_diameter_mm": semi[0]},
-        {"radius_mm": back, "semi_diameter_mm": semi[1]} | more,
-    )
 
 
 def aspheric_doublet(count: int) -> Lens:
@@ -104,17 +65,13 @@ def aspheric_doublet(count: int) -> Lens:
     )
 
 
-def said(sheet: Sheet) -> list[str]:
-    return [text.text for text in sheet.texts]
-
-
 def test_the_paper_lens_says_what_it_is(paper_lens: Lens) -> None:
     drawing = lens_drawing(paper_lens, DrawingOptions(number="STL-1", date="2020-01-02", drawn_by="N. N."))
     assert_tidy(drawing)
     (sheet,) = drawing.sheets
     for text in (
-        "R 42.3 CX",
-        "R 12 CX, conic",
+        "R 42.3 (±0.14) CX",  # 10 fringes: 10 wavelengths R^2 / h^2
+        "R 12 (±0.0079) CX, conic",
         "Øₑ 16.52",
         "Øₑ 20",
         "Ø 20 ±0.5",
@@ -200,8 +157,9 @@ def test_options_can_stand_in_a_file() -> None:
 def test_convex_and_concave_on_both_sides() -> None:
     for front, back, expected in ((20.0, 30.0, ("CX", "CC")), (-30.0, -20.0, ("CC", "CX"))):
         texts = said(lens_drawing(singlet(front, back, 5.0, (6.0, 6.0))).sheets[0])
-        assert f"R {abs(front):g} {expected[0]}" in texts
-        assert f"R {abs(back):g} {expected[1]}" in texts
+        for radius, side in zip((front, back), expected, strict=True):
+            allowed = 10.0 * 0.54607e-3 * (radius / 6.0) ** 2
+            assert f"R {abs(radius):g} (±{allowed:.2g}) {side}" in texts
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 20])
