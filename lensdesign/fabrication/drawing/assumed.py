@@ -107,8 +107,8 @@ class AssumedTolerances:
                     missing.append(f"radius of surface {surface + 1}")
                 if not {"irregularity_fringes", "rms_irregularity_fringes"} & set(own):
                     missing.append(f"irregularity of surface {surface + 1}")
-            if not any("centring_arcmin" in self.surfaces[s] for s in (front, front + 1)):
-                missing.append(f"wedge of element {number + 1}")
+                if "centring_arcmin" not in own:
+                    missing.append(f"centring of surface {surface + 1}")
             if "thickness_mm" not in self.elements[number]:
                 missing.append(f"thickness of element {number + 1}")
         return list(dict.fromkeys(missing))

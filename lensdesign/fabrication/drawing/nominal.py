@@ -204,7 +204,7 @@ def _changes(lens: Lens, tolerances: ToleranceOf, share: float) -> Iterator[tupl
         for surface, side in ((front, made.left), (back, made.right)):
             own = lens.surfaces[surface]
             allowed = side.radius_allowed_mm(own, made.fringe_wavelength_um)
-            if own.radius_mm is not None and allowed and own.kind in ("sphere", "conic", "asphere"):
+            if own.radius_mm is not None and allowed:
                 yield from _change(surface, "radius_mm", own.radius_mm, share * allowed)
         if made.thickness_mm is not None:
             yield from _change(
