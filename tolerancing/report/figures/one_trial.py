@@ -36,7 +36,7 @@ def trial_figure(trial: SingleTrial) -> Figure:
     """
     pictured = _pictured(trial.study)
     rows: list[tuple[tuple[float, float], PupilMerit]] = list(pictured.items())
-    with styled({"axes.grid": False}):
+    with styled({"axes.grid": False, "axes.titleweight": "normal"}):
         figure = styled_figure(9.0, 2.9 * len(rows) + 0.4)
         title = f"Trial {trial.number} of {trial.study.title or trial.study.design}"
         figure.suptitle(visible(title), fontweight="bold", parse_math=False)
@@ -91,7 +91,8 @@ def _draw_row(
     x, y = pupil.grid.centre
     shown = np.where(pupil.valid_on_grid > 0.0, pupil.waves_on_grid, np.nan)
     extent = (x - half, x + half, y - half, y + half)
-    image = axes[0].imshow(shown, cmap="RdBu_r", origin="lower", extent=extent)
+    reach = max(float(np.nanmax(np.abs(shown))), 1e-3)  # white is no deviation
+    image = axes[0].imshow(shown, cmap="RdBu_r", origin="lower", extent=extent, vmin=-reach, vmax=reach)
     figure.colorbar(image, ax=axes[0], shrink=0.8, label="waves")
     axes[0].set_title(f"({point[0]:g}, {point[1]:g}) mm: {rms_waves(pupil):.3f} waves rms", fontsize=8.0)
     axes[0].set_xlabel("direction cosine L")

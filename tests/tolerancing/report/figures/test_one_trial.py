@@ -16,6 +16,9 @@ def test_the_picture_shows_each_field_point(small_store, tmp_path):
     titles = [axis.get_title() for axis in figure.axes if axis.get_title()]
     assert len(titles) == 3
     assert f"Strehl {trial.again.scores[0, 1]:.3f}" in titles[1]
+    low, high = figure.axes[0].images[0].get_clim()
+    assert low == -high
+    assert [axis.get_xlabel() for axis in figure.axes[:3]] == ["direction cosine L", "x (µm)", "x (µm)"]
     write_trial_figure(trial, tmp_path / "trial.png")
     assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="suffix must be one of"):
