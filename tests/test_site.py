@@ -50,7 +50,7 @@ def test_every_command_is_on_its_page(site: Path, package: str) -> None:
     import typer
 
     page = (site / "commands.html").read_text(encoding="utf-8")
-    group = typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    group = typer.main.get_command(importlib.import_module(f"{package}.cli.commands").app)
     for name, command in group.commands.items():  # type: ignore[attr-defined]
         assert f'id="{package}-{name}"' in page
         for option in (text for parameter in command.params for text in parameter.opts if text[0] == "-"):

@@ -19,7 +19,7 @@ def application(package: str) -> str:
     """All commands of one package's application, as Markdown."""
     import typer
 
-    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli.commands").app)
     context = group.make_context(package, [], resilient_parsing=True)
     return "\n\n".join(_command(package, name, group.get_command(context, name)) for name in group.commands)
 

@@ -52,5 +52,5 @@ def _command(found: re.Match[str]) -> str:
 def _commands(package: str) -> frozenset[str]:
     import typer
 
-    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    group: Any = typer.main.get_command(importlib.import_module(f"{package}.cli.commands").app)
     return frozenset(group.commands)
