@@ -102,9 +102,9 @@ benchmarks: $(READY)
 lock: $(READY)
 	$(BIN)/python -m pip install --quiet uv
 	printf 'hatchling\neditables\n' | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 \
-	  --extra dev --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
+	  --extra dev --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
 	  --upgrade pyproject.toml - --output-file requirements.lock
-	sed -i '1i # Every version that make installs: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
+	sed -i '1i # Every version that make installs, and its files by their hashes: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
 
 clean:
 	rm -rf .venv .venv-lowest demo_output site build dist
