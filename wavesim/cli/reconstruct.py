@@ -212,7 +212,11 @@ def _resolved(chart: dict[str, Any]) -> str:
     finest = chart["smallest_resolved"]
     if finest is None:
         return "no element of the chart is resolved"
+    beyond = (
+        f", finer than the {chart['aperture_passes_um']:.3g} um that the lens passes (wavelength / 2 NA): by "
+        "what the method assumes of the object"
+    )
     return (
         f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
-        f"{finest['line_width_um']:.3g} um"
+        f"{finest['line_width_um']:.3g} um{beyond if finest['beyond_aperture'] else ''}"
     )

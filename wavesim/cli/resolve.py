@@ -17,6 +17,8 @@ from wavesim.cli.runs import print_table
 from wavesim.scene.settings import SingleEngineDetails
 
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
+TOLD_CONTRASTS = (0.5, 0.2)
+
 WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
 
 
@@ -186,10 +188,18 @@ def _print_resolved(results: list[Any]) -> None:
     ]
     print_table((), columns, rows)
     for result in results:
-        smallest = result.smallest_resolved_um()
-        said = "no line is resolved" if smallest is None else f"resolved down to {smallest:g} um"
-        print(f"field {result.field_mm:g} mm: {said}")
+        print(
+            f"field {result.field_mm:g} mm: {', '.join(_down_to(result, least) for least in TOLD_CONTRASTS)}"
+        )
     print()
+
+
+def _down_to(result: Any, contrast: float) -> str:
+    """The finest lines of a contrast: where it falls slowly, a limit hangs on the threshold."""
+    smallest = result.smallest_resolved_um(contrast)
+    if smallest is None:
+        return f"no line has a contrast of {contrast:g}"
+    return f"contrast of {contrast:g} or more down to {smallest:g} um"
 
 
 def choose(

@@ -81,8 +81,14 @@ def _moduli(values: Any, factor: float = 1.0) -> Any:
     return result
 
 
-def chart_metrics(transmission: Field, elements: Sequence[UsafElement], ground: Ground) -> dict[str, Any]:
-    """Contrast of every element of a chart that lies in a part of the object, and the finest resolved."""
+def chart_metrics(
+    transmission: Field, elements: Sequence[UsafElement], ground: Ground, passed_um: float
+) -> dict[str, Any]:
+    """Contrast of every element of a chart that lies in a part of the object, and the finest resolved.
+
+    Lines finer than `passed_um`, wavelength over twice the numerical aperture, the lens does not pass: what
+    resolves them is what the method takes for granted of the object, and that is told.
+    """
     contrasts = [
         # From the samples about it alone.
         bar_contrast(own.values, own.grid, one, ground)
@@ -98,7 +104,9 @@ def chart_metrics(transmission: Field, elements: Sequence[UsafElement], ground: 
             "group": finest.group,
             "element": finest.element,
             "line_width_um": finest.line_width_um,
+            "beyond_aperture": finest.line_width_um < passed_um,
         },
+        "aperture_passes_um": passed_um,
         "elements": [
             {
                 "group": one.element.group,

@@ -119,7 +119,9 @@ class FoundObject:
         """Contrast of each element of the chart and the finest resolved; the same of those beside it."""
         if not self.charts or self.settings.usaf is None:
             return {}
-        middle, *others = (chart_metrics(self.transmission, c, self.settings.usaf) for c in self.charts)
+        passed_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
+        ground = self.settings.usaf
+        middle, *others = (chart_metrics(self.transmission, c, ground, passed_um) for c in self.charts)
         beside = zip(self.settings.chart_at_mm, others, strict=True)
         return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in beside]}
 

@@ -181,7 +181,8 @@ def test_command_prints_contrasts(twin_file: Path) -> None:
     for key in ("refocus_um", "shift_um", "contrast_as_is", "exit_correlation"):
         assert np.all(np.isfinite(found[key]))
     shown = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engine])
-    assert "0.775" in shown.stdout
+    limits = "contrast of 0.5 or more down to 0.775 um, contrast of 0.2 or more down to 0.775 um"
+    assert f"field 0.1 mm: {limits}" in shown.stdout
 
 
 def test_command_compares_engines_in_one_picture(twin_file: Path, tmp_path: Path) -> None:
