@@ -26,6 +26,7 @@ SCRIPTS = (
     "focus_rule",
     "study_speed",
     "study_faults",
+    "attack",
     "two_levels",
     "exchange",
     "step_export",

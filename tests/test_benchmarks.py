@@ -12,7 +12,7 @@ from places import ROOT
 from benchmarks.__main__ import SCRIPTS
 
 FILES = sorted((ROOT / "benchmarks").glob("*.py"))
-SHARED = {"__init__", "__main__", "timing", "others", "docs_pictures"}
+SHARED = {"__init__", "__main__", "timing", "others", "docs_pictures", "attacked_runs"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

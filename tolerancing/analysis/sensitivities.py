@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from tolerancing.analysis.parabolas import (
     Comparison,
@@ -42,7 +43,7 @@ class StudySensitivity:
     compared: tuple[Comparison, ...]
 
     def as_dict(self) -> dict[str, list[dict[str, Any]]]:
-        """For JSON: for each merit's column the perturbations, the most harmful first."""
+        """For JSON: for each merit's column the perturbations, the most harmful first; null: not known."""
         ranking = self.found.ranking(self.study.merits)
         return {m.column: [self._row(i, k) for i in ranking[k]] for k, m in enumerate(self.study.merits)}
 
@@ -51,12 +52,12 @@ class StudySensitivity:
         return {
             "perturbation": perturbation.column,
             "tolerance": perturbation.distribution.largest,
-            "derivative": found.derivative[i, k],
-            "change_at_minus_tolerance": found.change[i, 0, k],
-            "change_at_plus_tolerance": found.change[i, -1, k],
-            "quadratic_coefficients": found.coefficients[i, :, k].tolist(),
-            "residual": found.residual[i, k],
-            "standard_deviation": found.standard_deviation[i, k],
+            "derivative": finite_or_none(float(found.derivative[i, k])),
+            "change_at_minus_tolerance": finite_or_none(float(found.change[i, 0, k])),
+            "change_at_plus_tolerance": finite_or_none(float(found.change[i, -1, k])),
+            "quadratic_coefficients": [finite_or_none(c) for c in found.coefficients[i, :, k].tolist()],
+            "residual": finite_or_none(float(found.residual[i, k])),
+            "standard_deviation": finite_or_none(float(found.standard_deviation[i, k])),
         }
 
 
@@ -105,10 +106,12 @@ def study_sensitivities(
     if len(own) < wanted:
         raise InputError(f"the store holds {len(own)} of {wanted} steps of the sensitivities: finish its run")
     labels = [m.label for m in study.merits]
-    scores = np.array([[step.scores.get(label, np.nan) for label in labels] for step in own])
+    scores = np.array([[step.scores.get(label, np.nan) for label in labels] for step in own], float)
+    middle = np.array([nominal.get(label, np.nan) for label in labels], float)
+    scores[~np.isfinite(scores)], middle[~np.isfinite(middle)] = np.nan, np.nan
     scatter = scatter_of(study)
     return fit_sensitivity(
-        np.array([nominal.get(label, np.nan) for label in labels], float),
+        middle,
         scores,
         scatter.tolerance,
         scatter.standard_deviation,

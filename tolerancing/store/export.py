@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,8 @@ def write_trials(store: Store, path: str | os.PathLike[str]) -> None:
     query = (
         f"SELECT {', '.join(own)} FROM trial LEFT JOIN dear ON dear.trial = trial.trial ORDER BY trial.trial"
     )
-    _write(store, Path(path), columns, store.blocks(query))
+    with closing(store.blocks(query)) as blocks:
+        _write(store, Path(path), columns, blocks)
 
 
 def write_steps(store: Store, path: str | os.PathLike[str]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -348,7 +348,7 @@ class Store:
             pictures.setdefault((series, step), []).append(picture)
         return pictures
 
-    def blocks(self, query: str) -> Iterator[list[Any]]:
+    def blocks(self, query: str) -> Generator[list[Any], None, None]:
         """Rows of a query, some at a time, all from one moment."""
         with self._snapshot(), reported(self.path, "read"), undamaged(self.path):
             cursor = self._connection.execute(query)

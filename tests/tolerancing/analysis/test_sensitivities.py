@@ -1,11 +1,13 @@
 """Sensitivities that a store's steps give."""
 
+import json
+
 import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
 from tolerancing.analysis.scorer import StudyScorer
-from tolerancing.analysis.sensitivities import sensitivity, study_sensitivities
+from tolerancing.analysis.sensitivities import StudySensitivity, sensitivity, study_sensitivities
 from tolerancing.study.evaluate import context_of, nominal_scores, score_step
 from tolerancing.study.files import load_study
 
@@ -31,6 +33,18 @@ def test_sensitivities_are_those_of_the_steps(loaded):
         study_sensitivities(study, nominal, steps[:-1])
     with pytest.raises(InputError, match="sensitivity = false"):
         study_sensitivities(study.model_copy(update={"sensitivity": False}), nominal, steps)
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_what_a_lost_step_leaves_unknown_is_null(small_store, lost):
+    steps = small_store.steps()
+    for step in steps:
+        step.scores["strehl"] = lost
+    nominal = small_store.nominal() | {"strehl": lost}
+    found = study_sensitivities(small_store.study, nominal, steps)
+    told = StudySensitivity(small_store.study, found, ())
+    assert all(row["derivative"] is None for row in told.as_dict()["strehl"])
+    json.dumps(told.as_dict(), allow_nan=False)
 
 
 def test_a_store_tells_its_sensitivities(small_store):
