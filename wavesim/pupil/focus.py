@@ -76,7 +76,9 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
         What is left of it at the samples; 0 where they are not valid.
     """
     basis, valid = pupil.grid.basis, pupil.valid
-    slopes = np.linalg.lstsq(basis[:3, valid].T, basis[3, valid], rcond=None)[0]
+    # On a line one of the cosines is 0 everywhere, and has no slope.
+    products = (basis[:3] * valid) @ basis.T
+    slopes = np.linalg.lstsq(products[:, :3], products[:, 3], rcond=None)[0]
     return slopes, np.where(valid, basis[3] - slopes @ basis[:3], 0.0)
 
 

@@ -259,7 +259,7 @@ class ReturnedPatch:
 
     def moved_along(self, distance_um: float) -> ReturnedPatch:
         """The same in the plane that lies a distance farther along the axis, its place across it kept."""
-        slopes, path = axial_path(self.pupil)
+        slopes, path = self._axial_path
         phase = 2.0 * np.pi * distance_um / self.patch.wavelength_um * path
         spectrum = self.spectrum.copy()
         spectrum.ravel()[self.pupil.grid.index] *= np.exp(1j * phase)
@@ -276,6 +276,10 @@ class ReturnedPatch:
     def values(self) -> ComplexArray:
         """The field on the patch's grid."""
         return self.at(self.patch.coordinates_um, self.patch.coordinates_um)
+
+    @cached_property
+    def _axial_path(self) -> tuple[Array, Array]:
+        return axial_path(self.pupil)
 
     def displacement_um(self, orientation: Orientation, cosine_limit: float) -> float:
         """How far the object shows displaced along an axis, by light that left it below a direction cosine.
