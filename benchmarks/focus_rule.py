@@ -1,8 +1,8 @@
 """Yield by contrast under two rules of focus: where the phase is flattest, and where contrast is best.
 
 Three lenses, tolerances of the grade `precision`, trials scored at three object points: share of trials whose
-0.775 um lines keep a contrast of 0.7 along both axes. Prints one row for each lens and point, and last how much
-longer a trial takes with the second rule, in processor time.
+0.775 um lines keep a contrast of 0.7 along both axes. Prints one row for each lens and point, and last how
+much longer a trial takes with the second rule, in processor time.
 """
 
 from __future__ import annotations
