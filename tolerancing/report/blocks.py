@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -17,6 +17,9 @@ LONGEST_CELL = 600
 
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 """Characters that neither HTML nor a page of paper can show."""
+
+UNIT_UM = re.compile(r"(?<=\d )um\b|(?<=\()um(?=\))")
+"""Behind a number, or as the unit of a heading; names of columns stay."""
 
 Align = Literal["left", "right"]
 
@@ -98,7 +101,8 @@ class Table:
 
     def cells(self) -> list[list[Cell]]:
         """All rows, cut to `LONGEST_CELL` characters a cell."""
-        return [[c if isinstance(c, Cell) else Cell(cut(c)) for c in row] for row in self.rows]
+        cells = [[c if isinstance(c, Cell) else Cell(cut(c)) for c in row] for row in self.rows]
+        return [[replace(cell, text=in_micrometres(cell.text)) for cell in row] for row in cells]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +174,11 @@ def plain(text: str) -> str:
     return CONTROL.sub("�", text)
 
 
+def in_micrometres(text: str) -> str:
+    """A text for people: the unit that files write as um."""
+    return UNIT_UM.sub("µm", text)
+
+
 def cut(text: str, most: int = LONGEST_CELL) -> str:
     """Text of at most so many characters."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
@@ -177,7 +186,8 @@ def cut(text: str, most: int = LONGEST_CELL) -> str:
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[Cell | str]], caption: str = "") -> Table:
     """A table whose headings that start with ``<`` stand over text, the others over numbers."""
-    columns = tuple(Column(h.removeprefix("<"), "left" if h.startswith("<") else "right") for h in headings)
+    titles = [in_micrometres(heading) for heading in headings]
+    columns = tuple(Column(t.removeprefix("<"), "left" if t.startswith("<") else "right") for t in titles)
     return Table(columns, tuple(tuple(row) for row in rows), caption)
 
 

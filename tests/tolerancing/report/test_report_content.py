@@ -14,6 +14,7 @@ from tolerancing.analysis.scorer import kurtosis
 from tolerancing.analysis.summary import summary_of
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.report.blocks import (
+    Cell,
     FigureBlock,
     Headline,
     Paragraph,
@@ -112,6 +113,18 @@ def test_numbers_in_words():
 )
 def test_names_of_columns_as_figures_show_them(column, unit, shown):
     assert axis_label(SimpleNamespace(column=column, unit=unit)) == shown
+
+
+def test_tables_are_in_micrometres_and_names_stay():
+    row = ("shift_2um", Cell("at most 5 um", failed=True), "2.5e-3 um (um), album 2")
+    shown = table(["<name (um)", "limit", "rest"], [row])
+    assert shown.columns[0].title == "name (µm)"
+    assert [cell.text for cell in shown.cells()[0]] == [
+        "shift_2um",
+        "at most 5 µm",
+        "2.5e-3 µm (µm), album 2",
+    ]
+    assert shown.cells()[0][1].failed
 
 
 def test_kurtosis_is_that_of_the_distribution():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.report.blocks import plain
+from tolerancing.report.blocks import in_micrometres, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ _MICROMETRES = re.compile(r"(?<![A-Za-z0-9])(\d+(?:p\d+)?)um(?![A-Za-z0-9])")
 """Lengths in names of columns, such as 0p775um."""
 
 
-def _in_micrometres(match: re.Match[str]) -> str:
+def _length(match: re.Match[str]) -> str:
     return f"{match[1].replace('p', '.')} µm"
 
 
@@ -84,7 +84,7 @@ def merit_label(merit: Merit) -> str:
 def series_label(parameter: PerturbedParameter) -> str:
     """What a sweep or a grid's axis varies, with its unit."""
     name = f"{parameter.target} {parameter.quantity}"
-    return f"{name} ({parameter.unit.replace('um', 'µm')})" if parameter.unit else name
+    return in_micrometres(f"{name} ({parameter.unit})" if parameter.unit else name)
 
 
 def contrast_label(merit: LinePairContrast) -> str:
@@ -95,10 +95,10 @@ def contrast_label(merit: LinePairContrast) -> str:
 def draw_limit(axis: Axes, merit: Merit, horizontal: bool, label: bool = True) -> None:
     """A merit's limit as a line across the axes."""
     draw = axis.axhline if horizontal else axis.axvline
-    text = figure_text(f"limit: {merit.limit_text}") if label else None
+    text = figure_text(in_micrometres(f"limit: {merit.limit_text}")) if label else None
     draw(merit.limit, color=RED, linewidth=1.1, label=text)
 
 
 def _labelled(column: str, unit: str) -> str:
-    name = _MICROMETRES.sub(_in_micrometres, column.removesuffix(f"_{unit}")).replace("_", " ")
-    return figure_text(f"{name} ({unit.replace('um', 'µm')})" if unit else name)
+    name = _MICROMETRES.sub(_length, column.removesuffix(f"_{unit}")).replace("_", " ")
+    return figure_text(in_micrometres(f"{name} ({unit})" if unit else name))
