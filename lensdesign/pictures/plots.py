@@ -142,6 +142,7 @@ def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -
         row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)", fontsize=9)
     for axes in panels.ravel():
         axes.set_aspect("equal")
+        axes.spines[:].set_color("#C8CDD2")  # so that the sensor's outline stands out
         axes.set(xlim=1.06 * reach[0] * np.array([-1.0, 1.0]), ylim=1.06 * reach[1] * np.array([-1.0, 1.0]))
     light = f"{lens.wavelengths_um[0]:.4g} µm; frame: the sensor, {width:.4g} mm × {height:.4g} mm"
     title_figure(figure, lens, f"Spots on the sensor, {light}")
