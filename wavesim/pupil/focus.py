@@ -78,7 +78,7 @@ def axial_path(pupil: ReconstructionPupil) -> tuple[Array, Array]:
     basis, valid = pupil.grid.basis, pupil.valid
     # On a line one of the cosines is 0 everywhere, and has no slope.
     products = (basis[:3] * valid) @ basis.T
-    slopes = np.linalg.lstsq(products[:, :3], products[:, 3], rcond=None)[0]
+    slopes = np.asarray(np.linalg.lstsq(products[:, :3], products[:, 3], rcond=None)[0], float)
     return slopes, np.where(valid, basis[3] - slopes @ basis[:3], 0.0)
 
 
