@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from places import DESIGNS, ROOT
@@ -18,7 +19,9 @@ from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.solid import closed_elements
+from lensdesign.pictures.plots import layout_figure, write_figure
 
+SVG = "{http://www.w3.org/2000/svg}"
 PAGE = ROOT / "docs" / "gallery.md"
 OURS = (
     "feasible_singlet",
@@ -87,6 +90,21 @@ def test_lenses_close_and_have_a_sheet_for_each_element(name: str, lenses: dict[
         assert mesh.mesh.volume == pytest.approx(element.volume_mm3, rel=5e-3)
     if all(element.rotational for element in elements):
         assert len(lens_drawing(lenses[name]).sheets) == len(elements)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_the_page_shows_the_layout_as_it_is_drawn(name: str, lenses: dict[str, Lens], tmp_path: Path) -> None:
+    """Words and the number of strokes: what they look like is another release's of Matplotlib."""
+    write_figure(layout_figure(lenses[name]), tmp_path / "layout.svg")
+    kept = ROOT / "docs" / "images" / "gallery" / f"{name}_layout.svg"
+    drawn, shown = (ElementTree.parse(path).getroot() for path in (tmp_path / "layout.svg", kept))
+    assert svg_words(shown) == svg_words(drawn)
+    assert sum(1 for _ in shown.iter(f"{SVG}path")) == sum(1 for _ in drawn.iter(f"{SVG}path"))
+
+
+def svg_words(root: ElementTree.Element) -> list[str]:
+    """Texts of a picture, in order."""
+    return ["".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")]
 
 
 def test_the_biconic_lens_lights_more_of_the_longer_side(lenses: dict[str, Lens]) -> None:
