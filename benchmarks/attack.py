@@ -325,7 +325,7 @@ COUNTS = {
     "killed_runs": 20,
     "damaged_logs": 200,
     "full_disks": 8,
-    "killed_reconstructions": 8,
+    "killed_reconstructions": 4,
 }
 """Attempts of each kind, in about ten minutes."""
 
