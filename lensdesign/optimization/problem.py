@@ -135,8 +135,9 @@ class DesignProblem:
         surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
         return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
 
-    def state(self, point: Array, rays: Rays) -> State:
-        """Trace rays through the lens at a point of the unit box."""
+    def state(self, point: Array, rays: Rays, derivatives: bool = True) -> State:
+        """Trace rays through the lens at a point of the unit box, with derivatives or none."""
+        variables = self.variables if derivatives else ()
         lens = self.lens_at(point)
         fixed = self.specification.optimize.stop == "fixed"
         traces = tuple(
@@ -149,15 +150,17 @@ class DesignProblem:
                 lens.object.numerical_aperture,
                 rays.fields_mm,
                 rays.pupil,
-                self.variables,
+                variables,
             )
             for base in self.compiled
         )
-        return State(lens, self.variables, rays.fields_mm, traces)
+        return State(lens, variables, rays.fields_mm, traces)
 
-    def rows(self, point: Array, rays: Rays, final: bool = False) -> tuple[list[Row], list[Row]]:
+    def rows(
+        self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
+    ) -> tuple[list[Row], list[Row]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
-        state = self.state(point, rays)
+        state = self.state(point, rays, derivatives)
         return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays) -> Evaluation:

@@ -197,21 +197,21 @@ def _glass_rows(specification: Specification, state: State) -> list[Row]:
     rows = []
     for i, surface in enumerate(lens.surfaces):
         for part, end in enumerate(surface.shape.ends()):
-            by = _by(state, i, partial(_end_by, surface.shape, part)) * edge[0] ** 2
+            by = _by(state, i, partial(_end_by, surface.shape, part))[0] * edge[0] ** 2
             value = float(end) * edge[0] ** 2 - CONIC_EDGE_SHARE**2
             name = f"edge of the conic of surface {i + 1}"
-            rows.append(_single(name, value, by + 2.0 * float(end) * edge[0] * edge[1]))
-        rows += _slope_rows(state, i, heights[i], limits.max_edge_slope_deg)
+            rows.append(_finite(name, np.array([value]), (by + 2.0 * float(end) * edge[0] * edge[1])[None]))
+        rows.append(_slope_row(state, i, heights[i], limits.max_edge_slope_deg))
         if i + 1 == len(lens.surfaces):
             continue
         glass = surface.material is not None
         least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
         scale = specification.surfaces[i].thickness_mm or 1.0
         at = _ground_height(lens, i, edge)
-        rows += _gap_rows(f"edge thickness behind surface {i + 1}", state, i, at, least, scale)
+        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
         least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
         axis = (0.0, np.zeros(len(state.variables)))
-        rows += _gap_rows(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale)[:1]
+        rows.append(_gap_row(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale))
     return rows
 
 
@@ -223,7 +223,7 @@ def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[floa
     return clear if given is None else (given, np.zeros_like(clear[1]))
 
 
-def _slope_rows(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> list[Row]:
+def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
     """Of the steepest way over the surface, in each direction."""
     shape = state.lens.surfaces[i].shape
     limit = math.tan(math.radians(limit_deg)) ** 2
@@ -234,25 +234,20 @@ def _slope_rows(state: State, i: int, height: tuple[float, Array], limit_deg: fl
     outward = slopes[0] * (xx * ux + xy * uy) + slopes[1] * (xy * ux + yy * uy)
     by = _by(state, i, partial(_slope_square_by, shape, x, y)) + 2.0 * outward[:, None] * height[1]
     values = (slopes[0] ** 2 + slopes[1] ** 2) / limit - 1.0
-    name = f"slope at the edge of surface {i + 1}"
-    return [_single(name, float(value), row) for value, row in zip(values, by / limit, strict=True)]
+    return _finite(f"slope at the edge of surface {i + 1}", values, by / limit)
 
 
-def _gap_rows(
-    name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float
-) -> list[Row]:
-    """Of the space behind a surface at a radial height, in each direction."""
+def _gap_row(name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float) -> Row:
+    """Of the space behind a surface at a radial height, in each direction; on the axis there is one."""
     front, back = (s.shape for s in state.lens.surfaces[i : i + 2])
-    ux, uy = directions(front, back)
+    ux, uy = directions(front, back) if height[0] else (np.zeros(1), np.ones(1))
     x, y = height[0] * ux, height[0] * uy
     before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
-    outward = (behind - before)[1] * ux + (behind - before)[2] * uy
     by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
     by = by + _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
-    by = by + outward[:, None] * height[1]
-    thickness = state.lens.surfaces[i].thickness_mm or 0.0
-    values = (least - (thickness + behind[0] - before[0])) / scale
-    return [_single(name, float(value), row) for value, row in zip(values, -by / scale, strict=True)]
+    outward = (behind - before)[1] * ux + (behind - before)[2] * uy
+    gap = (state.lens.surfaces[i].thickness_mm or 0.0) + behind[0] - before[0]
+    return _finite(name, (least - gap) / scale, -(by + outward[:, None] * height[1]) / scale)
 
 
 def _sag_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
@@ -261,12 +256,12 @@ def _sag_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
 
 def _slope_square_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
     slopes, by = shape.sag_and_slopes(x, y)[1:], shape.derivatives_by(term, x, y)[1:]
-    return np.asarray(2.0 * (slopes[0] * by[0] + slopes[1] * by[1]))
+    return 2.0 * (slopes[0] * by[0] + slopes[1] * by[1])
 
 
-def _end_by(shape: Shape, part: int, term: str) -> float:
+def _end_by(shape: Shape, part: int, term: str) -> Array:
     """By complex step, exact to rounding."""
-    return float(shape.moved(term, 1e-30j).ends()[part].imag / 1e-30)
+    return np.array([shape.moved(term, 1e-30j).ends()[part].imag / 1e-30])
 
 
 def _clear_height(state: State, i: int) -> tuple[float, Array]:
@@ -288,10 +283,13 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
     return best
 
 
-def _by(state: State, i: int, derivative: Callable[[str], float | Array]) -> Array:
-    """Derivatives by all variables, a last axis, of what depends on the shape of one surface alone."""
-    parts = [derivative(v.kind) if v.of_shape and v.surface == i else 0.0 for v in state.variables]
-    return np.moveaxis(np.array(np.broadcast_arrays(*parts), float), 0, -1)
+def _by(state: State, i: int, derivative: Callable[[str], Array]) -> Array:
+    """Derivatives by all variables of what depends on the shape of one surface alone, shape (..., v)."""
+    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.of_shape and v.surface == i}
+    found = np.zeros((len(next(iter(own.values()), np.zeros(1))), len(state.variables)))
+    for j, values in own.items():
+        found[:, j] = values
+    return found
 
 
 def _squares(points: Array, by: Array) -> tuple[Array, Array]:
@@ -314,10 +312,9 @@ def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: Gradi
     return Row(name, row.values - 1.0, row.by, row.rays)
 
 
-def _single(name: str, value: float, by: Array) -> Row:
-    if not (math.isfinite(value) and np.all(np.isfinite(by))):
-        value, by = UNTRACEABLE, np.zeros_like(by)
-    return Row(name, np.array([value]), by[None])
+def _finite(name: str, values: Array, by: Array) -> Row:
+    ok = np.isfinite(values) & np.all(np.isfinite(by), axis=-1)
+    return Row(name, np.where(ok, values, UNTRACEABLE), np.where(ok[:, None], by, 0.0))
 
 
 def _sine(lens: Lens, wavelength: float) -> float:

@@ -41,7 +41,7 @@ def worse_rays(problem: DesignProblem, point: Array, rays: Rays, dense: Rays) ->
     # Straight up belongs to the sector before it: half of the stop is the other half's mirror image.
     sector = np.where(angle == 90.0, 90.0 - SECTOR_DEG, angle) // SECTOR_DEG
     sector += 100.0 * (np.linalg.norm(dense.pupil, axis=-1) > 1.0 - 1e-9)
-    own, all_ = _flat(problem.rows(point, rays)), _flat(problem.rows(point, dense))
+    own, all_ = _rows(problem, point, rays), _rows(problem, point, dense)
     found: list[tuple[int, int, float]] = []
     for number, wide in enumerate(all_):
         if wide.rays is None or not len(wide.values):
@@ -90,7 +90,7 @@ def _refined(
         pupil = (rays.pupil[:, None] + step * steps[:, 2:]).reshape(-1, 2)
         pupil /= np.maximum(1.0, np.linalg.norm(pupil, axis=-1, keepdims=True))
         near = Rays(_turned(field, along, math.pi * step * steps[:, 1]), pupil)
-        rows, best = _flat(problem.rows(point, near)), np.arange(len(numbers)) * len(steps) + len(steps) // 2
+        rows, best = _rows(problem, point, near), np.arange(len(numbers)) * len(steps) + len(steps) // 2
         for search, number in enumerate(numbers):
             row = rows[number]
             assert row.rays is not None  # only rows of rays are searched
@@ -110,5 +110,7 @@ def _turned(height: Array, along: Array, angle_rad: Array) -> Array:
     return np.column_stack([(height * x).ravel(), (height * y).ravel()])
 
 
-def _flat(rows: tuple[list[Row], list[Row]]) -> list[Row]:
-    return [*rows[0], *rows[1]]
+def _rows(problem: DesignProblem, point: Array, rays: Rays) -> list[Row]:
+    """All goals and constraints, without derivatives: only the worst is asked for."""
+    goals, constraints = problem.rows(point, rays, derivatives=False)
+    return [*goals, *constraints]

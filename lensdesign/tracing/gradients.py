@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from lensdesign.tracing.bundles import launch_compiled
+from lensdesign.tracing.bundles import launch_pairs
 from lensdesign.tracing.compiled import CompiledSystem
 from lensdesign.tracing.status import Status
 
@@ -112,8 +112,7 @@ def gradient_trace(
     semi, semi_by, reached = _stop_size(
         system, object_z_mm, stop_index, stop_semi_diameter_mm, numerical_aperture, variables
     )
-    origins = np.column_stack([fields_mm, np.full(len(fields_mm), object_z_mm)])
-    directions = _aimed(system, fields_mm, pupil, object_z_mm, stop_index, semi)
+    origins, directions = launch_pairs(system, fields_mm, pupil, object_z_mm, stop_index, semi)
     raw = _differentiate(system, origins, directions, planes_mm, variables)
     at_stop = raw.heights_by[:, stop_index]
     wanted = pupil[:, :, None] * semi_by
@@ -139,18 +138,6 @@ def gradient_trace(
         stop_semi_diameter_by=semi_by,
         ok=usable,
     )
-
-
-def _aimed(
-    system: CompiledSystem, fields: Array, pupil: Array, object_z_mm: float, stop: int, semi: float
-) -> Array:
-    """Direction of each ray, found by grouping rays that share a field point."""
-    directions = np.empty((len(fields), 3))
-    points, group = np.unique(fields, axis=0, return_inverse=True)
-    for i, point in enumerate(points):
-        mine = group.ravel() == i
-        directions[mine] = launch_compiled(system, point, pupil[mine], object_z_mm, stop, semi)[1]
-    return directions
 
 
 def _stop_size(
