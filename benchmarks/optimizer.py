@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
-from lensdesign.optimization.search import OptimizationResult, optimize
+from lensdesign.optimization.result import OptimizationResult
+from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification import Specification, load_specification
 
 ROUNDS = 7
@@ -77,9 +78,7 @@ def from_random_starts(
     name: str, specification: Specification, seed: int, unit: str, at_least: float | None = None
 ) -> list[Row]:
     """Search from random starts."""
-    settings = specification.optimize.model_copy(
-        update={"start": "random", "starts": STARTS, "max_seconds": 600.0}
-    )
+    settings = specification.optimize.replaced(start="random", starts=STARTS, agreeing=STARTS)
     found = optimize(specification.model_copy(update={"optimize": settings}), seed=seed)
     refuse_infeasible(name, found)
     return [

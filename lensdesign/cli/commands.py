@@ -19,7 +19,7 @@ from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
     from lensdesign.analysis.report import CheckReport
-    from lensdesign.optimization.search import OptimizationResult
+    from lensdesign.optimization.result import OptimizationResult
     from lensdesign.optimization.specification import Specification
 
 app = make_app("Design non-imaging spatial information transfer lenses.")
@@ -42,17 +42,33 @@ def main() -> None:
 
 
 @app.command()
-def check(design: Design, as_json: Json = False) -> None:
-    """Check matching, spread, footprint and edges.
+def check(
+    design: Design,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="SPEC", help="Check the constraints of this specification in place of these."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Check matching, spread, footprint and edges, or a specification's constraints.
 
-    Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge thickness.
+    Eqs. 1 and 2 of the paper, the sensor, the numerical aperture, throughput and the edge thickness; with
+    --against what a specification asks for, with its field, aperture, wavelengths and sensor.
 
     Exit status: 0 if every constraint is met, 1 if not, 2 for bad input.
     """
-    from lensdesign.analysis.check import check_design
     from lensdesign.files.design import load_design
 
-    report = check_design(load_design(design))
+    lens = load_design(design)
+    if against is None:
+        from lensdesign.analysis.check import check_design
+
+        report = check_design(lens)
+    else:
+        from lensdesign.optimization.compliance import check_against
+        from lensdesign.optimization.specification import load_specification
+
+        report = check_against(lens, load_specification(against))
     if as_json:
         print_json(report.as_dict())
     else:
@@ -69,19 +85,40 @@ def optimize(
     algorithm: Annotated[
         str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
     ] = None,
+    starts: Annotated[
+        int | None,
+        typer.Option(help="Most starts of each glass, in place of the specification's.", show_default=False),
+    ] = None,
+    max_evaluations: Annotated[
+        int | None,
+        typer.Option(help="Limit of each glass, in place of the specification's.", show_default=False),
+    ] = None,
     max_seconds: Annotated[
-        float | None, typer.Option(help="Time limit, in place of the specification's.", show_default=False)
+        float | None,
+        typer.Option(
+            help="Time limit; what it cuts depends on the machine. None if left out here and there.",
+            show_default=False,
+        ),
     ] = None,
 ) -> None:
     """Search for the lens that a specification asks for.
 
-    Exit status: 0 if the lens meets every constraint, 1 if not (it is written all the same), 2 for bad input.
+    Starts are made until several agree. What was found is checked against the specification in the end.
+
+    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut the search (the lens is
+    written all the same), 2 for bad input.
     """
     from lensdesign.files.design import design_text
     from lensdesign.optimization.search import optimize as search
     from lensdesign.optimization.specification import load_specification
 
-    asked = _with_settings(load_specification(specification), algorithm, max_seconds)
+    asked = _with_settings(
+        load_specification(specification),
+        algorithm=algorithm,
+        starts=starts,
+        max_evaluations=max_evaluations,
+        max_seconds=max_seconds,
+    )
     if os.path.exists(output) and output.samefile(specification):
         raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
     # Opened before the search: a place that cannot be written shows at once, not after it.
@@ -94,7 +131,7 @@ def optimize(
     else:
         _print_optimization(result)
         typer.echo(f"wrote {output}")
-    raise typer.Exit(0 if result.feasible else 1)
+    raise typer.Exit(0 if result.feasible and not result.unfinished else 1)
 
 
 @app.command()
@@ -211,14 +248,11 @@ def _print_matches(name: str, catalogs: list[Path], as_json: bool) -> None:
     typer.echo(f"{len(found)} names contain {name!r}")
 
 
-def _with_settings(
-    specification: Specification, algorithm: str | None, max_seconds: float | None
-) -> Specification:
+def _with_settings(specification: Specification, **changes: object) -> Specification:
     """The specification with what the command line changes."""
     from lensdesign.common.toml_files import validate
     from lensdesign.optimization.specification import Settings
 
-    changes = {"algorithm": algorithm, "max_seconds": max_seconds}
     given = {key: value for key, value in changes.items() if value is not None}
     settings = validate(Settings, specification.optimize.model_dump() | given, "command line")
     return specification.model_copy(update={"optimize": settings})
@@ -268,21 +302,36 @@ def _print_check(report: CheckReport) -> None:
 def _print_optimization(result: OptimizationResult) -> None:
     from rich.markup import escape
 
+    for sentence in result.unfinished:
+        typer.echo(f"not finished: {visible(sentence)}")
     variables = _table(result.lens.title, "variable", "value")
     for name, value in result.variables.items():
         shown = "plane" if value is None else f"{value:.8g}" if isinstance(value, float) else str(value)
         variables.add_row(name, escape(visible(shown)))
     variables.add_section()
-    variables.add_row(result.goal, f"{result.goal_value:.6g} {'deg' if 'spread' in result.goal else 'mm'}")
+    goal = f"{result.goal}, share of its limit" if result.goal_unit == "%" else result.goal
+    variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
+    if len(result.spreads) > 1:
+        for s in result.spreads:
+            shown = f"{s.spread_deg:.4f} deg, {100.0 * s.share:.2f} % of {s.limit_deg:.4f} deg"
+            variables.add_row(f"spread at {s.wavelength_um:g} um", shown)
     _print_tables(variables)
     for name in result.binding:
         typer.echo(f"binding: {name}")
     for sentence in result.violations:
         typer.echo(f"not met: {sentence}")
+    if result.reach is not None:
+        typer.echo(result.reach.in_words(result.lens.object))
+    if result.feasible:
+        typer.echo("checked: every constraint of the specification is met")
     typer.echo(
-        f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because "
+        f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because of "
         f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
     )
+    if not result.agreed:
+        typer.echo(
+            "hint: no other start came to this, which says little; allow more starts, or narrow the bounds"
+        )
 
 
 def _number(value: float, unit: str) -> str:

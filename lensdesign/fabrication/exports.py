@@ -61,8 +61,7 @@ def export_lens(lens: Lens, path: Path, options: ExportOptions) -> Exported:
     """
     suffix = path.suffix.lower()
     if suffix not in EXPORT_FORMATS:
-        allowed = ", ".join(EXPORT_FORMATS)
-        raise InputError(f"cannot write {path}: unknown suffix {suffix!r}; allowed: {allowed}")
+        raise InputError(f"cannot write {path}: unknown suffix {suffix!r}; allowed: {export_kinds()}")
     return EXPORT_FORMATS[suffix].write(lens, path, options)
 
 

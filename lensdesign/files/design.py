@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import tomli_w
@@ -13,6 +14,9 @@ from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.surface import Surface
+
+PITCHES_UM = (0.1, 1000.0)
+"""Pixel pitches beyond these are given in another unit than micrometres."""
 
 
 def load_design(path: str | os.PathLike[str]) -> Lens:
@@ -40,7 +44,9 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     """
     path = Path(path)
     data = read_toml(path)
+    refuse_other_kind(data, path, "design")
     lens = validate(Lens, data, path)
+    refuse_doubtful(lens, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
     surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
@@ -56,6 +62,73 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     return lens
+
+
+def refuse_other_kind(data: Mapping[str, object], path: Path, wanted: str) -> None:
+    """Refuse a file of another kind, with the command that takes it.
+
+    Parameters
+    ----------
+    data
+        The file's tables.
+    path
+        The file.
+    wanted
+        ``design`` or ``specification``.
+
+    Raises
+    ------
+    DesignError
+    """
+    kind = _kind(data)
+    if kind in ("", wanted):
+        return
+    takes, needs = TAKEN_BY[kind], LACKS[wanted]
+    raise DesignError(f"{path}: this is a {kind}, which {takes} takes; a {wanted} is needed here{needs}")
+
+
+TAKEN_BY = {
+    "design": "lensdesign check (or draw, or export)",
+    "specification": "lensdesign optimize",
+    "tolerance study": "tolerancing run",
+}
+"""What takes each kind of file."""
+
+LACKS = {
+    "design": ": what lensdesign optimize writes, say",
+    "specification": ": a design with a [[variable]] for each thing that may change",
+}
+
+
+def _kind(data: Mapping[str, object]) -> str:
+    """What a file is, by its tables; empty where they do not say."""
+    if "design" in data and {"trials", "merit", "perturbation"} & data.keys():
+        return "tolerance study"
+    if {"optimize", "constraints", "variable"} & data.keys():
+        return "specification"
+    return "design" if {"surface", "object", "sensor"} <= data.keys() else ""
+
+
+def refuse_doubtful(lens: Lens, path: Path) -> None:
+    """Refuse what a file may leave out or hold, and no lens that was meant does.
+
+    Raises
+    ------
+    DesignError
+        If no surface is marked as the stop, or the pixel pitch is that of no sensor.
+    """
+    if not any(surface.stop for surface in lens.surfaces):
+        raise DesignError(
+            f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
+            "bounds the beam, normally surface 1"
+        )
+    pitch, (low, high) = lens.sensor.pixel_pitch_um, PITCHES_UM
+    if not low <= pitch <= high:
+        meant = next((p for p in (1e3 * pitch, 1e6 * pitch, 1e-3 * pitch) if 0.5 <= p <= 50.0), None)
+        hint = "" if meant is None else f"; {meant:g} um may be meant"
+        raise DesignError(
+            f"{path}: sensor, pixel_pitch_um = {pitch:g}: must be {low:g} to {high:g}, in micrometres{hint}"
+        )
 
 
 def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:
@@ -86,6 +159,7 @@ def design_text(lens: Lens, folder: Path = Path()) -> str:
     data = lens.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude_none=True)
     if lens.glass_catalogs:
         data["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
+    data["surface"][lens.stop_index]["stop"] = True  # in memory it may go without saying
     for surface, table in zip(lens.surfaces, data["surface"], strict=True):
         if surface.figure is not None and surface.figure.file is not None:
             table["figure"]["file"] = os.path.relpath(surface.figure.file, folder.resolve())

@@ -20,6 +20,9 @@ from lensdesign.errors import InputError
 FEASIBLE = 1e-8
 """A point whose constraints, which are scaled to about 1, stay below this counts as feasible."""
 
+ACTIVE = 1e-4
+"""Goals within this of the largest, constraints and bounds within this of their limit, count as reached."""
+
 UNTRACEABLE = 1e3
 """Stands in for a value that is not finite; far above any scaled goal, yet not so far as to blind a model."""
 
@@ -197,11 +200,38 @@ class _Search:
         return UNTRACEABLE
 
 
+def stationarity(e: Evaluation, point: Array) -> float:
+    """How far a point is from the conditions of first order (Karush, Kuhn, Tucker) of the minimax problem.
+
+    Of all weights, none below zero, that sum to 1 over the goals that are largest, those are taken that best
+    balance the derivatives of goals, of constraints that are reached, and of bounds of the unit box.
+
+    Returns
+    -------
+    float
+        Length of what remains: by so much the goal could fall, to first order, for a step of length 1.
+    """
+    from scipy.optimize import nnls
+
+    goals = e.goals >= np.max(e.goals) - ACTIVE
+    reached = e.constraints >= -ACTIVE
+    low, high = point < ACTIVE, point > 1.0 - ACTIVE
+    eye = np.eye(len(point))
+    by = np.concatenate([e.goals_by[goals], e.constraints_by[reached], -eye[low], eye[high]])
+    if not np.all(np.isfinite(by)):
+        return math.inf
+    heavy = 1e3 * max(1.0, float(np.max(np.abs(by))))
+    sums = heavy * (np.arange(len(by)) < np.sum(goals))
+    wanted = np.append(np.zeros(len(point)), heavy)
+    weights, _ = nnls(np.vstack([by.T, sums]), wanted)
+    return float(np.linalg.norm(by.T @ weights))
+
+
 def minimize(
     evaluate: Callable[[Array], Evaluation],
     start: Array,
     algorithm: str = "slsqp",
-    max_seconds: float = 10.0,
+    max_seconds: float = math.inf,
     max_evaluations: int = 2000,
     seed: int = 0,
     on_improvement: Callable[[float, float, int], None] | None = None,
@@ -247,10 +277,10 @@ def minimize(
     rows = len(first.constraints) + (len(first.goals) if method.bounded else 0)
     n = len(start) + method.bounded
     opt = search.opt = _prepared(
-        nlopt, method, n, search, rows, 2.0 * first.objective + 1.0, (max_seconds, max_evaluations)
+        nlopt, method, n, search, rows, 2.0 * abs(first.objective) + 1.0, (max_seconds, max_evaluations)
     )
     nlopt.srand(seed + 1)
-    x0 = np.append(start, first.objective) if method.bounded else start
+    x0 = np.append(start, max(0.0, first.objective)) if method.bounded else start
     reason = _run(nlopt, opt, search, x0, time.monotonic() + max_seconds)
     if search.error is not None:
         raise search.error
@@ -280,7 +310,7 @@ def _prepared(
 
 
 def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
-    opt.set_maxtime(limits[0])
+    opt.set_maxtime(limits[0] if math.isfinite(limits[0]) else 0.0)  # which is no limit
     opt.set_maxeval(limits[1])
     opt.set_xtol_rel(tolerance)
     opt.set_xtol_abs(tolerance)

@@ -14,7 +14,14 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import Evaluation
-from lensdesign.optimization.requirements import Row, State, constraint_rows, goal_rows
+from lensdesign.optimization.requirements import (
+    LIMIT_MARGIN,
+    SEMI_DIAMETER_STEP_MM,
+    Row,
+    State,
+    constraint_rows,
+    goal_rows,
+)
 from lensdesign.optimization.specification import Specification, VariableRange
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.gradients import Variable, gradient_trace
@@ -163,9 +170,9 @@ class DesignProblem:
         state = self.state(point, rays, derivatives)
         return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
 
-    def evaluate(self, point: Array, rays: Rays) -> Evaluation:
+    def evaluate(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:
         """Goals and constraints for nlopt, with derivatives by the unit variables."""
-        goals, constraints = self.rows(point, rays)
+        goals, constraints = self.rows(point, rays, final)
         return Evaluation(
             np.concatenate([r.values for r in goals]),
             np.concatenate([r.by for r in goals]) * self.width,
@@ -177,7 +184,7 @@ class DesignProblem:
 def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
     """The lens at a point with every semi-diameter filled in, validated.
 
-    A surface without one gets what its rays need, rounded up to 0.01 mm; the stop, where it follows the
+    A surface without one gets what its rays need, rounded up; the stop, where it follows the
     numerical aperture, gets the size that this takes.
 
     Raises
@@ -198,7 +205,7 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
                 heights = np.concatenate([np.linalg.norm(t.heights[t.ok, i], axis=-1) for t in state.traces])
                 if not len(heights):
                     raise DesignError("no ray passes it")
-                semi = math.ceil(float(np.max(heights)) * 100.0) / 100.0
+                semi = _rounded_up_mm(float(np.max(heights)) * (1.0 + LIMIT_MARGIN))
             surfaces.append(surface.replaced(semi_diameter_mm=semi))
         return lens.replaced(surfaces=tuple(surfaces))
     except DesignError as error:
@@ -206,6 +213,10 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
             f"no lens was found: the one that violates the constraints least cannot be made ({error}); widen "
             "the bounds, or start elsewhere"
         ) from None
+
+
+def _rounded_up_mm(semi_mm: float) -> float:
+    return round(math.ceil(semi_mm / SEMI_DIAMETER_STEP_MM) * SEMI_DIAMETER_STEP_MM, 9)
 
 
 def _value(lens: Lens, variable: Variable) -> float:

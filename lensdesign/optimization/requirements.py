@@ -26,6 +26,9 @@ LIMIT_MARGIN = 3e-5
 KEPT = 2.0 * LIMIT_MARGIN
 """A scaled square that exceeds its narrowed limit by no more than this keeps the limit as given."""
 
+SEMI_DIAMETER_STEP_MM = 0.01
+"""Semi-diameters that a specification leaves open are rounded up to this."""
+
 CONIC_EDGE_SHARE = 0.95
 """Surfaces stay within this share of the radial height at which their conic ends."""
 
@@ -71,24 +74,21 @@ class Row:
     by: Array
     rays: NDArray[np.int64] | None = None
 
-    @property
-    def miss(self) -> str:
-        """By how much a constraint is missed, in words. Rows of rays hold squares of what is limited."""
-        worst = float(np.max(self.values))
-        if worst > 0.5 * UNTRACEABLE:
-            return f"{self.name}: not every ray gets through"
-        if self.rays is None:
-            return f"{self.name}: misses its limit by {worst:.3g} (scaled)"
-        return f"{self.name}: exceeds its limit by {100.0 * (math.sqrt(1.0 + worst) - 1.0):.3g} %"
-
 
 def goal_rows(specification: Specification, state: State) -> list[Row]:
     """What the largest value of is to be made small."""
     goal = specification.optimize.goal
     lens: Lens = specification  # as it was at the start
-    if goal == "smallest spread":
+    if goal.startswith("smallest spread"):
+        widest = _sine(lens, max(lens.wavelengths_um))
+        own = goal == "smallest spread"
         return [
-            _per_ray(_named("spread", w, lens), _squares(t.cosines, t.cosines_by), _sine(lens, w) ** 2, t)
+            _per_ray(
+                _named("spread", w, lens),
+                _squares(t.cosines, t.cosines_by),
+                (_sine(lens, w) if own else widest) ** 2,
+                t,
+            )
             for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
         ]
     if goal == "smallest aperture":
@@ -110,13 +110,13 @@ def goal_rows(specification: Specification, state: State) -> list[Row]:
 def constraint_rows(specification: Specification, state: State, final: bool = False) -> list[Row]:
     """What must not be above zero.
 
-    A search for the smallest spread makes it small whatever its limit is; only the `final` lens is held
-    against that.
+    Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
+    against it.
     """
     rows: list[Row] = []
     lens: Lens = specification
+    limited = final or not _limits_its_goal(specification)
     for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
-        limited = final or specification.optimize.goal != "smallest spread"
         rows += _spread_rows(specification, state, wavelength, trace, limited)
         for i, limit in enumerate(specification.footprint_limits()):
             if math.isfinite(limit):
@@ -127,6 +127,14 @@ def constraint_rows(specification: Specification, state: State, final: bool = Fa
             rows += _rectangle_rows(specification, wavelength, trace)
         rows += _throughput_rows(specification, state, wavelength, trace)
     return rows + _glass_rows(specification, state)
+
+
+def _limits_its_goal(specification: Specification) -> bool:
+    """Whether the lens of the smallest goal is the one that keeps the spread's limit best, too."""
+    goal, limit = specification.optimize.goal, specification.constraints.max_spread_deg
+    if len(specification.wavelengths_um) == 1:
+        return goal.startswith("smallest spread")
+    return goal == ("smallest spread" if limit == "sensor" else "smallest spread angle")
 
 
 def _spread_rows(
@@ -265,7 +273,10 @@ def _end_by(shape: Shape, part: int, term: str) -> Array:
 
 
 def _clear_height(state: State, i: int) -> tuple[float, Array]:
-    """Clear semi-diameter of a surface: as given, as the stop's, or as its rays need."""
+    """Clear semi-diameter of a surface: as given, as the stop's, or as its rays need, rounded up.
+
+    Rounding is taken to add a whole step: thickness and slope then hold for whatever it adds.
+    """
     stop = state.traces[0]
     if i == state.lens.stop_index:
         return stop.stop_semi_diameter_mm, stop.stop_semi_diameter_by
@@ -278,8 +289,8 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
         squares = np.where(trace.ok, squares, 0.0)
         worst = int(np.argmax(squares))
         height = math.sqrt(squares[worst])
-        if height > best[0]:
-            best = (height, by[worst] / (2.0 * height))
+        if height and height + SEMI_DIAMETER_STEP_MM > best[0]:
+            best = (height + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height))
     return best
 
 

@@ -17,6 +17,7 @@ from lensdesign.common.input_files import refuse_outside
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError
+from lensdesign.files.design import refuse_doubtful, refuse_other_kind
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import term_of
 from lensdesign.lens.shapes.registry import parameters
@@ -164,8 +165,9 @@ class Settings(Section):
     Attributes
     ----------
     goal
-        ``smallest spread``, ``thinnest lens``, ``smallest aperture`` or ``shortest track`` (object to
-        last sensor plane).
+        ``smallest spread`` (the largest share that a wavelength takes of its own limit, Eq. 2),
+        ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
+        ``smallest aperture`` or ``shortest track`` (object to last sensor plane).
     start
         ``design`` is the lens in the file, ``plate`` makes its variable surfaces flat, ``random`` draws
         from the bounds.
@@ -175,19 +177,26 @@ class Settings(Section):
         One of nlopt's, see :data:`lensdesign.optimization.nlopt_driver.ALGORITHMS`. What searches the whole
         box is polished by SLSQP.
     starts
-        Number of starts; those after the first are random.
+        Most starts of each choice of glasses; those after the first are random.
+    agreeing
+        Starts are made until so many came to the best lens so far.
+    max_evaluations
+        Evaluations of a lens for each choice of glasses.
     max_seconds
-        For everything together.
+        For everything together, shared by the choices of glasses; None sets no limit. What it cuts depends
+        on the machine.
     """
 
-    goal: Literal["smallest spread", "thinnest lens", "smallest aperture", "shortest track"] = (
-        "smallest spread"
-    )
+    goal: Literal[
+        "smallest spread", "smallest spread angle", "thinnest lens", "smallest aperture", "shortest track"
+    ] = "smallest spread"
     start: Literal["design", "plate", "random"] = "design"
     stop: Literal["fixed", "numerical aperture"] = "fixed"
     algorithm: str = "slsqp"
-    starts: Annotated[int, Field(ge=1, le=10000)] = 1
-    max_seconds: Positive = 30.0
+    starts: Annotated[int, Field(ge=1, le=10000)] = 12
+    agreeing: Annotated[int, Field(ge=1, le=10000)] = 3
+    max_evaluations: Annotated[int, Field(ge=1, le=10**9)] = 20_000
+    max_seconds: Positive | None = None
 
     @field_validator("algorithm")
     @classmethod
@@ -272,7 +281,10 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
         If a glass, one of the choices included, is not known at a wavelength.
     """
     path = Path(path)
-    specification = validate(Specification, read_toml(path), path)
+    data = read_toml(path)
+    refuse_other_kind(data, path, "specification")
+    specification = validate(Specification, data, path)
+    refuse_doubtful(specification, path)
     catalogs = tuple((path.parent / c).resolve() for c in specification.glass_catalogs)
     for catalog in catalogs:
         refuse_outside(catalog, path, "glass_catalogs", DesignError)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from places import DESIGNS
 
 from lensdesign import Pose, load_design
 from lensdesign.cli.commands import main
@@ -114,7 +115,7 @@ def test_markup_in_a_title_is_left_alone(command: Command, paper_design: Path, t
 
 SPECIFICATION = """
 [optimize]
-max_seconds = 3.0
+starts = 1
 
 [[variable]]
 parameter = "conic"
@@ -154,11 +155,84 @@ def test_optimize_writes_a_design(command: Command, specification: Path, tmp_pat
 
 def test_optimize_in_words(command: Command, specification: Path, tmp_path: Path) -> None:
     output = tmp_path / "found.toml"
-    _, out, _ = command("optimize", specification, "-o", output, "--max-seconds", 1, "--algorithm", "cobyla")
+    arguments = ("--max-seconds", 100, "--max-evaluations", 500, "--starts", 1, "--algorithm", "cobyla")
+    _, out, _ = command("optimize", specification, "-o", output, *arguments)
     assert "surface 2 conic" in out
     assert "evaluations in" in out
     assert out.rstrip().endswith(f"wrote {output}")
     assert output.exists()
+
+
+def test_optimize_that_a_limit_cut_says_so_first(command: Command, tmp_path: Path) -> None:
+    """And exits with 1, though the lens may do."""
+    output, spec = tmp_path / "found.toml", DESIGNS / "feasible_singlet_spec.toml"
+    code, out, _ = command("optimize", spec, "-o", output, "--max-evaluations", 25)
+    assert code == 1
+    assert out.splitlines()[0] == (
+        "not finished: max_evaluations = 25 cut the search of N-BK7 (start 1 of at most 12)"
+    )
+    assert "hint: no other start came to this" in out
+    code, out, _ = command("optimize", spec, "-o", output, "--max-evaluations", 25, "--json")
+    assert code == 1
+    assert len(json.loads(out)["unfinished"]) == 1
+
+
+def test_optimize_ends_with_the_check_against_its_specification(command: Command, tmp_path: Path) -> None:
+    output, spec = tmp_path / "found.toml", DESIGNS / "feasible_singlet_spec.toml"
+    code, out, _ = command("optimize", spec, "-o", output)
+    assert code == 0
+    assert "checked: every constraint of the specification is met" in out
+    assert "3 of 3 starts came to this" in out
+    assert "hint" not in out
+    assert command("check", output, "--against", spec)[0] == 0
+
+
+def test_check_against_a_specification(command: Command, tmp_path: Path) -> None:
+    """An edge that passes as it is, and not as it was asked for."""
+    lens, spec = DESIGNS / "thinnest_singlet.toml", tmp_path / "spec.toml"
+    text = (DESIGNS / "thinnest_singlet_spec.toml").read_text(encoding="utf-8")
+    spec.write_text(text.replace("[constraints]", "[constraints]\nmin_edge_thickness_mm = 4.0"))
+    assert command("check", lens)[0] == 0
+    code, out, _ = command("check", lens, "--against", spec)
+    assert code == 1
+    assert "not met: edge thickness behind surface 1: 3." in out
+    report = json.loads(command("check", lens, "--against", spec, "--json")[1])
+    assert [c["name"] for c in report["constraints"] if not c["met"]] == ["edge thickness behind surface 1"]
+    refused(command("check", lens, "--against", lens), "this is a design", "lensdesign check")
+
+
+def test_several_wavelengths_are_told_one_by_one(command: Command, tmp_path: Path) -> None:
+    spec, output = tmp_path / "spec.toml", tmp_path / "found.toml"
+    text = (DESIGNS / "feasible_singlet_spec.toml").read_text(encoding="utf-8")
+    spec.write_text(text.replace("[0.532]", "[0.532, 0.62]"))
+    _, out, _ = command("optimize", spec, "-o", output, "--starts", 1)
+    assert "smallest spread, share of its limit" in out
+    for wavelength in ("0.532", "0.62"):
+        assert f"spread at {wavelength} um" in out
+    shares = [s["share"] for s in json.loads(command("optimize", spec, "-o", output, "--json")[1])["spreads"]]
+    assert shares[0] > shares[1] > 0.5
+
+
+def test_a_file_of_another_kind_is_named_with_what_takes_it(command: Command, tmp_path: Path) -> None:
+    design, spec = DESIGNS / "paper_singlet.toml", DESIGNS / "feasible_singlet_spec.toml"
+    study = DESIGNS / "paper_tolerances.toml"
+    refused(command("check", spec), "this is a specification, which lensdesign optimize takes")
+    refused(command("check", study), "this is a tolerance study, which tolerancing run takes")
+    output = ("-o", tmp_path / "x.toml")
+    refused(command("optimize", design, *output), "this is a design, which lensdesign check", "[[variable]]")
+    refused(command("optimize", study, *output), "this is a tolerance study, which tolerancing run takes")
+
+
+def test_a_narrow_table_shows_names_in_full(
+    command: Command, paper_design: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names that differ at their ends never look alike."""
+    monkeypatch.setenv("COLUMNS", "40")
+    _, out, _ = command("check", paper_design)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in out
+    table = "".join(line[1:].split("\N{BOX DRAWINGS LIGHT VERTICAL}")[0].strip() for line in out.splitlines())
+    assert "footprintradiusat2mm" in table.replace(" ", "")
+    assert "footprintradiusat22mm" in table.replace(" ", "")
 
 
 def test_optimize_refuses_bad_input(command: Command, specification: Path, tmp_path: Path) -> None:
@@ -283,7 +357,12 @@ def test_export_writes_a_mesh(command: Command, paper_design: Path, tmp_path: Pa
     assert 0.0 < figures["chord_error_um"] <= 20.0
     code, out, _ = command("export", paper_design, file, "--chord-error-um", 20)
     assert out.startswith(f"wrote {file}: {figures['triangles']} triangles, within ")
-    refused(command("export", paper_design, tmp_path / "lens.xyz"), ".stl")
+    refused(
+        command("export", paper_design, tmp_path / "lens.iges"),
+        "mesh (.stl",
+        "(.step, .stp)",
+        "lens file (.zmx, .seq)",
+    )
     refused(command("export", paper_design, file, "--chord-error-um", 0), "above 0")
     refused(command("export", paper_design, file, "--chord-error-um", 1e-6), "chord_error_um = 1e-06")
     assert file.stat().st_size == 84 + 50 * figures["triangles"]

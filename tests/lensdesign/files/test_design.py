@@ -108,6 +108,13 @@ FAULTS = [
     ("semi_diameter_mm = 4.0", "semi_diameter_mm = 42.4", "lies beyond the edge of the conic, which ends"),
     ("semi_diameter_mm = 4.0\n", "", "surface 1 is the stop and needs a semi_diameter_mm"),
     ("conic = -0.9", "conic = -0.9\nstop = true", r"surfaces \[1, 2\] are all marked stop = true"),
+    ("stop = true\n", "", r"no surface is marked stop = true; exactly one must be: .* normally surface 1"),
+    (
+        "pixel_pitch_um = 3.2",
+        "pixel_pitch_um = 0.0032",
+        r"pixel_pitch_um = 0.0032: must be 0.1 to 1000, in micrometres; 3.2 um may be meant",
+    ),
+    ("pixel_pitch_um = 3.2", "pixel_pitch_um = 3200.0", r"pixel_pitch_um = 3200: .*; 3.2 um may be meant"),
     ("stop = true", "stop = 1", "surface 1, stop = 1: must be a valid boolean"),
     ('material = "N-BK7"', "material = 0.5", "surface 1, material = 0.5: must be"),
     ('material = "N-BK7"', "material = true", "surface 1, material = True: must be"),
@@ -272,3 +279,9 @@ def test_names_may_be_as_long_as_the_system_allows(tmp_path: Path, paper_lens: L
     path = tmp_path / ("x" * 250 + ".toml")
     save_design(paper_lens, path)
     assert load_design(path) == paper_lens
+
+
+def test_a_lens_whose_stop_went_without_saying_is_written_with_it(paper_lens: Lens, tmp_path: Path) -> None:
+    """In memory the entrance surface is the stop of a lens without one; in a file exactly one is marked."""
+    save_design(paper_lens.with_surface(0, stop=False), tmp_path / "lens.toml")
+    assert load_design(tmp_path / "lens.toml") == paper_lens

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from lensdesign.optimization.nlopt_driver import ALGORITHMS, FEASIBLE, UNTRACEABLE, Evaluation, minimize
+from lensdesign.optimization.nlopt_driver import (
+    ALGORITHMS,
+    FEASIBLE,
+    UNTRACEABLE,
+    Evaluation,
+    minimize,
+    stationarity,
+)
 
 LOCAL = [name for name, a in ALGORITHMS.items() if not a.everywhere]
 
@@ -162,3 +169,27 @@ def test_improvements_are_reported():
     objectives = [line[0] for line in lines]
     assert len(lines) > 1
     assert objectives == sorted(objectives, reverse=True)
+
+
+def test_the_conditions_of_first_order_hold_where_the_answer_is_and_nowhere_else():
+    """On the constraint its multiplier balances; inside, what remains is the length of the derivative."""
+    answer, inside = np.array([0.5, 0.3]), np.array([0.1, 0.9])
+    assert stationarity(quadratic(answer), answer) == pytest.approx(0.0, abs=1e-9)
+    assert stationarity(quadratic(inside), inside) == pytest.approx(2.0 * np.hypot(0.6, 0.6), rel=1e-4)
+    outwards = Evaluation(np.zeros(1), np.array([[-1.0, 2.0]]), np.empty(0), np.empty((0, 2)))
+    assert stationarity(outwards, np.array([1.0, 0.0])) == pytest.approx(0.0, abs=1e-9)  # the box stops it
+    assert stationarity(outwards, np.array([0.0, 0.0])) == pytest.approx(1.0, rel=1e-4)
+    balanced = np.full(2, 1.0 / 3.0)
+    assert stationarity(minimax(balanced), balanced) == pytest.approx(0.0, abs=1e-9)
+    off = np.array([0.4, 0.4])  # the first plane alone is largest there
+    assert stationarity(minimax(off), off) == pytest.approx(np.sqrt(2.0), rel=1e-4)
+
+
+def test_a_start_that_keeps_every_limit_with_room_is_searched_from():
+    """Goals below zero, as constraints that are kept are."""
+
+    def kept(x: np.ndarray) -> Evaluation:
+        e = quadratic(x)
+        return Evaluation(e.goals - 2.0, e.goals_by, e.constraints, e.constraints_by)
+
+    assert minimize(kept, np.array([0.1, 0.9])).objective <= -1.0

@@ -13,8 +13,10 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import search
-from lensdesign.optimization.problem import DesignProblem, Rays, sample_rays
-from lensdesign.optimization.search import finished_lens, optimize
+from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
+from lensdesign.optimization.requirements import SEMI_DIAMETER_STEP_MM
+from lensdesign.optimization.result import Tried
+from lensdesign.optimization.search import optimize
 from lensdesign.optimization.specification import (
     Constraints,
     FieldSpread,
@@ -89,7 +91,7 @@ def biconic(thinnest: Specification) -> Specification:
     back = {"radius_mm": -12.0, "conic": -0.9, "radius_x_mm": -12.5, "conic_x": -1.0}
     return changed(
         thinnest.with_surface(1, shape_type="biconic", **back),
-        optimize=Settings(goal="smallest spread"),
+        optimize=Settings(goal="smallest spread", starts=1),
         constraints=Constraints(
             max_spread_deg="none",
             max_spread_xy_deg=(5.5, 5.2),
@@ -141,7 +143,7 @@ def test_smallest_spread_from_a_plate(smallest_spread):
 
 
 def test_smallest_spread_from_random_starts(smallest_spread):
-    specification = changed(smallest_spread, optimize=Settings(start="random", starts=10, max_seconds=300.0))
+    specification = changed(smallest_spread, optimize=Settings(start="random", starts=10, agreeing=10))
     found = optimize(specification, seed=4)
     assert found.starts == 10
     assert found.starts_at_best >= 9
@@ -167,13 +169,8 @@ def test_results_pass_the_check(name):
 
 
 @pytest.mark.parametrize("algorithm", ["cobyla", "auglag-direct", "isres"])
-def test_other_algorithms_come_to_the_same_lens(smallest_spread, algorithm, monkeypatch):
-    """Within some hundred evaluations; they may take thousands to see that they are there."""
-    minimize = search.minimize
-    monkeypatch.setattr(search, "minimize", lambda *a, **k: minimize(*a, **k | {"max_evaluations": 800}))
-    specification = changed(
-        smallest_spread, optimize=Settings(start="plate", algorithm=algorithm, max_seconds=300.0)
-    )
+def test_other_algorithms_come_to_the_same_lens(smallest_spread, algorithm):
+    specification = changed(smallest_spread, optimize=Settings(start="plate", algorithm=algorithm, starts=1))
     assert optimize(specification).goal_value == pytest.approx(4.5793, abs=2e-3)
 
 
@@ -226,6 +223,7 @@ def test_edges_and_air_gaps_are_measured_where_they_are(moulded_pair):
     s = moulded_pair.surfaces
     state = problem.state(point, rays)
     clear = max(float(np.max(np.linalg.norm(t.heights, axis=-1))) for t in state.traces)
+    clear += SEMI_DIAMETER_STEP_MM  # as much as rounding may add
     first = 3.5 + s[1].sag_mm(4.4) - s[0].sag_mm(4.4)
     air = 0.4 + s[2].sag_mm(clear) - s[1].sag_mm(clear)
     assert rows["edge thickness behind surface 1"] == pytest.approx((1.0 - first) / 3.5)
@@ -266,10 +264,12 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
 
 
 def test_infeasible_specifications_say_what_is_violated(thinnest):
-    specification = changed(thinnest, constraints=Constraints(max_spread_deg=4.0))
+    settings = thinnest.optimize.replaced(starts=1)
+    specification = changed(thinnest, optimize=settings, constraints=Constraints(max_spread_deg=4.0))
     found = optimize(specification)
     assert not found.feasible
-    assert any("spread: exceeds its limit by" in v for v in found.violations)
+    assert any(v.startswith("spread angle at 0.532 um: ") for v in found.violations)
+    assert not any("spread" in name for name in found.binding)  # it is violated
 
 
 def test_bounds_without_any_traceable_lens_are_refused(thinnest):
@@ -308,11 +308,12 @@ def test_results_pickle_and_become_json(thinnest):
 def test_the_smallest_spread_is_held_against_its_limit(smallest_spread):
     """What the goal makes small must still keep the limit for the result to count as feasible."""
     wide, narrow = (Constraints(max_spread_deg=d, max_footprint_radius_mm="none") for d in (4.6, 4.4))
-    assert optimize(changed(smallest_spread, constraints=wide)).feasible
-    found = optimize(changed(smallest_spread, constraints=narrow))
+    once = changed(smallest_spread, optimize=smallest_spread.optimize.replaced(starts=1))
+    assert optimize(changed(once, constraints=wide)).feasible
+    found = optimize(changed(once, constraints=narrow))
     assert found.goal_value < 4.585
     (violation,) = found.violations
-    assert violation.startswith("spread: exceeds its limit by 4.")  # sin 4.58 deg over sin 4.4 deg
+    assert violation.endswith("exceeds the limit of 4.4000 deg, by 4.1 % in its sine")  # of 4.58 deg
 
 
 def test_a_result_that_is_no_lens_is_an_error(thinnest):
@@ -330,3 +331,119 @@ def test_a_result_that_no_ray_passes_is_an_error(smallest_spread):
     problem = DesignProblem(dark, dark.lens)
     with pytest.raises(DesignError, match=r"no lens was found: .*no ray passes"):
         finished_lens(problem, problem.to_unit(dark.lens), sample_rays(1.5, 1, 2, 1))
+
+
+GLASSES = VariableRange(parameter="material", surface=1, choices=("N-BK7", "N-SF11", "N-LAK8"))
+
+
+def test_a_search_that_a_limit_cut_says_so_and_gives_the_same_lens_again(thinnest):
+    specification = changed(thinnest, optimize=thinnest.optimize.replaced(max_evaluations=20))
+    first, second = optimize(specification), optimize(specification)
+    assert first.unfinished == ["max_evaluations = 20 cut the search of N-BK7 (start 1 of at most 12)"]
+    assert first.stopped_because == "max_evaluations"
+    assert first.evaluations <= 22
+    assert first.variables == second.variables
+    assert "unfinished" in repr(first)
+    assert "not finished" in first._repr_html_()
+    assert optimize(thinnest).unfinished == []
+
+
+def test_a_time_limit_that_cuts_is_told_though_every_constraint_is_met(thinnest):
+    """What a start came to on its first rays may converge, and still be cut before worse rays were added."""
+    hurried = changed(thinnest, optimize=thinnest.optimize.replaced(max_seconds=1e-6))
+    with pytest.raises(DesignError, match=r"no start was made: max_seconds left no room"):
+        optimize(hurried)
+
+
+def test_every_glass_gets_its_share(thinnest):
+    """Each as much as it would have alone."""
+    settings = thinnest.optimize.replaced(max_evaluations=30)
+    found = optimize(changed(thinnest, optimize=settings, variables=(*thinnest.variables, GLASSES)))
+    (sentence,) = found.unfinished
+    for glass in GLASSES.choices:
+        assert f"{glass} (start " in sentence
+    alone = changed(thinnest.with_surface(0, material=found.glasses), optimize=settings)
+    assert optimize(alone).variables.items() <= found.variables.items()
+
+
+def test_what_was_not_tried_is_named(thinnest, monkeypatch):
+    tries = search._try
+
+    def late(problem, *arguments):
+        glass = problem.base.surfaces[0].material
+        return tries(problem, *arguments) if glass == "N-BK7" else Tried(glass, (), "max_seconds")
+
+    monkeypatch.setattr(search, "_try", late)
+    settings = thinnest.optimize.replaced(max_seconds=60.0)
+    found = optimize(changed(thinnest, optimize=settings, variables=(*thinnest.variables, GLASSES)))
+    assert found.not_tried == ["N-SF11", "N-LAK8"]
+    assert found.unfinished == ["max_seconds = 60 left no start for N-SF11; N-LAK8: not tried"]
+    assert found.feasible
+
+
+FLINT = {
+    "title": "High index over a wide field",
+    "wavelengths_um": [0.532],
+    "object": {"field_diameter_mm": 3.0, "numerical_aperture": 0.4, "working_distance_mm": 13.5},
+    "sensor": {"pixel_pitch_um": 2.4, "pixels": [7000, 5472], "plane_distances_mm": [2.0, 8.0]},
+    "surface": [
+        {"thickness_mm": 3.0, "material": "N-SF11", "semi_diameter_mm": 7.51, "stop": True},
+        {},
+    ],
+    "variable": [
+        {"surface": 1, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
+        {"surface": 2, "parameter": "radius_mm", "smallest_radius_mm": 5.0},
+        {"surface": 2, "parameter": "conic", "bounds": [-5.0, 1.0]},
+        {"surface": 1, "parameter": "thickness_mm", "bounds": [1.0, 15.0]},
+    ],
+}
+
+
+def test_one_start_may_miss_what_starts_that_agree_find():
+    """The first random start ends at 20 degrees, in a minimum of its own; three others at 8.9."""
+    specification = Specification.model_validate(
+        FLINT | {"constraints": {"max_spread_deg": 12.0}, "optimize": {"start": "random"}}
+    )
+    alone = optimize(changed(specification, optimize=specification.optimize.replaced(starts=1)))
+    assert not alone.feasible
+    assert not alone.agreed
+    found = optimize(specification)
+    assert found.feasible
+    assert (found.starts_at_best, found.stopped_because) == (3, "agreement")
+    assert found.starts > 3
+    assert found.goal_value < 0.5 * alone.goal_value
+
+
+def test_the_spread_of_several_wavelengths_is_a_share_of_each_limit_or_an_angle(thinnest):
+    """Dispersion and limit grow apart: what is small as a share is not as an angle."""
+    both = changed(
+        thinnest,
+        wavelengths_um=(0.45, 0.65),
+        constraints=Constraints(max_spread_deg="none", max_footprint_radius_mm="none"),
+    )
+    share, angle = (
+        optimize(changed(both, optimize=thinnest.optimize.replaced(goal=goal, starts=1)))
+        for goal in ("smallest spread", "smallest spread angle")
+    )
+    assert (share.goal_unit, angle.goal_unit) == ("%", "deg")
+    for found in (share, angle):
+        for s in found.spreads:
+            own = largest_spread(found.lens, s.wavelength_um).spread_deg
+            assert s.spread_deg == pytest.approx(own, abs=1e-6)
+            sine = s.wavelength_um / (2.0 * both.sensor.pixel_pitch_um)
+            assert s.share == pytest.approx(math.sin(math.radians(own)) / sine)
+    assert share.goal_value == pytest.approx(100.0 * max(s.share for s in share.spreads), rel=1e-4)
+    assert angle.goal_value == pytest.approx(max(s.spread_deg for s in angle.spreads), rel=1e-4)
+    assert max(s.share for s in share.spreads) < 0.99 * max(s.share for s in angle.spreads)
+    assert max(s.spread_deg for s in angle.spreads) < 0.99 * max(s.spread_deg for s in share.spreads)
+
+
+def test_the_edge_asked_for_is_that_of_the_lens_that_is_written(thinnest):
+    """Clear semi-diameters are rounded up, and edges grow thinner as lenses grow wider."""
+    specification = changed(thinnest, constraints=thinnest.constraints.replaced(min_edge_thickness_mm=3.5))
+    found = optimize(specification)
+    assert found.feasible
+    front, back = found.lens.surfaces
+    radius = max(front.semi_diameter_mm, back.semi_diameter_mm)
+    edge = front.thickness_mm + float(back.sag_mm(radius) - front.sag_mm(radius))
+    assert 3.5 <= edge < 3.52

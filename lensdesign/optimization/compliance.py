@@ -1,0 +1,189 @@
+"""The constraints of a specification, held against a lens by other means than the search's own.
+
+The search judges a lens by the rays of its working set; here worst rays are followed as `lensdesign
+check` does it, through the lens as it was written.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from lensdesign.analysis.check import ROUNDING, check_design
+from lensdesign.analysis.report import CheckReport, Constraint
+from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.base import directions
+from lensdesign.optimization.specification import Specification
+from lensdesign.tracing.compiled import compile_system
+from lensdesign.tracing.extremes import extremes
+
+
+def check_against(lens: Lens, specification: Specification) -> CheckReport:
+    """Check a lens against the constraints of a specification.
+
+    Field, numerical aperture, wavelengths and sensor are those of the specification, whatever the lens was
+    written with; its surfaces, edges and working distance are its own.
+
+    Returns
+    -------
+    CheckReport
+        Figures as :func:`lensdesign.check_design` has them; `constraints`, `feasible` and `violations` are
+        those of the specification.
+
+    Raises
+    ------
+    DesignError
+        If no ray passes at one of the wavelengths.
+    """
+    scene = specification.object.replaced(working_distance_mm=lens.object.working_distance_mm)
+    judged = lens.replaced(
+        wavelengths_um=specification.wavelengths_um, sensor=specification.sensor, object=scene
+    )
+    report = check_design(judged)
+    constraints = (
+        *_spread(judged, specification, report),
+        *_footprints(judged, specification, report),
+        _throughput(specification, report),
+        _aperture(judged, specification, report),
+        *_thicknesses(judged, specification),
+        *_slopes(judged, specification),
+    )
+    return replace(
+        report,
+        constraints=constraints,
+        feasible=all(c.met for c in constraints),
+        violations=tuple(c.miss for c in constraints if not c.met),
+    )
+
+
+def _spread(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
+    """Of each wavelength: over the whole field, along x and y, at single field heights."""
+    limits, rows = specification.constraints, []
+    for found in report.wavelengths:
+        at = f"at {found.wavelength_um:g} um"
+        sine = specification.spread_limit(found.wavelength_um)
+        if math.isfinite(sine):
+            limit = math.degrees(math.asin(sine))
+            rows.append(_angle(f"spread angle {at}", found.max_spread_deg, limit))
+        if limits.max_spread_xy_deg is not None:
+            system = compile_system(lens, found.wavelength_um)
+            heights = np.linspace(0.0, lens.half_field_mm, 13)
+            metrics = [partial(_along, axis) for axis in (0, 1)]
+            widest = extremes(lens, system, metrics, heights, symmetric=False, between_heights=True)
+            for axis, end, limit in zip("xy", widest, limits.max_spread_xy_deg, strict=True):
+                rows.append(_angle(f"spread along {axis} {at}", math.degrees(end.value), limit))
+        for own in limits.field_spread:
+            angle = largest_spread(lens, found.wavelength_um, [own.field_mm]).spread_deg
+            rows.append(
+                _angle(f"spread angle {at}, field height {own.field_mm:g} mm", angle, own.max_spread_deg)
+            )
+    return rows
+
+
+def _along(axis: int, _position: Array, direction: Array) -> Array:
+    """Angle to the plane through the axis: arcsine of a direction cosine."""
+    return np.arcsin(np.clip(np.abs(direction[..., axis]), 0.0, 1.0))
+
+
+def _footprints(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
+    """On each sensor plane, at the wavelength at which light reaches farthest."""
+    if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+        parts = [
+            min((footprint(lens, w, d) for w in lens.wavelengths_um), key=lambda f: f.margin_mm)
+            for d in lens.sensor.plane_distances_mm
+        ]
+        return [
+            _at_least(f"margin of the footprint at {f.plane_distance_mm:g} mm", f.margin_mm, 0.0, "mm")
+            for f in parts
+        ]
+    return [
+        _at_most(f"footprint radius at {distance:g} mm", radius, limit, "mm")
+        for distance, radius, limit in zip(
+            report.plane_distances_mm,
+            report.footprint_radius_mm,
+            specification.footprint_limits(),
+            strict=True,
+        )
+        if math.isfinite(limit)
+    ]
+
+
+def _throughput(specification: Specification, report: CheckReport) -> Constraint:
+    return _at_least("throughput", report.throughput, specification.constraints.min_throughput, "")
+
+
+def _aperture(lens: Lens, specification: Specification, report: CheckReport) -> Constraint:
+    """What the search keeps: the stop's size where it is fixed, else the numerical aperture."""
+    if specification.optimize.stop == "fixed":
+        asked = specification.stop_semi_diameter_mm
+        return _at_least("semi-diameter of the stop", lens.stop_semi_diameter_mm, asked, "mm")
+    return next(c for c in report.constraints if c.name.startswith("numerical aperture"))
+
+
+def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
+    """Of glass at the edge cylinder, of air at the largest clear height, of both on the axis."""
+    limits, rows = specification.constraints, []
+    clear = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
+    grounds = [clear if e.semi_diameter_mm is None else e.semi_diameter_mm for e in lens.edges]
+    for i, (front, back) in enumerate(zip(lens.surfaces, lens.surfaces[1:], strict=False)):
+        glass = front.material is not None
+        height = grounds[lens.glass_fronts.index(i)] if glass and grounds else clear
+        x, y = (height * part for part in directions(front.shape, back.shape))
+        axis = front.thickness_mm or 0.0
+        edge = axis + float(np.min(back.shape.sag(x, y) - front.shape.sag(x, y)))
+        if glass:
+            rows += [
+                _at_least(f"edge thickness behind surface {i + 1}", edge, limits.min_edge_thickness_mm, "mm"),
+                _at_least(
+                    f"centre thickness behind surface {i + 1}", axis, limits.min_center_thickness_mm, "mm"
+                ),
+            ]
+        else:
+            gap = min(axis, edge)
+            rows.append(_at_least(f"air gap behind surface {i + 1}", gap, limits.min_air_gap_mm, "mm"))
+    return rows
+
+
+def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
+    """Of each surface at its clear edge, where it has one."""
+    rows = []
+    for number, surface in enumerate(lens.surfaces, start=1):
+        if surface.semi_diameter_mm is None:
+            continue
+        x, y = (surface.semi_diameter_mm * part for part in directions(surface.shape))
+        _, *slopes = surface.shape.sag_and_slopes(x, y)
+        steepest = math.degrees(math.atan(float(np.max(np.hypot(*slopes)))))
+        limit = specification.constraints.max_edge_slope_deg
+        rows.append(_at_most(f"slope at the edge of surface {number}", steepest, limit, "deg"))
+    return rows
+
+
+def _angle(name: str, value_deg: float, limit_deg: float) -> Constraint:
+    """An angle; by how much it is too large is told of its sine, which Eq. 2 limits."""
+    load = math.sin(math.radians(min(value_deg, 90.0))) / math.sin(math.radians(limit_deg))
+    met = load <= 1.0 + ROUNDING and value_deg < 90.0
+    miss = (
+        f"{name}: {value_deg:.4f} deg exceeds the limit of {limit_deg:.4f} deg, by "
+        f"{100.0 * (load - 1.0):.2g} % in its sine"
+    )
+    return Constraint(name, value_deg, "<=", limit_deg, "deg", met, "" if met else miss)
+
+
+def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
+    met = value <= limit * (1.0 + ROUNDING)
+    miss = (
+        f"{name}: {value:.5g} {unit} exceeds the limit of {limit:.5g} {unit}, by {value - limit:.2g} {unit}"
+    )
+    return Constraint(name, value, "<=", limit, unit, met, "" if met else miss)
+
+
+def _at_least(name: str, value: float, limit: float, unit: str) -> Constraint:
+    met = bool(value >= limit * (1.0 - ROUNDING) - 1e-9)
+    sizes = (f"{number:.5g} {unit}".rstrip() for number in (value, limit, limit - value))
+    miss = "{}: {} is less than the {} that the specification asks for, by {}".format(name, *sizes)
+    return Constraint(name, value, ">=", limit, unit, met, "" if met else miss)

@@ -1,0 +1,305 @@
+"""What a search found, how surely, and what it left undone."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lensdesign.analysis.report import CheckReport, WavelengthCheck
+from lensdesign.common.notebook import html_table
+from lensdesign.common.text import finite_or_none
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.compliance import check_against
+from lensdesign.optimization.local_search import Found
+from lensdesign.optimization.problem import DesignProblem, finished_lens
+from lensdesign.optimization.reach import Reach, largest_that_can
+from lensdesign.optimization.requirements import KEPT, Row
+from lensdesign.optimization.specification import Specification
+
+BINDING = 1e-4
+"""A constraint binds where its scaled value is within this of zero."""
+
+AGREE = 1e-3
+"""Starts agree whose goals (or, where no lens was found, largest violations) differ by at most this share."""
+
+REACH_EVALUATIONS = 3000
+"""Most that the search for the largest field, and that for the largest aperture, may take."""
+
+
+@dataclass(frozen=True)
+class WavelengthSpread:
+    """What the lens does at one wavelength: largest angle, sensor's limit, share of the limit (of sines)."""
+
+    wavelength_um: float
+    spread_deg: float
+    limit_deg: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What became of one choice of glasses.
+
+    Attributes
+    ----------
+    glasses
+        By name, front to back.
+    found
+        The ends of its starts.
+    limit
+        The limit that ended its starts before they agreed; empty where none did.
+    """
+
+    glasses: str
+    found: tuple[Found, ...]
+    limit: str
+
+    @property
+    def best(self) -> Found:
+        """The end of the best start; of those that are as good, one that converged."""
+        first = min(self.found, key=lambda f: f.rank)
+        alike = [f for f in self.found if f.converged and agree(f, first, 1e-6)]
+        return min(alike, key=lambda f: f.rank, default=first)
+
+    @property
+    def at_best(self) -> int:
+        """How many starts came to the best."""
+        return sum(agree(f, self.best) for f in self.found)
+
+
+def agree(one: Found, other: Found, share: float = AGREE) -> bool:
+    """Whether two starts came to lenses that are as good."""
+    (missed, goal), (others_missed, others_goal) = one.rank, other.rank
+    if missed or others_missed:
+        return abs(missed - others_missed) <= share * (1.0 + others_missed) and bool(missed and others_missed)
+    return abs(goal - others_goal) <= share * abs(others_goal)
+
+
+@dataclass(frozen=True, repr=False)
+class OptimizationResult:
+    """What a search found.
+
+    Attributes
+    ----------
+    lens
+        The best lens; feasible if `feasible` says so, else the one that violates least.
+    variables
+        Value of each variable by name, in the units of its name.
+    goal, goal_value, goal_unit
+        What was made small, what it came to, and in which unit: ``deg``, ``mm``, or ``%`` where the smallest
+        spread is that of several wavelengths, each as a share of its own limit.
+    spreads
+        Spread of each wavelength.
+    feasible, violations
+        Whether the lens, as it would be written, passes `check`, and each miss in a sentence.
+    check
+        The lens held against the specification, as :func:`lensdesign.optimization.check_against` does it.
+    binding
+        Constraints that are reached, and bounds, which stop it from getting better; none that is violated.
+    unfinished
+        A sentence for each thing that a limit cut short; empty where the search ended by itself.
+    not_tried
+        Choices of glasses that no start was made with.
+    reach
+        Where the specification could not be met: the largest field and aperture that can. None elsewhere.
+    evaluations, seconds
+        What it cost.
+    algorithm, stopped_because
+        How starts were searched, and what ended them: ``agreement``, or the limit that did.
+    glasses, starts, starts_at_best
+        The choice of glasses, how many starts were made with it, and how many of them came to the best
+        goal (within 0.1 %).
+    """
+
+    lens: Lens
+    variables: dict[str, float | str | None]
+    goal: str
+    goal_value: float
+    goal_unit: str
+    spreads: tuple[WavelengthSpread, ...]
+    feasible: bool
+    violations: tuple[str, ...]
+    check: CheckReport
+    binding: list[str]
+    unfinished: list[str]
+    not_tried: list[str]
+    reach: Reach | None
+    evaluations: int
+    seconds: float
+    algorithm: str
+    stopped_because: str
+    glasses: str
+    starts: int
+    starts_at_best: int
+
+    @property
+    def agreed(self) -> bool:
+        """Whether more than one start came to this lens."""
+        return self.starts_at_best > 1
+
+    def __repr__(self) -> str:
+        met = "feasible" if self.feasible else f"not met: {len(self.violations)}"
+        met += ", unfinished" if self.unfinished else ""
+        return f"<OptimizationResult {self.goal} = {self.goal_value:.6g}, {met}, {self.lens!r}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, "plane" if v is None else f"{v:.8g}" if isinstance(v, float) else v)
+            for name, v in self.variables.items()
+        ]
+        rows = [
+            *(("not finished", sentence) for sentence in self.unfinished),
+            *rows,
+            (self.goal, f"{self.goal_value:.6g} {self.goal_unit}"),
+            ("binding", ", ".join(self.binding)),
+            *(("not met", sentence) for sentence in self.violations),
+            ("search", f"{self.algorithm}: {self.evaluations} evaluations in {self.seconds:.2f} s"),
+            ("starts", f"{self.starts_at_best} of {self.starts} came to this"),
+        ]
+        return html_table("Optimization", rows) + self.lens._repr_html_()
+
+    def as_dict(self) -> dict[str, Any]:
+        """As plain data, without the lens."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("lens", "check", "spreads", "reach")}
+        return plain | {
+            "title": self.lens.title,
+            "spreads": [asdict(s) for s in self.spreads],
+            "reach": None if self.reach is None else asdict(self.reach),
+            "constraints": [
+                {k: finite_or_none(v) for k, v in asdict(c).items()} for c in self.check.constraints
+            ],
+        }
+
+
+def result_of(specification: Specification, tried: list[Tried], began: float) -> OptimizationResult:
+    """The best of all choices of glasses, held against its specification.
+
+    Parameters
+    ----------
+    specification
+        What was asked.
+    tried
+        All choices of glasses; at least one with the end of a start.
+    began
+        When, by :func:`time.monotonic`.
+
+    Raises
+    ------
+    DesignError
+        If the best is no lens.
+    """
+    chosen = min((t for t in tried if t.found), key=lambda t: t.best.rank)
+    best = chosen.best
+    problem, point = best.problem, best.outcome.point
+    goals, constraints = problem.rows(point, best.rays, final=True, derivatives=False)
+    unfinished = _unfinished(specification, tried, chosen)
+    reach = None
+    try:
+        lens = finished_lens(problem, point, best.rays)
+    except DesignError as error:
+        can = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
+        said = "; ".join([*unfinished, str(error), can.in_words(specification.object)])
+        raise DesignError(said) from None
+    check = check_against(lens, specification)
+    if not check.feasible and not unfinished:
+        reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
+    value, unit = _goal(specification, goals)
+    starts = len(chosen.found)
+    return OptimizationResult(
+        lens=lens,
+        variables=_variables(specification, lens),
+        goal=specification.optimize.goal,
+        goal_value=value,
+        goal_unit=unit,
+        spreads=tuple(_spread(row) for row in check.wavelengths),
+        feasible=check.feasible,
+        violations=check.violations,
+        check=check,
+        binding=_binding(problem, best, constraints),
+        unfinished=unfinished,
+        not_tried=[t.glasses for t in tried if not t.found and t.limit],
+        reach=reach,
+        evaluations=sum(f.outcome.evaluations for t in tried for f in t.found),
+        seconds=time.monotonic() - began,
+        algorithm=specification.optimize.algorithm,
+        stopped_because=_end(specification, chosen),
+        glasses=chosen.glasses,
+        starts=starts,
+        starts_at_best=chosen.at_best,
+    )
+
+
+def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried) -> list[str]:
+    """What limits cut short, a sentence each."""
+    settings, best = specification.optimize, chosen.best
+    sentences = []
+    for limit in ("max_evaluations", "max_seconds"):
+        value = getattr(settings, limit)
+        cut = [t for t in tried if t.limit == limit and t.found]
+        if cut:
+            names = "; ".join(f"{t.glasses} (start {len(t.found)} of at most {settings.starts})" for t in cut)
+            sentences.append(f"{limit} = {value:g} cut the search of {names}")
+        none = [t.glasses for t in tried if t.limit == limit and not t.found]
+        if none:
+            sentences.append(f"{limit} = {value:g} left no start for {'; '.join(none)}: not tried")
+    if not sentences and not best.converged and chosen.at_best < settings.agreeing:
+        sentences.append(
+            f"the best start ended before it had converged ({best.outcome.stopped_because}); another "
+            "algorithm, or narrower bounds, may help"
+        )
+    return sentences
+
+
+def _end(specification: Specification, chosen: Tried) -> str:
+    """What ended the starts."""
+    if chosen.limit:
+        return chosen.limit
+    agreed = chosen.at_best >= specification.optimize.agreeing
+    return "agreement" if agreed else f"starts = {specification.optimize.starts}"
+
+
+def _variables(specification: Specification, lens: Lens) -> dict[str, float | str | None]:
+    values: dict[str, float | str | None] = {}
+    for v in specification.variables:
+        surface = lens.surfaces[(v.surface or 1) - 1]
+        if v.parameter == "working_distance_mm":
+            values[v.name] = lens.object.working_distance_mm
+        elif hasattr(surface, v.parameter):
+            values[v.name] = getattr(surface, v.parameter)
+        else:
+            values[v.name] = surface.shape.term(v.parameter)
+    return values
+
+
+def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
+    """The goal in the unit that people use."""
+    largest = max(float(np.max(row.values)) for row in goals)
+    goal, waves = specification.optimize.goal, specification.wavelengths_um
+    if goal == "smallest spread" and len(waves) > 1:
+        return 100.0 * math.sqrt(largest), "%"
+    if goal.startswith("smallest spread"):
+        sine = math.sqrt(largest) * min(1.0, max(waves) / (2.0 * specification.sensor.pixel_pitch_um))
+        return math.degrees(math.asin(min(1.0, sine))), "deg"
+    if goal == "smallest aperture":
+        return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
+    return largest * specification.exit_vertex_z_mm, "mm"
+
+
+def _spread(row: WavelengthCheck) -> WavelengthSpread:
+    spread, limit = row.max_spread_deg, row.spread_limit_deg
+    share = math.sin(math.radians(min(spread, 90.0))) / math.sin(math.radians(limit))
+    return WavelengthSpread(row.wavelength_um, spread, limit, share)
+
+
+def _binding(problem: DesignProblem, best: Found, constraints: list[Row]) -> list[str]:
+    worst = ((row.name, float(np.max(row.values, initial=-1.0))) for row in constraints)
+    names = [name for name, value in worst if -BINDING < value <= KEPT]
+    for v, u in zip(problem.ranges, best.outcome.point, strict=True):
+        if u < 1e-6 or u > 1.0 - 1e-6:
+            names.append(f"{v.name} at its {'lower' if u < 0.5 else 'upper'} bound")
+    return names

@@ -1,0 +1,97 @@
+"""A lens held against the specification that it came from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import DESIGNS
+
+from lensdesign import Lens, load_design
+from lensdesign.optimization.compliance import check_against
+from lensdesign.optimization.specification import Constraints, Specification, load_specification
+
+
+@pytest.fixture(scope="module")
+def asked() -> Specification:
+    return load_specification(DESIGNS / "thinnest_singlet_spec.toml")
+
+
+@pytest.fixture(scope="module")
+def lens() -> Lens:
+    return load_design(DESIGNS / "thinnest_singlet.toml")
+
+
+@pytest.mark.parametrize("name", ["thinnest_singlet", "moulded_pair", "rectangular_sensor"])
+def test_the_gallery_meets_its_specifications(name: str) -> None:
+    report = check_against(
+        load_design(DESIGNS / f"{name}.toml"), load_specification(DESIGNS / f"{name}_spec.toml")
+    )
+    assert report.violations == ()
+    assert report.feasible
+
+
+def test_an_edge_thinner_than_asked_for_is_a_miss_with_its_numbers(asked: Specification, lens: Lens) -> None:
+    """An edge of any length passes the check of the lens alone."""
+    front, back = lens.surfaces
+    edge = front.thickness_mm + float(back.sag_mm(10.0) - front.sag_mm(10.0))
+    wide = lens.with_surface(1, semi_diameter_mm=10.0)
+    for limit, met in ((edge - 1e-4, True), (edge + 1e-4, False)):
+        specification = asked.replaced(constraints=asked.constraints.replaced(min_edge_thickness_mm=limit))
+        report = check_against(wide, specification)
+        (row,) = (c for c in report.constraints if c.name == "edge thickness behind surface 1")
+        assert (row.met, report.feasible) == (met, met)
+        assert row.value == pytest.approx(edge, abs=1e-12)
+        assert row.miss == ("" if met else report.violations[0])
+    assert report.violations[0].startswith(f"edge thickness behind surface 1: {edge:.5g} mm is less than")
+
+
+def test_field_and_aperture_are_those_of_the_specification(asked: Specification, lens: Lens) -> None:
+    """However small the lens's own file says that they are."""
+    assert check_against(lens, asked).feasible
+    modest = lens.replaced(object=lens.object.replaced(field_diameter_mm=1.0))
+    assert check_against(modest, asked).constraints == check_against(lens, asked).constraints
+    wider = asked.replaced(object=asked.object.replaced(field_diameter_mm=3.2))
+    assert check_against(lens, wider).violations[0].startswith("spread angle at 0.532 um: ")
+    narrow = lens.with_surface(0, semi_diameter_mm=7.0)
+    assert any(v.startswith("numerical aperture") for v in check_against(narrow, asked).violations)
+    fixed = asked.replaced(optimize=asked.optimize.replaced(stop="fixed"))
+    assert any("semi-diameter of the stop" in v for v in check_against(narrow, fixed).violations)
+
+
+def test_every_constraint_is_held_against_its_own_limit(asked: Specification, lens: Lens) -> None:
+    limits = Constraints(
+        max_spread_deg=4.0,
+        max_spread_xy_deg=(4.5, 4.6),
+        field_spread=({"field_mm": 0.0, "max_spread_deg": 0.01},),
+        max_footprint_radius_mm=(9.0, 11.5),
+        min_center_thickness_mm=9.0,
+        max_edge_slope_deg=20.0,
+    )
+    report = check_against(lens, asked.replaced(constraints=limits))
+    values = {c.name: c.value for c in report.constraints}
+    missed = {c.name for c in report.constraints if not c.met}
+    assert missed == {
+        "spread angle at 0.532 um",
+        "spread along x at 0.532 um",
+        "spread along y at 0.532 um",
+        "spread angle at 0.532 um, field height 0 mm",
+        "footprint radius at 2 mm",
+        "centre thickness behind surface 1",
+        "slope at the edge of surface 2",
+    }
+    # Round as it is, the lens spreads as far along x and along y as along any direction.
+    for axis in "xy":
+        assert values[f"spread along {axis} at 0.532 um"] == pytest.approx(report.max_spread_deg, abs=1e-5)
+    back = lens.surfaces[1]
+    slope = np.degrees(np.arctan(abs(float(back.slope(back.semi_diameter_mm)))))
+    assert values["slope at the edge of surface 2"] == pytest.approx(slope)
+
+
+def test_the_gap_of_a_pair_is_the_smaller_of_axis_and_edge() -> None:
+    pair, asked = (
+        load_design(DESIGNS / "moulded_pair.toml"),
+        load_specification(DESIGNS / "moulded_pair_spec.toml"),
+    )
+    (air,) = (c for c in check_against(pair, asked).constraints if c.name.startswith("air gap"))
+    assert air.value == pytest.approx(pair.surfaces[1].thickness_mm)
+    assert air.limit == 0.3
