@@ -37,12 +37,9 @@ from wavesim.objects.targets import (
     siemens_star,
 )
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements_beside, usaf_elements_within
-from wavesim.scene.patches import OBJECT_FINENESS
+from wavesim.scene.patches import OBJECT_FINENESS, refuse_wider_than_field
 from wavesim.scene.scene import wavelength_of
 from wavesim.scene.settings import PatchSettings
-
-FIELD_MARGIN = 1.02
-"""Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
 
 LIGHT_BYTES = 49
 """For each sample, while an object's illumination is made. Measured."""
@@ -134,12 +131,7 @@ def object_patch(
         If the patch is larger than the design's field, or the field stop than the patch.
     """
     wavelength = wavelength_of(lens, wavelength_um)
-    field_mm = lens.object.field_diameter_mm
-    if not 0.0 < patch_mm <= FIELD_MARGIN * field_mm:
-        raise InputError(
-            f"patch_mm = {patch_mm:g}: must be above 0 and at most {FIELD_MARGIN:g} times the design's "
-            f"field_diameter_mm = {field_mm:g}"
-        )
+    refuse_wider_than_field(lens, patch_mm)
     stop_mm = patch_mm if field_stop_mm is None else field_stop_mm
     if not 0.0 < stop_mm <= patch_mm:
         raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")

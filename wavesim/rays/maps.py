@@ -18,6 +18,7 @@ from scipy.linalg import lstsq
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from wavesim.rays.edges import Edge, light_edge
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -27,6 +28,13 @@ AMPLITUDE_TOLERANCE = 1e-4
 
 LINE_ORDERS, PLANE_ORDERS = (12, 20, 32, 48, 72, 120, 200), (8, 12, 16, 20, 26)
 RIM_ARMS = 360
+MOST_BENT = 2.0
+"""Second order of the edge, as a share of the first at the middle of the light: with more, two do not
+tell it."""
+
+SHADOW_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Of the shadow, as much as rays reach."""
+
 BLOCK = 8192
 """Scattered points at which polynomials are evaluated at a time."""
 
@@ -140,6 +148,14 @@ class RayMap:
         Touched by the light on its way.
     bundle : RayBundle
         The rays that were fitted.
+    traced : OpenPupil
+        Through which they go: the open part of the stop, and its shadow where the edge was asked for.
+    border_mm : ndarray, shape (arms, d)
+        Border of what they reach.
+    edge : Edge or None
+        How light falls off at the rim, where that was asked for.
+    stop : SmoothMap or None
+        Stop coordinates, y or y and x; with the edge.
     """
 
     plane_z_mm: float
@@ -148,20 +164,24 @@ class RayMap:
     rim_mm: Array
     caustics: int
     bundle: RayBundle
+    traced: OpenPupil
+    border_mm: Array
+    edge: Edge | None = None
+    stop: SmoothMap | None = None
 
     def row_spans(self, axes: Sequence[Array]) -> NDArray[np.intp]:
-        """Samples of a grid inside the footprint: first and end per row, shape (rows, 2); one row on a line.
+        """Samples of a grid inside the border: first and end per row, shape (rows, 2); one row on a line.
 
-        Rows outside have an end that is their first. A row that leaves a footprint and comes back into it is
+        Rows outside have an end that is their first. A row that leaves it and comes back into it is
         taken as inside in between.
         """
         if len(axes) == 1:
-            low, high = self.rim_mm.min(), self.rim_mm.max()
+            low, high = self.border_mm.min(), self.border_mm.max()
             return np.array([[np.searchsorted(axes[0], low), np.searchsorted(axes[0], high, side="right")]])
         y, x = axes
         low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
-        ends = np.roll(self.rim_mm, -1, axis=0)
-        for a, b in zip(self.rim_mm, ends, strict=True):
+        ends = np.roll(self.border_mm, -1, axis=0)
+        for a, b in zip(self.border_mm, ends, strict=True):
             rows = slice(*np.searchsorted(y, [min(a[0], b[0]), max(a[0], b[0])]))
             if rows.start < rows.stop:
                 cut = a[1] + (b[1] - a[1]) * (y[rows] - a[0]) / (b[0] - a[0])
@@ -186,7 +206,9 @@ def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
     return pupil.points(grid[:, 0], grid[:, 1])
 
 
-def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reach_mm: float) -> RayMap:
+def ray_map(
+    scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reach_mm: float, *, edge: bool = False
+) -> RayMap:
     """Maps of path, amplitude and direction over the footprint of an object point.
 
     Parameters
@@ -200,6 +222,8 @@ def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reac
     reach_mm
         How far from the point the object extends: the direction p must be known so well that a point
         so far away errs by no more path than is allowed.
+    edge
+        Whether to look at how light falls off at the rim, and to carry the maps on into its shadow.
 
     Raises
     ------
@@ -211,13 +235,15 @@ def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reac
         If polynomials do not follow the rays to 1e-4 waves.
     """
     pupil = open_pupil(scene, point_mm, plane_z_mm, RIM_ARMS)
+    drawn = light_edge(scene, point_mm, pupil, plane_z_mm) if edge else None
+    traced = pupil if drawn is None else _with_shadow(scene, point_mm, drawn, plane_z_mm)
     orders = LINE_ORDERS if pupil.is_line else PLANE_ORDERS
     wavelength_mm = 1e-3 * scene.wavelength_um
     errors = np.full(3, np.inf)
     for order in orders:
-        bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(pupil, order), plane_z_mm)
+        bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order), plane_z_mm)
         caustics = refuse_fold(bundle, point_mm, plane_z_mm)
-        check = trace_bundle(scene, np.asarray(point_mm), sample_points(pupil, order, 0.37), plane_z_mm)
+        check = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order, 0.37), plane_z_mm)
         maps = fit_map(bundle.sensor_mm[bundle.ok], _carried(bundle)[:, bundle.ok], order)
         difference = np.abs(maps.at(check.sensor_mm) - _carried(check))[:, check.ok]
         errors = np.array(
@@ -228,10 +254,11 @@ def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reac
             ]
         )
         if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
-            points = np.broadcast_to(np.asarray(point_mm, float), pupil.rim.shape)
-            rim = shoot(scene, points, pupil.rim, plane_z_mm, clip=False).position
-            axes = [1] if pupil.is_line else [1, 0]
-            return RayMap(plane_z_mm, pupil, maps, rim[:, axes], caustics, bundle)
+            borders = [_border_mm(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
+            stop = None if drawn is None else _stop_map(bundle, order)
+            return RayMap(
+                plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop
+            )
     raise RayMapError(
         f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
         f"mm: polynomials of order {orders[-1]} err by {errors[0]:.2g} waves of path, {errors[1]:.2g} of the "
@@ -239,6 +266,44 @@ def ray_map(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float, reac
         f"{AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); stop the lens down, or go farther from the "
         "caustic"
     )
+
+
+def edge_is_told(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float) -> bool:
+    """Whether two orders tell how the light of an object point falls off, and rays reach its shadow."""
+    pupil = open_pupil(scene, point_mm, plane_z_mm, RIM_ARMS)
+    edge = light_edge(scene, point_mm, pupil, plane_z_mm)
+    if float(np.max(np.abs(edge.bend) * pupil.reach)) > MOST_BENT:
+        return False
+    shadow = _with_shadow(scene, point_mm, edge, plane_z_mm)
+    return bool(np.all(shadow.reach - pupil.reach > 0.9 * (edge.shadow.reach - pupil.reach)))
+
+
+def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_z_mm: float) -> OpenPupil:
+    """The open part of the stop, with as much of its shadow as rays reach without folding."""
+    order = (LINE_ORDERS if edge.pupil.is_line else PLANE_ORDERS)[0]
+    for share in SHADOW_SHARES:
+        reach = edge.pupil.reach + share * (edge.shadow.reach - edge.pupil.reach)
+        wider = OpenPupil(edge.pupil.centre, reach, edge.pupil.angles)
+        bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(wider, order), plane_z_mm)
+        if not np.all(bundle.ok):
+            continue
+        try:
+            refuse_fold(bundle, point_mm, plane_z_mm)
+        except FoldError:
+            continue
+        return wider
+    return edge.pupil
+
+
+def _border_mm(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Array:
+    points = np.broadcast_to(np.asarray(point_mm, float), pupil.rim.shape)
+    ends = shoot(scene, points, pupil.rim, plane_z_mm, clip=False).position
+    return ends[:, [1] if pupil.is_line else [1, 0]]
+
+
+def _stop_map(bundle: RayBundle, order: int) -> SmoothMap:
+    stop = bundle.pupil[bundle.ok][:, [1] if bundle.sensor_mm.shape[1] == 1 else [1, 0]]
+    return fit_map(bundle.sensor_mm[bundle.ok], stop.T, order)
 
 
 def _carried(bundle: RayBundle) -> Array:

@@ -67,14 +67,20 @@ class OpenPupil:
 
     def points(self, share: Array, angle: Array) -> Array:
         """Stop points at shares of the reach along angles, shape (n, 2)."""
-        if self.is_line:
-            reach = np.where(angle > 0.0, self.reach[0], self.reach[1])
-        else:
-            step = 2.0 * np.pi / len(self.angles)
-            closed = np.append(self.reach, self.reach[0])
-            reach = np.interp(np.mod(angle, 2.0 * np.pi), step * np.arange(len(closed)), closed)
         along = np.column_stack([np.cos(angle) * (not self.is_line), np.sin(angle)])
-        return self.centre + (share * reach)[:, None] * along
+        return self.centre + (share * self._reach_at(angle))[:, None] * along
+
+    def inwards(self, stop: Array) -> Array:
+        """How far stop points (n, 2) lie inside the rim, along the arms through them; negative outside."""
+        x, y = (stop - self.centre).T
+        return np.asarray(self._reach_at(np.arctan2(y, x)) - np.hypot(x, y))
+
+    def _reach_at(self, angle: Array) -> Array:
+        if self.is_line:
+            return np.where(angle > 0.0, self.reach[0], self.reach[1])
+        step = 2.0 * np.pi / len(self.angles)
+        closed = np.append(self.reach, self.reach[0])
+        return np.interp(np.mod(angle, 2.0 * np.pi), step * np.arange(len(closed)), closed)
 
 
 @dataclass(frozen=True, eq=False)

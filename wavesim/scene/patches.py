@@ -15,6 +15,9 @@ from wavesim.scene.scene import Scene, wavelength_of
 OBJECT_FINENESS, EXIT_FINENESS = 0.8, 0.9
 """Pitch of a patch's grids, as shares of half the period of the finest fringes there."""
 
+FIELD_MARGIN = 1.02
+"""Of the design's field, what a patch may take: a field stop is made a little larger than the field."""
+
 MARGIN = 1.02
 
 MOST_SAMPLES = 400_000_000
@@ -101,12 +104,23 @@ def exit_grid(lens: Lens, wavelength_um: float, plane_distance_mm: float, dimens
     return Grid((count,) * dimensions, pitch, lens.exit_vertex_z_mm + plane_distance_mm)
 
 
-def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:
-    if not 0.0 < patch_mm <= lens.object.field_diameter_mm:
+def refuse_wider_than_field(lens: Lens, patch_mm: float) -> None:
+    """Refuse a patch that the design's field does not hold.
+
+    Raises
+    ------
+    InputError
+        If its side is not above 0, or beyond `FIELD_MARGIN` times the field.
+    """
+    if not 0.0 < patch_mm <= FIELD_MARGIN * lens.object.field_diameter_mm:
         raise InputError(
-            f"patch_mm = {patch_mm!r}: must be above 0 and at most the field's "
-            f"{lens.object.field_diameter_mm:g} mm"
+            f"patch_mm = {patch_mm:g}: must be above 0 and at most {FIELD_MARGIN:g} times the design's "
+            f"field_diameter_mm = {lens.object.field_diameter_mm:g}"
         )
+
+
+def _refuse(lens: Lens, patch_mm: float, field_mm: float) -> None:
+    refuse_wider_than_field(lens, patch_mm)
     if not abs(field_mm) <= lens.half_field_mm:
         raise InputError(
             f"field_mm = {field_mm!r}: must lie within the half field of {lens.half_field_mm:g} mm"

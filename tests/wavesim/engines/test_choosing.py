@@ -19,6 +19,7 @@ from wavesim.evaluation.comparison import compare, lens_case, variants
 from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning
+from wavesim.objects.patch import object_patch
 from wavesim.pictures.comparisons import comparison_figure
 from wavesim.scene.engine import SAFETY, Cost, Engine, Neglected
 from wavesim.scene.patches import patch_scene
@@ -139,6 +140,15 @@ def test_command(twin_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     found = json.loads(output)
     assert found["engine"] in {p["engine"] for p in found["predictions"]}
     assert {"relative_error", "seconds", "peak_mb", "refused"} <= set(found["predictions"][0])
+
+
+def test_patches_are_those_of_imaging() -> None:
+    """A field stop is made a little larger than the field: 0.1875 mm here."""
+    wider = patch_scene(TWIN, 0.19, plane_distance_mm=0.125, meridional=True)
+    assert choose(wider, 0.5).chosen.engine
+    for asked in (lambda: patch_scene(TWIN, 0.192), lambda: object_patch(TWIN, 0.192)):
+        with pytest.raises(InputError, match=r"patch_mm = 0.192: .*1.02 times .*field_diameter_mm = 0.1875"):
+            asked()
 
 
 @pytest.mark.parametrize("options", [["--error", "0"], ["--patch-mm", "9"], ["--memory-gb", "-1"]])

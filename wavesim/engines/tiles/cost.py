@@ -83,7 +83,7 @@ def tiles_cost(
 
 def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: float) -> _Size:
     grid = plane.grid
-    low, high = carrier.rim_mm.min(axis=0), carrier.rim_mm.max(axis=0)
+    low, high = carrier.border_mm.min(axis=0), carrier.border_mm.max(axis=0)
     axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
     ends = zip(low, high, axes, strict=True)
     sides = [float(np.clip(min(h, a[-1]) - max(b, a[0]), 0.0, None)) for b, h, a in ends]

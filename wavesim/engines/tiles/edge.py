@@ -17,7 +17,7 @@ from wavesim.rays.ray_bundles import shoot
 from wavesim.scene.scene import Scene
 
 SHARED_ZONES = 2.5
-"""Tiles whose centres lie within so many Fresnel zones of the stop share one edge.
+"""Where edges are sharp, tiles whose centres lie within so many Fresnel zones of the stop share one edge.
 
 Their fields cancel each other where the whole object sends no light; edges finer than light can draw them
 would cut pieces out of that.
@@ -27,10 +27,21 @@ LEAST_SHARED = 0.7
 """Share of its footprint that a tile must have in common with its neighbours."""
 
 
+UNTOLD = 0.55
+"""Of the energy that diffraction moves at a sharp edge, what goes farther from it than 1, in x of
+:mod:`wavesim.rays.edges`; farther than x: so much over x."""
+
+SECOND_ORDER = 5.0
+"""Error of Fresnel's edge, as a multiple of the squared error of a sharp one: the next order in
+wavelength over distances. Measured on twins of the paper's lens."""
+
+
 def shared_spans(
     scene: Scene, tiles: Sequence[Tile], carriers: Sequence[RayMap], axes: Sequence[Array]
 ) -> list[NDArray[np.intp]]:
     """Samples of a plane inside the footprints of each tile and of all its neighbours, one for each tile.
+
+    For edges that are sharp; those that Fresnel integrals draw are each tile's own.
 
     As :meth:`RayMap.row_spans`.
 
@@ -70,7 +81,7 @@ def _zone_mm(scene: Scene, z_mm: float) -> float:
 
 
 def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]:
-    """Relative errors of the field: from a footprint that moves over a tile, and from diffraction.
+    """Relative errors of the field: from a footprint that moves over a tile, and from a sharp edge.
 
     Both are shares of the footprint near its rim, taken for evenly lit: the strip by which the footprints of
     the tile's points differ from the centre's, and the first Fresnel zone between the lens and the plane.
@@ -92,6 +103,14 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
     zone = math.sqrt(1e-3 * scene.wavelength_um * apart)
     share = rim_share(carrier.rim_mm)
     return tuple(min(1.0, math.sqrt(share * width)) for width in (strip, 0.1 * zone))  # type: ignore[return-value]
+
+
+def drawn_error(tile: Tile, carrier: RayMap, sharp: float) -> float:
+    """Relative error of the field from an edge that Fresnel integrals draw, of that of a sharp edge."""
+    if carrier.edge is None:
+        return sharp
+    told = carrier.edge.told(float(np.max(np.ptp(tile.spans_mm, axis=1))))
+    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(min(1.0, UNTOLD / told))))
 
 
 def rim_share(rim_mm: Array) -> float:

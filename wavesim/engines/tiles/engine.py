@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
-from wavesim.engines.tiles.edge import edge_error, shared_spans
+from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
 from wavesim.engines.tiles.operator import TileOperator, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
-from wavesim.rays.maps import RayMap, ray_map
+from wavesim.rays.maps import RayMap, edge_is_told, ray_map
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected
@@ -129,11 +129,16 @@ class EikonalTiles(Engine):
                 return chosen_probe(self.scene, self._allowed, self._quadratic, self._map)
             return checked_probe(self.scene, self._tile_width_mm, self._allowed, self._quadratic, self._map)
 
+    @cached_property
+    def _draws_edges(self) -> bool:
+        """Whether the light of the object's middle falls off at its rim as Fresnel integrals can tell."""
+        return edge_is_told(self.scene, self.scene.object_grid.centre_mm, self.plane.grid.z_mm)
+
     def _map(self, point_mm: tuple[float, float]) -> RayMap:
         if point_mm not in self._maps:
             grid = self.scene.object_grid
             self._maps[point_mm] = ray_map(
-                self.scene, point_mm, self.plane.grid.z_mm, max(grid.half_widths_mm)
+                self.scene, point_mm, self.plane.grid.z_mm, max(grid.half_widths_mm), edge=self._draws_edges
             )
         return self._maps[point_mm]
 
@@ -160,7 +165,10 @@ class EikonalTiles(Engine):
         axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
         tiles = self.probe.tiles
         carriers = [self._map(tile.centre_mm) for tile in tiles]
-        spans = shared_spans(self.scene, tiles, carriers, axes)
+        if self._draws_edges:
+            spans = [carrier.row_spans(axes) for carrier in carriers]
+        else:
+            spans = shared_spans(self.scene, tiles, carriers, axes)
         return tuple(
             TileOperator(self.scene, tile, carrier, factors, axes, lit, precision)
             for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
@@ -207,13 +215,17 @@ class EikonalTiles(Engine):
             f"tile(s); beyond their mean it is {rms:.2g} waves rms, {largest:.2g} at most"
         )
         middle = self.probe.tiles[len(self.probe.tiles) // 2]
-        share, diffracted = edge_error(self.scene, middle, self._map(middle.centre_mm))
+        carrier = self._map(middle.centre_mm)
+        share, sharp = edge_error(self.scene, middle, carrier)
         return tuple(
             sorted(
                 (
                     Neglected(what, left),
                     Neglected("movement of the aperture's edge over a tile, object evenly lit", share),
-                    Neglected("diffraction at the aperture's edge in front of the plane", diffracted),
+                    Neglected(
+                        "diffraction at the aperture's edge, beyond Fresnel's",
+                        drawn_error(middle, carrier, sharp),
+                    ),
                 ),
                 key=lambda part: -part.relative_error,
             )

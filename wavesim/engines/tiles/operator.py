@@ -38,6 +38,10 @@ BAND_MARGIN = 1.1
 WORTH_WHILE = 1.5
 """A coarse grid is used where its samples are so much wider apart than the fine ones."""
 
+COARSEST = 1.0 / 300.0
+"""Step of a coarse grid, as a share of the footprint's width at most: its samples reach beyond the border,
+where maps are not held to rays."""
+
 ROWS = 64
 
 
@@ -82,7 +86,8 @@ def coarse_steps_mm(bundle: RayBundle, spans_mm: Array, wavenumber_per_mm: float
     slopes = np.abs(bundle.cosine_jacobian[ok] @ np.linalg.inv(bundle.jacobian[ok]))
     reach = np.max(np.abs(spans_mm), axis=1)
     band = wavenumber_per_mm * np.max(np.einsum("i,nij->nj", reach, slopes), axis=0)
-    return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
+    widest = COARSEST * np.ptp(bundle.sensor_mm[ok], axis=0)
+    return np.minimum(math.pi / (OVERSAMPLING * BAND_MARGIN * band), widest)
 
 
 def coarse_is_used(steps_mm: Array, axes: tuple[Array, ...]) -> bool:
@@ -136,7 +141,8 @@ class TileOperator:
         self._tile_factors = factors.tile_factors(list(tile.offsets_mm)).astype(self._dtype)
         k = scene.wavenumber_per_mm
         limit = np.pi / (k * tile.pitch_mm)
-        carried = _carrier(carrier, fine, lit - across.start, k, limit, self._dtype)
+        width = float(np.max(np.ptp(tile.spans_mm, axis=1)))
+        carried = _carrier(carrier, fine, lit - across.start, k, limit, width, self._dtype)
         if not np.any(carried):
             return
         steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, k)
@@ -219,6 +225,7 @@ def _carrier(
     spans: NDArray[np.intp],
     wavenumber_per_mm: float,
     limit: float,
+    width_mm: float,
     dtype: np.dtype[Any],
 ) -> NDArray:
     """a exp(i k V) with the constant phase of the propagator, 0 outside the footprint and the object's band.
@@ -232,6 +239,8 @@ def _carrier(
     if len(axes) == 1:
         values = carrier.maps.at(axes[0][:, None])
         result[:] = _wave(values, wavenumber_per_mm, turn, scale, limit)
+        if carrier.edge is not None and carrier.stop is not None:
+            result *= carrier.edge.factor(carrier.stop.at(axes[0][:, None]).T, width_mm, carrier.traced)
         return result
     columns = np.arange(len(axes[1]))
     for start in range(0, len(axes[0]), ROWS):
@@ -239,6 +248,9 @@ def _carrier(
         values = carrier.maps.on_axes((axes[0][rows], axes[1]))
         inside = (columns >= spans[rows, :1]) & (columns < spans[rows, 1:])
         result[rows] = np.where(inside, _wave(values, wavenumber_per_mm, turn, scale, limit), 0.0)
+        if carrier.edge is not None and carrier.stop is not None:
+            stop = np.moveaxis(carrier.stop.on_axes((axes[0][rows], axes[1])), 0, -1)
+            result[rows][inside] *= carrier.edge.factor(stop[inside], width_mm, carrier.traced)
     return result
 
 

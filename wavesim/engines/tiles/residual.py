@@ -86,7 +86,8 @@ class Residual:
     sensor_mm : ndarray, shape (n, d)
         Sensor points.
     weights : ndarray, shape (n,)
-        Their shares of the light that an even spectrum sends through the lens; their sum is 1.
+        Their shares of the light that an even spectrum sends through the lens, 0 in the shadow behind the
+        rim; their sum is 1.
     logarithm : complex ndarray, shape (n, nodes[, nodes])
         At the Chebyshev points of the tile, borders included.
     spans_mm : ndarray, shape (d, 2)
@@ -106,8 +107,8 @@ class Residual:
     @cached_property
     def neglected_waves(self) -> tuple[float, float]:
         """Path that the mean leaves out, at the tile's worst point: rms over the footprint, and largest."""
-        waves = (self.logarithm - self.mean).imag / (2.0 * np.pi)
-        square = np.tensordot(self.weights, waves**2, axes=1)
+        waves = (self.logarithm - self.mean).imag[self.weights > 0.0] / (2.0 * np.pi)
+        square = np.tensordot(self.weights[self.weights > 0.0], waves**2, axes=1)
         return float(np.sqrt(square.max())), float(np.abs(waves).max())
 
     @cached_property
@@ -160,9 +161,10 @@ class Residual:
             If polynomials cannot follow its factors over the footprint.
         """
         rank = min(self.rank_for(error), MAX_RANK)
-        left, strength, right = self._singular
+        right = self._singular[2]
         values, shares = self.fine
-        factors = ((left * strength)[:, :rank] / np.sqrt(self.weights)[:, None]).T
+        # Of points without weight too, in the shadow behind the rim.
+        factors = (values * np.sqrt(shares) @ right[:rank].conj().T).T
         sensor = fit_map(self.sensor_mm, factors, FACTOR_ORDER[len(self.spans_mm) == 1])
         tile = right[:rank] / np.sqrt(shares)
         missed = values - sensor.at(self.sensor_mm).T @ tile
@@ -203,7 +205,7 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
         If rays from the tile's border cannot be aimed at the footprint of c.
     """
     d, order = len(spans_mm), SAMPLE_ORDER[len(spans_mm) == 1]
-    pupil = sample_points(carrier.pupil, order)
+    pupil = sample_points(carrier.traced, order)
     base = trace_bundle(scene, np.asarray(point_mm), pupil, carrier.plane_z_mm)
     grids = np.meshgrid(*[_scale_back(_nodes(NODES), span) for span in spans_mm], indexing="ij")
     offsets = np.stack([g.ravel() for g in grids], axis=-1)
@@ -222,9 +224,11 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     aimed = trace_bundle(scene, points, stop, carrier.plane_z_mm)
     miss = target - aimed.sensor_mm
     good = (aimed.ok & (np.abs(miss).max(axis=1) < AIMED_MM)).reshape(m, n).all(axis=0) & base.ok
-    if np.count_nonzero(good) < 0.7 * n:
+    lit = carrier.pupil.inwards(pupil) > 0.0
+    reached, all_lit = np.count_nonzero(good & lit), np.count_nonzero(lit)
+    if reached < 0.7 * all_lit:
         raise RayMapError(
-            f"only {np.count_nonzero(good)} of {n} sensor points in the footprint of "
+            f"only {reached} of {all_lit} sensor points in the footprint of "
             f"({point_mm[0]:g}, {point_mm[1]:g}) mm are reached from all of its tile: make tiles narrower"
         )
     path = (aimed.path_mm + np.sum(aimed.slopes * miss, axis=1)).reshape(m, n) - base.path_mm
@@ -232,7 +236,7 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.log(aimed.amplitude.reshape(m, n) / base.amplitude) + 1j * phase
     cell = np.abs(np.linalg.det(base.cosine_jacobian)) * _stop_cells(pupil, carrier)
-    weights = np.where(good, cell, 0.0)[good]
+    weights = np.where(lit, cell, 0.0)[good]
     return Residual(
         base.sensor_mm[good],
         weights / weights.sum(),
@@ -243,7 +247,7 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
 
 def _stop_cells(pupil: Array, carrier: RayMap) -> Array:
     """Share of the stop that a Chebyshev ring or point stands for, but for a common factor."""
-    radius = np.linalg.norm(pupil - carrier.pupil.centre, axis=1) / carrier.pupil.reach.max()
+    radius = np.linalg.norm(pupil - carrier.traced.centre, axis=1) / carrier.traced.reach.max()
     measure = np.sqrt(np.maximum(1.0 - radius**2, 1e-4))
     return measure if carrier.pupil.is_line else measure * radius
 

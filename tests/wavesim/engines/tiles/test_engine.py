@@ -11,7 +11,7 @@ import pytest
 from engine_checks import dot_product_mismatch
 from numpy.typing import NDArray
 
-from lensdesign import Lens, Pose
+from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
@@ -19,6 +19,8 @@ from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.evaluation.accuracy import peak_bytes
+from wavesim.evaluation.comparison import lens_case
+from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.registry import oracle_case
@@ -71,6 +73,21 @@ def test_cylinder(radius_mm: float, allowed: float) -> None:
     case = oracle_case("cylinder", radius_mm=radius_mm)
     engine = EikonalTiles(case.scene)
     assert relative_error(engine.forward(case.object_field).values, case.exact.values) < allowed
+
+
+def test_narrower_tiles_err_less(paper_lens: Lens) -> None:
+    """Light that fills the aperture, far off the axis: the footprint moves over the object."""
+    lens = stopped_down(scaled(paper_lens, 1 / 32), 0.44)
+    case = lens_case(lens, 0.0169, 0.75 * lens.half_field_mm, plane_distance_mm=9 / 32)
+    errors = []
+    for width_mm in (0.017, 0.0086, 0.0043, 0.0022, 0.0011):
+        engine = EikonalTiles(case.scene, tile_width_mm=width_mm, error=0.05)
+        found = engine.forward(case.object_field)
+        errors.append(relative_error(found.values, case.exact.values))
+        assert errors[-1] < engine.predicted_error()
+        assert found.energy == pytest.approx(case.exact.energy, rel=0.03)
+    assert errors[-1] < 0.3 * errors[0]
+    assert all(narrow < 1.25 * min(errors[:i]) for i, narrow in enumerate(errors) if i)
 
 
 @pytest.mark.parametrize("oracle", ["stigmatic", "plate", "plane"])
