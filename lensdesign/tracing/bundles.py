@@ -134,11 +134,13 @@ def launch_pairs(
     stop_semi_diameter_mm: float,
 ) -> tuple[Array, Array]:
     """As :func:`launch_compiled`, one ray from each field point through the stop point beside it."""
-    origins = np.column_stack([field_points_mm, np.full(len(field_points_mm), object_z_mm)])
+    origins = np.empty((len(field_points_mm), 3))
+    origins[:, :2] = field_points_mm
+    origins[:, 2] = object_z_mm
     xy = stop_semi_diameter_mm * pupil_points
     targets = _stop_points(system, stop_index, xy)
     directions = targets - origins
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions /= np.sqrt(np.sum(directions * directions, axis=-1, keepdims=True))
     if stop_index > 0:
         directions = _aim(system, stop_index, origins, directions, xy)
     return origins, directions if system.trials is not None else directions[0]
@@ -156,8 +158,12 @@ def _stop_points(system: CompiledSystem, stop: int, xy: Array) -> Array:
     sag = np.atleast_2d(system.shapes[stop].sag(xy[:, 0], xy[:, 1]))
     for figure in system.figures[stop]:
         sag = sag + figure.sag(xy[:, 0], xy[:, 1])
-    local = np.concatenate([np.broadcast_to(xy, (*sag.shape, 2)), sag[..., None]], axis=-1)
-    return local @ np.swapaxes(system.rotation[:, stop], -1, -2) + system.vertex[:, None, stop]
+    local = np.empty((*sag.shape, 3))
+    local[..., :2] = xy
+    local[..., 2] = sag
+    if system.tilted[stop]:
+        local = local @ np.swapaxes(system.rotation[:, stop], -1, -2)
+    return local + system.vertex[:, None, stop]
 
 
 def _aim(system: CompiledSystem, stop: int, origins: Array, directions: Array, xy: Array) -> Array:

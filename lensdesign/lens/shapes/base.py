@@ -139,13 +139,13 @@ class Shape(ABC):
         return self._evaluated(lambda terms, x, y: self.by_term(terms, j, x, y), x, y)
 
     def _evaluated(self, function: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        terms = np.moveaxis(self.terms, -1, 0)
+        terms = self.terms.T
         across, down = np.asarray(x), np.asarray(y)
         with np.errstate(invalid="ignore", divide="ignore"):
             found = function(terms[..., None] if terms.ndim > 1 else terms, across, down)
         shape = np.broadcast_shapes(across.shape, down.shape)
         wide = terms.shape[1:] + shape if terms.ndim > 1 else shape
-        a, b, c = (np.broadcast_to(part, wide) for part in found)
+        a, b, c = (part if np.shape(part) == wide else np.broadcast_to(part, wide) for part in found)
         return a, b, c
 
     def place(self, term: str) -> int:
