@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.files.figures import surface_figure
-from lensdesign.lens.figure import PackedFigures, SurfaceFigure, packed_figures
+from lensdesign.lens.figure import SurfaceFigure, packed_figures
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation, Value, trial_count
 from lensdesign.lens.shapes.base import Shape, term_of
@@ -76,9 +76,13 @@ class CompiledSystem:
         return np.array([code_of(shape) for shape in self.shapes], np.int8), starts, terms
 
     @cached_property
-    def packed_figures(self) -> PackedFigures:
-        """All figures as flat arrays, for the kernel."""
-        return packed_figures(self.figures)
+    def for_kernel(self) -> tuple[NDArray[np.int8] | None, Array, Array, tuple[NDArray, ...] | None]:
+        """The packed shapes and figures as the ray kernel takes them: None for what no surface needs."""
+        codes, starts, terms = self.packed_shapes
+        if not any(self.figures):
+            return codes if np.any(codes) else None, starts, terms, None
+        packed = packed_figures(self.figures)
+        return codes, starts, terms, (packed.first, packed.layout, packed.per_mm, packed.coefficients)
 
     @property
     def rotational(self) -> bool:

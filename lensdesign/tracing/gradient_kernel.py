@@ -49,6 +49,7 @@ def gradient_kernel(
     on every surface, then the direction cosines behind the lens, then x and y on every plane;
     `derivatives` (n, s + 1 + p, 2, v) with their derivatives. Planes move with the last vertex.
     Variable j is described by kind[j], where[j] (a surface) and term[j] (a term of its shape).
+    `codes` are None where all surfaces are conics: other shapes are then not compiled.
     """
     rays, variables, surfaces = origins.shape[0], kind.shape[0], vertex.shape[0]
     dp = np.empty((3, variables))
@@ -101,28 +102,49 @@ def _vertex_motion(kind, where, s):
 
 
 @_jit
-def _hit(p, d, code, start, terms):
-    """Distance to the surface from p (in the surface's frame) and what became of the ray."""
+def _hit(p, d, codes, s, start, terms):
+    """Distance to surface s from p (in the surface's frame) and what became of the ray."""
     t, near = conic_distance(p[0], p[1], p[2], d[0], d[1], d[2], start[0], start[1])
     if not near:
         return 0.0, MISSED
-    if code == CONIC:
+    if codes is None:
         return t, OK
-    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, code, terms)
+    if codes[s] == CONIC:
+        return t, OK
+    return newton(p[0], p[1], p[2], d[0], d[1], d[2], t, codes[s], terms)
+
+
+@_jit
+def _bends(codes, s, terms, x, y):
+    """Slopes of surface s along x and y, and its second derivatives."""
+    if codes is None:
+        _, by_x, by_y = shapes.conic_height(terms, x, y)
+        xx, xy, yy = shapes.conic_bend(terms, x, y)
+    else:
+        _, by_x, by_y = shapes.height(codes[s], terms, x, y)
+        xx, xy, yy = shapes.bend(codes[s], terms, x, y)
+    return by_x, by_y, xx, xy, yy
+
+
+@_jit
+def _by_term(codes, s, terms, j, x, y):
+    """How term j changes the height of surface s, and its slopes along x and y."""
+    if codes is None:
+        return shapes.conic_by_term(terms, j, x, y)
+    return shapes.by_term(codes[s], terms, j, x, y)
 
 
 @_jit
 def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, term, s):
     """Move a ray and its derivatives to surface s and refract them."""
-    code, own = codes[s], terms[s]
+    own = terms[s]
     p[2] -= vertex[s]
-    t, why = _hit(p, d, code, starts[s], own)
+    t, why = _hit(p, d, codes, s, starts[s], own)
     if why != OK:
         return why
     for a in range(3):
         p[a] += t * d[a]
-    _, by_x, by_y = shapes.height(code, own, p[0], p[1])
-    bend_xx, bend_xy, bend_yy = shapes.bend(code, own, p[0], p[1])
+    by_x, by_y, bend_xx, bend_xy, bend_yy = _bends(codes, s, own, p[0], p[1])
     nx, ny = -by_x, -by_y
     along = d[2] + nx * d[0] + ny * d[1]
     m2 = 1.0 + nx * nx + ny * ny
@@ -139,7 +161,7 @@ def _surface(p, d, dp, dd, vertex, codes, starts, terms, index, kind, where, ter
     for j in range(kind.shape[0]):
         sag_j, by_x_j, by_y_j = 0.0, 0.0, 0.0
         if where[j] == s and kind[j] == SHAPE:
-            sag_j, by_x_j, by_y_j = shapes.by_term(code, own, term[j], p[0], p[1])
+            sag_j, by_x_j, by_y_j = _by_term(codes, s, own, term[j], p[0], p[1])
         px = dp[0, j] + t * dd[0, j]
         py = dp[1, j] + t * dd[1, j]
         pz = dp[2, j] + t * dd[2, j] - _vertex_motion(kind[j], where[j], s)

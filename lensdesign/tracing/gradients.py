@@ -175,7 +175,7 @@ def _differentiate(
         np.ascontiguousarray(origins),
         np.ascontiguousarray(directions),
         np.ascontiguousarray(system.vertex[0, :, 2]),
-        codes,
+        codes if np.any(codes) else None,
         starts[0],
         terms[0],
         system.index[0],

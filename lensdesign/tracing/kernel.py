@@ -50,16 +50,19 @@ def trace_kernel(
     status,
     failed,
     hits,
+    first_ray,
+    end_ray,
 ):
-    """Trace all rays of all trials; origins and directions have shape (trials or 1, rays, 3).
+    """Trace some rays of all trials; origins and directions have shape (trials or 1, rays, 3).
 
     `codes`, `starts` and `terms` are what :class:`lensdesign.tracing.compiled.CompiledSystem` packs;
     `figures` are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
-    `first_trial`.
-    The last six arrays are filled; `hits` may have no rays, and is then left alone. Returns the number
-    of directions that are not finite unit vectors.
+    `first_trial`. Without figures they are None, and `codes` too where all surfaces are conics: what a lens
+    does not need is then not compiled.
+    The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`; `hits` may
+    have no rays, and is then left alone. Returns the number of directions that are not finite unit vectors.
     """
-    trials, rays = status.shape
+    trials = status.shape[0]
     ray = np.empty(7 * BLOCK)
     state = np.empty(2 * BLOCK, np.int64)
     bad = 0
@@ -69,8 +72,8 @@ def trace_kernel(
         tv = t if vertex.shape[0] > 1 else 0
         ts = t if terms.shape[0] > 1 else 0
         ti = t if index.shape[0] > 1 else 0
-        for start in range(0, rays, BLOCK):
-            count = min(BLOCK, rays - start)
+        for start in range(first_ray, end_ray, BLOCK):
+            count = min(BLOCK, end_ray - start)
             bad += _load(ray, state, origins[to], directions[td], start, count)
             for s in range(vertex.shape[1]):
                 if tilted[s]:
@@ -79,17 +82,15 @@ def trace_kernel(
                     _shift(ray, vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2], count)
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
-                code, own = codes[s], terms[ts, s]
                 c, k = starts[ts, s, 0], starts[ts, s, 1]
-                if figures[0][s + 1] > figures[0][s]:
-                    trial = first_trial + t
+                if codes is None:
+                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
+                elif codes[s] == CONIC and not _has_figure(figures, s):
+                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
+                else:
+                    code, own, trial = codes[s], terms[ts, s], first_trial + t
                     _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
                     _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
-                elif code != CONIC:
-                    _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, None, 0)
-                    _refract_general(ray, state, s, code, own, n1 / n2, count, None, 0)
-                else:
-                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
                 if tilted[s]:
                     _to_fixed(ray, rotation[tv, s], vertex[tv, s], count)
                 else:
@@ -103,6 +104,13 @@ def trace_kernel(
                 _to_plane(ray, state, vertex.shape[1], plane_z, index[ti, index.shape[1] - 1], count)
             _store(ray, state, position[t], direction[t], opl[t], status[t], failed[t], start, count)
     return bad
+
+
+@_jit
+def _has_figure(figures, surface):
+    if figures is None:
+        return False
+    return figures[0][surface + 1] > figures[0][surface]
 
 
 @_jit

@@ -195,9 +195,7 @@ def _run(
         for a in (result.position, result.direction, result.opl, result.status, result.failed_surface, hits)
     ]
 
-    codes, starts, terms = system.packed_shapes
-    figures = system.packed_figures
-    packed = (figures.first, figures.layout, figures.per_mm, figures.coefficients)
+    codes, starts, terms, figures = system.for_kernel
 
     def work(part: tuple[slice, slice]) -> int:
         t, r = part
@@ -206,14 +204,14 @@ def _run(
             return array[t] if len(array) > 1 else array
 
         return trace_kernel(
-            own(origins)[:, r],
-            own(directions)[:, r],
+            own(origins),
+            own(directions),
             own(system.rotation),
             own(system.vertex),
             codes,
             own(starts),
             own(terms),
-            packed,
+            figures,
             t.start or 0,
             own(system.index),
             system.semi_diameter,
@@ -221,7 +219,9 @@ def _run(
             0.0 if plane_z_mm is None else float(plane_z_mm),
             plane_z_mm is not None,
             clip,
-            *(a[t, r] for a in fill),
+            *(a[t] for a in fill),
+            r.start,
+            r.stop,
         )
 
     parts = _parts(fill[3].shape[0], fill[3].shape[1], threads)
@@ -237,14 +237,15 @@ def _run(
 def _parts(trials: int, rays: int, threads: int | None) -> list[tuple[slice, slice]]:
     """Cut the work along its longer axis, a part a thread."""
     if threads is None:
-        threads = min(len(os.sched_getaffinity(0)), max(1, trials * rays // RAYS_PER_THREAD))
+        threads = max(1, trials * rays // RAYS_PER_THREAD)
+        threads = min(threads, len(os.sched_getaffinity(0))) if threads > 1 else 1
     if threads < 1:
         raise InputError(f"threads = {threads}: must be at least 1")
     if threads == 1:
-        return [(slice(None), slice(None))]
+        return [(slice(None), slice(0, rays))]
     length = max(trials, rays)
     cuts = np.linspace(0, length, min(threads, max(1, length)) + 1).astype(int)
     slices = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
     if trials >= rays:
-        return [(s, slice(None)) for s in slices]
+        return [(s, slice(0, rays)) for s in slices]
     return [(slice(None), s) for s in slices]

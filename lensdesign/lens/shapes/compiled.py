@@ -7,6 +7,7 @@ from typing import Any
 
 from numba import njit
 
+from lensdesign.lens.shapes.conic import Conic
 from lensdesign.lens.shapes.registry import shape_classes
 
 # Inlined wholly, without which a function of a few lines costs as much again for being called.
@@ -48,6 +49,8 @@ def _by_term(functions: Sequence[Callable[..., Any]], code: int = 0) -> Any:
 height = _at_point([shape.height for shape in shape_classes()])
 bend = _at_point([shape.bend for shape in shape_classes()])
 by_term = _by_term([shape.by_term for shape in shape_classes()])
+
+conic_height, conic_bend, conic_by_term = (_inline(f) for f in (Conic.height, Conic.bend, Conic.by_term))
 
 SOURCES = {__name__} | {part.__module__ for shape in shape_classes() for part in shape.__mro__[:-2]}
 """Modules in which the formulas stand."""

@@ -7,6 +7,7 @@ import pytest
 
 from lensdesign import Lens, Pose, Surface, SurfacePerturbation
 from lensdesign.errors import InputError
+from lensdesign.lens import figure_from_zernike
 from lensdesign.tracing.compiled import compile_system
 
 
@@ -113,3 +114,16 @@ def test_the_radius_of_a_plane_cannot_change(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(0, radius_mm=None)
     with pytest.raises(InputError, match="surface 1 is a plane"):
         compile_system(lens, 0.532, surface_perturbations={0: SurfacePerturbation(radius_mm=0.1)})
+
+
+def test_the_kernel_gets_only_what_the_surfaces_need(paper_lens: Lens) -> None:
+    codes, _, _, figures = compile_system(paper_lens, 0.532).for_kernel
+    assert codes is None
+    assert figures is None
+    figure = figure_from_zernike({5: 1.0}, 30.0)
+    changed = {1: SurfacePerturbation(figure=figure)}
+    codes, _, _, figures = compile_system(paper_lens, 0.532, surface_perturbations=changed).for_kernel
+    assert codes is not None
+    assert not codes.any()
+    assert figures is not None
+    assert figures[0].tolist() == [0, 0, 1]

@@ -465,3 +465,16 @@ def test_other_bad_calls_are_refused(paper_lens: Lens) -> None:
         trace(paper_lens, *rays, 0.532, threads=0)
     with pytest.raises(InputError, match="no surface 7"):
         trace(paper_lens, *rays, 0.532, surface_perturbations={7: SurfacePerturbation()})
+
+
+def test_threads_share_one_compiled_kernel_however_the_work_is_cut(paper_lens: Lens) -> None:
+    from lensdesign.tracing.kernel import trace_kernel
+
+    origins, directions = random_rays(5, 40)
+    pose = Pose(decenter_x_mm=np.array([0.0, 0.1]))
+    one = trace(paper_lens, origins, directions, 0.532, pose, threads=1)
+    compiled = set(trace_kernel.signatures)
+    three = trace(paper_lens, origins, directions, 0.532, pose, threads=3)
+    assert set(trace_kernel.signatures) == compiled
+    assert np.array_equal(one.position, three.position)
+    assert np.array_equal(one.status, three.status)
