@@ -24,7 +24,7 @@ from wavesim.engines.tiles.operator import TileOperator, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
-from wavesim.rays.maps import RayMap, edge_is_told, ray_map
+from wavesim.rays.maps import RayMap, RayMapError, edge_is_told, ray_map
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected
@@ -131,16 +131,28 @@ class EikonalTiles(Engine):
 
     @cached_property
     def _draws_edges(self) -> bool:
-        """Whether the light of the object's middle falls off at its rim as Fresnel integrals can tell."""
-        return edge_is_told(self.scene, self.scene.object_grid.centre_mm, self.plane.grid.z_mm)
+        """Whether the light of the object's middle falls off at its rim as Fresnel integrals can tell.
+
+        Not where rays behind the rim are too rough, as of a figure that was measured up to there.
+        """
+        middle = self.scene.object_grid.centre_mm
+        if not edge_is_told(self.scene, middle, self.plane.grid.z_mm):
+            return False
+        try:
+            self._maps[middle] = self._mapped(middle, True)
+        except RayMapError:
+            return False
+        return True
 
     def _map(self, point_mm: tuple[float, float]) -> RayMap:
+        edge = self._draws_edges
         if point_mm not in self._maps:
-            grid = self.scene.object_grid
-            self._maps[point_mm] = ray_map(
-                self.scene, point_mm, self.plane.grid.z_mm, max(grid.half_widths_mm), edge=self._draws_edges
-            )
+            self._maps[point_mm] = self._mapped(point_mm, edge)
         return self._maps[point_mm]
+
+    def _mapped(self, point_mm: tuple[float, float], edge: bool) -> RayMap:
+        reach_mm = max(self.scene.object_grid.half_widths_mm)
+        return ray_map(self.scene, point_mm, self.plane.grid.z_mm, reach_mm, edge=edge)
 
     @cached_property
     def _expansions(self) -> tuple[Separable, ...]:
