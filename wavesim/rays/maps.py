@@ -169,6 +169,17 @@ class RayMap:
     edge: Edge | None = None
     stop: SmoothMap | None = None
 
+    @property
+    def tells_edge(self) -> bool:
+        """Whether two orders tell how light falls off at the rim, and rays reach its shadow."""
+        if self.edge is None:
+            return False
+        lit = self.pupil.reach
+        bent = float(np.max(np.abs(self.edge.bend) * lit))
+        return bent <= MOST_BENT and bool(
+            np.all(self.traced.reach - lit > 0.9 * (self.edge.shadow.reach - lit))
+        )
+
     def row_spans(self, axes: Sequence[Array]) -> NDArray[np.intp]:
         """Samples of a grid inside the border: first and end per row, shape (rows, 2); one row on a line.
 
@@ -266,16 +277,6 @@ def ray_map(
         f"{AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); stop the lens down, or go farther from the "
         "caustic"
     )
-
-
-def edge_is_told(scene: Scene, point_mm: tuple[float, float], plane_z_mm: float) -> bool:
-    """Whether two orders tell how the light of an object point falls off, and rays reach its shadow."""
-    pupil = open_pupil(scene, point_mm, plane_z_mm, RIM_ARMS)
-    edge = light_edge(scene, point_mm, pupil, plane_z_mm)
-    if float(np.max(np.abs(edge.bend) * pupil.reach)) > MOST_BENT:
-        return False
-    shadow = _with_shadow(scene, point_mm, edge, plane_z_mm)
-    return bool(np.all(shadow.reach - pupil.reach > 0.9 * (edge.shadow.reach - pupil.reach)))
 
 
 def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_z_mm: float) -> OpenPupil:

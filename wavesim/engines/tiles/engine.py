@@ -24,7 +24,8 @@ from wavesim.engines.tiles.operator import TileOperator, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
-from wavesim.rays.maps import RayMap, RayMapError, edge_is_told, ray_map
+from wavesim.rays.maps import RayMap, RayMapError, ray_map
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected
@@ -136,13 +137,13 @@ class EikonalTiles(Engine):
         Not where rays behind the rim are too rough, as of a figure that was measured up to there.
         """
         middle = self.scene.object_grid.centre_mm
-        if not edge_is_told(self.scene, middle, self.plane.grid.z_mm):
-            return False
         try:
-            self._maps[middle] = self._mapped(middle, True)
-        except RayMapError:
+            found = self._mapped(middle, True)
+        except (FoldError, RayMapError):
             return False
-        return True
+        if found.tells_edge:
+            self._maps[middle] = found
+        return found.tells_edge
 
     def _map(self, point_mm: tuple[float, float]) -> RayMap:
         edge = self._draws_edges
