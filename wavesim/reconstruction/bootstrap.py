@@ -127,30 +127,32 @@ def uncertainty(
     refuse_not_whole("repeats", repeats, 2)
     if any(plane.sigma is None for plane in (*recorded, *([] if held_out is None else [held_out]))):
         raise InputError("uncertainty: needs sigma on every plane")
-    over_noise = _explained(engine, illumination, recorded, found, active_width, "the frames")
-    held_out_over_noise = (
-        None
-        if held_out is None
-        else _explained(engine, illumination, [held_out], found, active_width, "the plane held out")
-    )
+
+    def modelled(planes: Sequence[Recorded]) -> list[RealArray]:
+        model = RecordingModel(engine, illumination, planes, found.scale, active_width)
+        return model.amplitudes(found.transmission.values)
+
+    clean = modelled(recorded)
+    over_noise = _explained(recorded, clean, "the frames")
+    held_out_over_noise = None
+    if held_out is not None:
+        held_out_over_noise = _explained([held_out], modelled([held_out]), "the plane held out")
     settings: dict[str, Any] = {
         "kind": kind,
         "tv_weight": tv_weight,
         "scale": found.scale,
         "active_width": active_width,
     }
+    lit = np.abs(illumination.values) > 0.0
     starts = _starts(illumination, kind, seed)
     others = []
     for number, start in enumerate(starts):
         other = reconstruct(
             engine, illumination, recorded, iterations=len(found.misfit), start=start, **settings
         )
-        others += _as_good(found, other, np.abs(illumination.values) > 0.0)
+        others += _as_good(found, other, lit)
         if progress is not None:
             progress(number + 1, len(starts) + repeats)
-    clean = RecordingModel(engine, illumination, recorded, found.scale, active_width).amplitudes(
-        found.transmission.values
-    )
     results = []
     for number, one in enumerate(np.random.SeedSequence(seed).spawn(repeats)):
         random = np.random.default_rng(one)
@@ -162,7 +164,6 @@ def uncertainty(
         if progress is not None:
             progress(len(starts) + number + 1, len(starts) + repeats)
     by_noise, by_start = _variance(results), _variance([found.transmission.values, *others])
-    lit = np.abs(illumination.values) > 0.0
     return Uncertainty(
         np.sqrt(by_noise + by_start),
         math.sqrt(float(by_noise[lit].mean())),
@@ -180,18 +181,8 @@ def _variance(results: Sequence[NDArray[Any]]) -> Array:
     return np.asarray(squares / max(len(values) - 1, 1), float)
 
 
-def _explained(
-    engine: Engine,
-    illumination: Field,
-    planes: Sequence[Recorded],
-    found: Reconstructed,
-    active_width: float,
-    what: str,
-) -> float:
+def _explained(planes: Sequence[Recorded], modelled: Sequence[RealArray], what: str) -> float:
     """Misfit of a result over that of noise alone, on planes that must be explained by it."""
-    modelled = RecordingModel(engine, illumination, planes, found.scale, active_width).amplitudes(
-        found.transmission.values
-    )
     missed = noise = 0.0
     for plane, amplitude in zip(planes, modelled, strict=True):
         assert plane.sigma is not None
