@@ -45,7 +45,7 @@ class _Traced:
     @property
     def load(self) -> float:
         """Sine of the spread over the sine of its limit: Eq. 2 asks for 1 or less."""
-        return _sine(self.spread.spread_deg) / _sine(self.matching.spread_limit_deg)
+        return capped_sine(self.spread.spread_deg) / capped_sine(self.matching.spread_limit_deg)
 
 
 def check_design(lens: Lens | str | os.PathLike[str]) -> CheckReport:
@@ -121,7 +121,7 @@ def _trace(lens: Lens, wavelength_um: float) -> _Traced:
     _, rim = launch(lens, [0.0, 0.0], [0.0, 1.0], wavelength_um)
     beam = 2.0 * at_exit.radius_mm
     narrowest = smallest_exit_beam_diameter_mm(
-        lens.object.field_diameter_mm, lens.object.numerical_aperture, _sine(spread.spread_deg)
+        lens.object.field_diameter_mm, lens.object.numerical_aperture, capped_sine(spread.spread_deg)
     )
     row = WavelengthCheck(
         wavelength_um=wavelength_um,
@@ -142,15 +142,16 @@ def _trace(lens: Lens, wavelength_um: float) -> _Traced:
     return _Traced(matching, spread, tuple(footprints), passes, row)
 
 
-def _constraint(
+def constraint(
     name: str, value: float, relation: str, limit: float, unit: str, met: bool, miss: str
 ) -> Constraint:
+    """A demand on the lens; what it says of a miss is dropped where there is none."""
     return Constraint(name, value, relation, limit, unit, met, "" if met else miss)
 
 
 def _sensor_holds_object(traced: list[_Traced]) -> Constraint:
     m = max((t.matching for t in traced), key=lambda m: m.sbp_object)
-    return _constraint(
+    return constraint(
         "SBP of the sensor (Eq. 1)",
         m.sbp_sensor,
         ">=",
@@ -165,7 +166,7 @@ def _sensor_holds_object(traced: list[_Traced]) -> Constraint:
 def _spread_within_limit(worst: _Traced) -> Constraint:
     spread, limit = worst.spread, worst.matching.spread_limit_deg
     height = math.hypot(*spread.field_mm)
-    return _constraint(
+    return constraint(
         "largest spread angle (Eq. 2)",
         spread.spread_deg,
         "<=",
@@ -184,7 +185,7 @@ def _light_on_sensor(traced: list[_Traced]) -> list[Constraint]:
         max(parts, key=lambda f: f.radius_mm) for parts in zip(*(t.footprints for t in traced), strict=True)
     ]
     return [
-        _constraint(
+        constraint(
             f"footprint radius at {f.plane_distance_mm:g} mm",
             _reach_mm(f),
             "<=",
@@ -203,7 +204,7 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
     darkest = min(traced, key=lambda t: t.passes.throughput)
     share = darkest.passes.throughput
     height = darkest.passes.field_heights_mm[darkest.passes.per_field.index(share)]
-    return _constraint(
+    return constraint(
         "throughput",
         share,
         ">=",
@@ -217,7 +218,7 @@ def _nothing_clipped(traced: list[_Traced]) -> Constraint:
 
 def _aperture_reached(lens: Lens, traced: list[_Traced]) -> Constraint:
     value, asked = min(t.row.numerical_aperture for t in traced), lens.object.numerical_aperture
-    return _constraint(
+    return constraint(
         "numerical aperture (within 0.1 %)",
         value,
         ">=",
@@ -234,7 +235,7 @@ def _edge_of_glass(edge: float | None) -> list[Constraint]:
     if edge is None:
         return []
     return [
-        _constraint(
+        constraint(
             "edge thickness",
             edge,
             ">",
@@ -250,7 +251,7 @@ def _spot_heights(lens: Lens) -> tuple[float, ...]:
     return 0.0, 0.5 * lens.half_field_mm, lens.half_field_mm
 
 
-def _sine(angle_deg: float) -> float:
+def capped_sine(angle_deg: float) -> float:
     """Sine, and 1 for a ray that has turned back: no smaller sine must make it look better."""
     return math.sin(math.radians(min(angle_deg, 90.0)))
 

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from lensdesign.analysis.check import ROUNDING, check_design
+from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.common.arrays import Array
@@ -165,13 +165,13 @@ def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
 
 def _angle(name: str, value_deg: float, limit_deg: float) -> Constraint:
     """An angle; by how much it is too large is told of its sine, which Eq. 2 limits."""
-    load = math.sin(math.radians(min(value_deg, 90.0))) / math.sin(math.radians(limit_deg))
+    load = capped_sine(value_deg) / capped_sine(limit_deg)
     met = load <= 1.0 + ROUNDING and value_deg < 90.0
     miss = (
         f"{name}: {value_deg:.4f} deg exceeds the limit of {limit_deg:.4f} deg, by "
         f"{100.0 * (load - 1.0):.2g} % in its sine"
     )
-    return Constraint(name, value_deg, "<=", limit_deg, "deg", met, "" if met else miss)
+    return constraint(name, value_deg, "<=", limit_deg, "deg", met, miss)
 
 
 def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
@@ -179,11 +179,11 @@ def _at_most(name: str, value: float, limit: float, unit: str) -> Constraint:
     miss = (
         f"{name}: {value:.5g} {unit} exceeds the limit of {limit:.5g} {unit}, by {value - limit:.2g} {unit}"
     )
-    return Constraint(name, value, "<=", limit, unit, met, "" if met else miss)
+    return constraint(name, value, "<=", limit, unit, met, miss)
 
 
 def _at_least(name: str, value: float, limit: float, unit: str) -> Constraint:
     met = bool(value >= limit * (1.0 - ROUNDING) - 1e-9)
     sizes = (f"{number:.5g} {unit}".rstrip() for number in (value, limit, limit - value))
     miss = "{}: {} is less than the {} that the specification asks for, by {}".format(name, *sizes)
-    return Constraint(name, value, ">=", limit, unit, met, "" if met else miss)
+    return constraint(name, value, ">=", limit, unit, met, miss)

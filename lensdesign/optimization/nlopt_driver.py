@@ -115,11 +115,6 @@ class Outcome:
     evaluations: int
     stopped_because: str
 
-    @property
-    def converged(self) -> bool:
-        """Whether the search ended by itself, at a point where every constraint holds."""
-        return self.violation <= FEASIBLE and self.stopped_because.startswith("converged")
-
 
 class _Search:
     """Calls the problem, remembers the best point, and keeps exceptions from getting lost."""

@@ -17,8 +17,6 @@ from wavesim.cli.runs import print_table
 from wavesim.scene.settings import SingleEngineDetails
 
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
-TOLD_CONTRASTS = (0.5, 0.2)
-
 WavelengthUm = Annotated[float | None, typer.Option(help="Left out: the design's first.")]
 
 
@@ -163,6 +161,8 @@ def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dic
 
 
 def _print_resolved(results: list[Any]) -> None:
+    from wavesim.evaluation.metrics import RESOLVED_CONTRAST
+
     first = results[0]
     settings = settings_text(first.settings)
     print(f"lines carried by {first.reference}, brought back by {first.engine}")
@@ -188,9 +188,8 @@ def _print_resolved(results: list[Any]) -> None:
     ]
     print_table((), columns, rows)
     for result in results:
-        print(
-            f"field {result.field_mm:g} mm: {', '.join(_down_to(result, least) for least in TOLD_CONTRASTS)}"
-        )
+        limits = (_down_to(result, contrast) for contrast in (0.5, RESOLVED_CONTRAST))
+        print(f"field {result.field_mm:g} mm: {', '.join(limits)}")
     print()
 
 
