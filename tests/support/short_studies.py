@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import tomli_w
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 
 from lensdesign import load_design, save_design, scaled
 
@@ -17,9 +17,10 @@ LEFT_OUT = "contrast_1p55um"
 
 
 def copy_designs(folder: Path) -> None:
-    """The designs into a folder's own: three merits, four perturbations, two values of a sweep; two twins."""
+    """The designs into a folder's own: three merits, four perturbations, two sweep values; twins; frames."""
     designs = folder / "designs"
     shutil.copytree(DESIGNS, designs)
+    shutil.copytree(GOLDEN / "through_focus", folder / "through_focus")
     lens = load_design(designs / "paper_singlet.toml")
     save_design(scaled(lens, 0.02), designs / "small_twin.toml")
     save_design(scaled(lens, 0.008), designs / "tiny_twin.toml")

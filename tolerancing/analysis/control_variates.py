@@ -1,4 +1,4 @@
-"""Two-level estimates: many cheap trials and a few dear ones tell more than either alone.
+"""Control variates: many cheap trials and a few dear ones tell more than either alone.
 
 All N trials have a cheap score. The dear model scores the K of them that look worst, so that the tail is
 known for certain, and n drawn at random from the others, which tell how the two models differ there.
@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
-from tolerancing.analysis.yields import CONFIDENCE
+from tolerancing.analysis.yields import CONFIDENCE, wilson
 
 Indices = NDArray[np.intp]
 
@@ -67,14 +67,14 @@ class Chosen(NamedTuple):
 
 
 class Seconds(NamedTuple):
-    """Computing time of one trial at each level."""
+    """Computing time of one trial by each merit."""
 
     cheap: float
     dear: float
 
 
 @dataclass(frozen=True)
-class TwoLevelEstimate:
+class ControlVariateEstimate:
     """A mean or a yield with its 95 % interval, for the population that the cheap trials were drawn from.
 
     Attributes
@@ -84,11 +84,11 @@ class TwoLevelEstimate:
     low, high
         Ends of the interval.
     correlation
-        Between the two levels over all trials, for a yield that of passing; NaN where one does not vary.
+        Between the two merits over all trials, for a yield that of passing; NaN where one does not vary.
     narrower_than_dear
         Width of the interval of as many dear trials alone, over this one's.
     narrower_than_same_time
-        Width of the interval of plain dear trials that take as long as both levels, over this one's.
+        Width of the interval of plain dear trials that take as long as both merits, over this one's.
     cheap_trials, dear_trials
         Number of trials that were used.
     left_out
@@ -152,7 +152,9 @@ def best_narrowing(correlation: float, cost_ratio: float) -> float:
     return 1.0 / (math.sqrt(1.0 - rho * rho) + rho / math.sqrt(cost_ratio))
 
 
-def combined_mean(cheap: ArrayLike, chosen: Chosen, dear: ArrayLike, seconds: Seconds) -> TwoLevelEstimate:
+def combined_mean(
+    cheap: ArrayLike, chosen: Chosen, dear: ArrayLike, seconds: Seconds
+) -> ControlVariateEstimate:
     """Mean of the dear score over the trials that can be scored, with Student's interval.
 
     Degrees of freedom by Satterthwaite 1946 from the n - 2 of the regression and those of the trials' own
@@ -167,14 +169,14 @@ def combined_mean(cheap: ArrayLike, chosen: Chosen, dear: ArrayLike, seconds: Se
     dear : array_like, shape (K + n,)
         Dear scores in the order of ``chosen.all``.
     seconds
-        Time of a trial at each level.
+        Time of a trial by each merit.
 
     Raises
     ------
     InputError
         If arrays do not match, or too few random trials are scored.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
     c, d_worst, d_random, rest = _arrays(np.asarray(cheap, float), chosen, np.asarray(dear, float))
     known = np.isfinite(d_random) & np.isfinite(c[chosen.random])
@@ -194,16 +196,16 @@ def combined_mean(cheap: ArrayLike, chosen: Chosen, dear: ArrayLike, seconds: Se
     freedom = (within + own) ** 2 / max(
         within**2 / max(len(y) - 2, 1) + own**2 / max(dear_trials - 1, 1), np.finfo(float).tiny
     )
-    half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(freedom, 1.0))) * math.sqrt(within + own)
+    half = float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * CONFIDENCE)) * math.sqrt(within + own)
 
     def plain(trials: float) -> float:
-        return float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(trials - 1.0, 1.0))) * math.sqrt(spread / trials)
+        return float(stdtrit(max(trials - 1.0, 1.0), 0.5 + 0.5 * CONFIDENCE)) * math.sqrt(spread / trials)
 
     same_time = (len(c) * seconds.cheap + len(chosen.all) * seconds.dear) / seconds.dear
     correlation = _correlation(
         np.concatenate([c[chosen.worst][np.isfinite(d_worst)], x]), np.concatenate([worst, y]), weights
     )
-    return TwoLevelEstimate(
+    return ControlVariateEstimate(
         estimate=float(estimate),
         standard_error=math.sqrt(within + own),
         low=float(estimate - half),
@@ -219,7 +221,7 @@ def combined_mean(cheap: ArrayLike, chosen: Chosen, dear: ArrayLike, seconds: Se
 
 def combined_yield(
     cheap_margin: ArrayLike, chosen: Chosen, dear_passed: ArrayLike, seconds: Seconds
-) -> TwoLevelEstimate:
+) -> ControlVariateEstimate:
     """Yield of the dear model; a trial that cannot be scored has not passed.
 
     Parameters
@@ -231,7 +233,7 @@ def combined_yield(
     dear_passed : array_like of bool, shape (K + n,)
         Which dear trials keep all limits, in the order of ``chosen.all``.
     seconds
-        Time of a trial at each level.
+        Time of a trial by each merit.
 
     Raises
     ------
@@ -256,15 +258,15 @@ def combined_yield(
         drawn = (n_rest / total) ** 2 * (1.0 - n / n_rest) * spread / n
     share = max(float(by_curve * (1.0 - by_curve)), estimate * (1.0 - estimate))
     variance = drawn + share / total
-    low, high = _wilson(estimate, share / variance if variance > 0.0 else total)
+    low, high = wilson(estimate, share / variance if variance > 0.0 else total)
 
     def plain(trials: float) -> float:
-        ends = _wilson(estimate, trials)
+        ends = wilson(estimate, trials)
         return ends[1] - ends[0]
 
     same_time = (total * seconds.cheap + len(good) * seconds.dear) / seconds.dear
     weights = np.concatenate([np.ones(len(worst)), np.full(n, n_rest / max(n, 1))])
-    return TwoLevelEstimate(
+    return ControlVariateEstimate(
         estimate=estimate,
         standard_error=math.sqrt(variance),
         low=low,
@@ -280,18 +282,20 @@ def combined_yield(
 
 def _by_counts(worst: NDArray[np.bool_], random: NDArray[np.bool_], total: int) -> tuple[float, float]:
     """Interval of a yield from the worst trials and the number of good random ones alone."""
-    from scipy.stats import binomtest
+    from scipy.special import betaincinv
 
     n, rest = len(random), (total - len(worst)) / total
     share = float(random.mean()) if n else 0.0
     estimate = float(np.count_nonzero(worst)) / total + rest * share
-    low, high = _wilson(estimate, total)
+    low, high = wilson(estimate, total)
     below, above = estimate - low, high - estimate
     if 0 < n < total - len(worst):
-        counted = binomtest(int(np.count_nonzero(random)), n).proportion_ci(CONFIDENCE)
+        good = int(np.count_nonzero(random))
+        least = float(betaincinv(good, n - good + 1, 0.5 - 0.5 * CONFIDENCE)) if good else 0.0
+        most = float(betaincinv(good + 1, n - good, 0.5 + 0.5 * CONFIDENCE)) if good < n else 1.0
         part = rest * math.sqrt(1.0 - n / (total - len(worst)))
-        below = math.hypot(below, part * (share - float(counted.low)))
-        above = math.hypot(above, part * (float(counted.high) - share))
+        below = math.hypot(below, part * (share - least))
+        above = math.hypot(above, part * (most - share))
     return max(estimate - below, 0.0), min(estimate + above, 1.0)
 
 
@@ -318,8 +322,8 @@ def _regression(x: Array, y: Array, mean_x: float) -> tuple[float, float]:
         return 0.0, 0.0
     away = x - x.mean()
     squares = float(away @ away)
-    level = n > 2 and squares > 0.0
-    tilt = away / squares if level else np.zeros(n)
+    varies = n > 2 and squares > 0.0
+    tilt = away / squares if varies else np.zeros(n)
     slope = float(tilt @ y)
     left = y - y.mean() - slope * away
     leverage = 1.0 / n + tilt * away
@@ -369,14 +373,3 @@ def _correlation(x: Array, y: Array, weights: Array) -> float:
 
 def _ratio(wide: float, narrow: float) -> float:
     return wide / narrow if narrow > 0.0 else math.nan
-
-
-def _wilson(share: float, n: float) -> tuple[float, float]:
-    """Wilson's interval (Wilson 1927), for a number of trials that need not be whole."""
-    from scipy.special import ndtri
-
-    z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
-    middle = (share + 0.5 * z * z / n) / (1.0 + z * z / n)
-    half = z / (1.0 + z * z / n) * math.sqrt(share * (1.0 - share) / n + 0.25 * z * z / n**2)
-    # Rounding must not put an end on the wrong side of a share of 0 or 1.
-    return min(max(middle - half, 0.0), share), max(min(middle + half, 1.0), share)

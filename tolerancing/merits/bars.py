@@ -41,6 +41,9 @@ WINDOW_MARGIN = 1.1
 FULL_WELL_SHARE = 0.8
 """Of full well, in the brightest pixel."""
 
+QUIET_TV = 0.01
+"""Weight of the total variation where planes say nothing of their noise."""
+
 LEAST_REFOCUS = 0.02
 """Depths of focus, wavelength / NA^2, up to which the object plane is left where it is."""
 
@@ -149,10 +152,11 @@ class Chain:
         """How a perturbed system records; parameters are those of :meth:`recorded`."""
         from wavesim import Electronics
         from wavesim.camera import Recording
+        from wavesim.scene import Bench
 
         full_well = {} if electrons is None else {"full_well_electrons": electrons / FULL_WELL_SHARE}
         electronics = Electronics(bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), **full_well)
-        return Recording(self.planes_mm, electronics, noise, FULL_WELL_SHARE, placement=system)
+        return Recording(self.planes_mm, electronics, noise, FULL_WELL_SHARE, bench=Bench(system))
 
     def recorded(
         self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence
@@ -214,7 +218,6 @@ class Chain:
         """
         from wavesim import reconstruct
         from wavesim.objects.patch import transmission_of
-        from wavesim.reconstruction.from_object import LEAST_TV
         from wavesim.reconstruction.resumable import retrieve_resumably
 
         depth_um = self.patch.wavelength_um / self.lens.object.numerical_aperture**2
@@ -233,7 +236,7 @@ class Chain:
             light,
             planes,
             kind="amplitude",
-            tv_weight="auto" if noisy else LEAST_TV["amplitude"],
+            tv_weight="auto" if noisy else QUIET_TV,
             iterations=iterations,
             scale=1.0,
             active_width=1.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -132,11 +133,15 @@ class Merit(Section):
         return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """What it was asked for beside its limit, in words."""
+        return () if self.wavelength_um is None else (f"light of {self.wavelength_um:g} um",)
+
+    @property
     def meaning(self) -> str:
         """What the merit is, in one sentence, and what it was asked for."""
-        own = [name for name in type(self).model_fields if name not in Merit.model_fields]
-        values = ", ".join(f"{name} = {getattr(self, name)}" for name in own if getattr(self, name) != ())
-        return f"{(type(self).__doc__ or '').splitlines()[0]} {f'({values})' if values else ''}".strip()
+        sentence, asked = (type(self).__doc__ or "").splitlines()[0], ", ".join(self.details)
+        return f"{sentence} {asked[:1].upper()}{asked[1:]}." if asked else sentence
 
     def margin(self, scores: Any) -> Array:
         """How far scores lie on the good side of the limit; NaN where there is no score."""
@@ -181,6 +186,22 @@ class Merit(Section):
     def uncompensated(self, context: Context, batch: PerturbationBatch) -> Array:
         """As :meth:`scores`, without refocusing and compensators."""
         return self.scores(context, batch)
+
+
+def points_text(points: Sequence[tuple[float, float]]) -> str:
+    """Object points in words; the worst of several counts."""
+    text = ", ".join(f"({x:g}, {y:g})" for x, y in points)
+    return f"at {text} mm in the object" + (", the worst counting" if len(points) > 1 else "")
+
+
+def orientation_text(orientation: str) -> str:
+    """The axis along which bars follow each other, in words."""
+    return f"along {'the worse axis' if orientation == 'worse' else orientation}"
+
+
+def refocus_text(refocus: bool) -> str:
+    """Whether a reconstruction is refocused, in words."""
+    return "refocused" if refocus else "not refocused"
 
 
 def check_field_point(lens: Lens, point: tuple[float, float], key: str) -> None:

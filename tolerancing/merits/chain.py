@@ -22,7 +22,7 @@ from lensdesign.common.section import Positive
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.bars import SIDE, Chain, Ground, Method, Point
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import Merit, orientation_text, refocus_text
 from tolerancing.merits.context import Context
 from tolerancing.merits.line_pairs import NOISE_STREAM
 from tolerancing.merits.pupil import Axis, Orientation
@@ -86,6 +86,22 @@ class ReconstructedContrast(Merit):
     levels: ClassVar[tuple[str, ...]] = ("wave",)
     trials_per_chunk: ClassVar[int] = 1
     engine: ClassVar[str] = "eikonal, two planes, retrieval"
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        light = "no noise"
+        if self.electrons is not None:
+            light = f"{self.electrons:g} electrons in the brightest pixel, {self.bits} bits"
+        return (
+            f"lines of {self.line_width_um:g} um",
+            orientation_text(self.orientation),
+            f"on a {self.ground} ground",
+            light,
+            f"method {self.method}",
+            f"{self.iterations or ITERATIONS[self.method]} iterations at most",
+            refocus_text(self.refocus),
+            *super().details,
+        )
 
     @model_validator(mode="after")
     def _room(self) -> ReconstructedContrast:

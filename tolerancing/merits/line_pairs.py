@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive
+from tolerancing.merits.base import orientation_text
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import Axis, Orientation, PupilMerit, worse
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -49,6 +50,14 @@ class LinePairContrast(PupilMerit):
     electrons: Annotated[float, Field(ge=1.0, le=1e9)] | None = None
 
     levels: ClassVar[tuple[str, ...]] = ("pupil", "wave")
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        lines = (f"lines of {self.line_width_um:g} um", orientation_text(self.orientation), *super().details)
+        if self.used_level != "wave":
+            return lines
+        light = () if self.electrons is None else (f"{self.electrons:g} electrons in the brightest pixel",)
+        return *lines, "on a meridional line" if self.line else "in the plane", *light
 
     @model_validator(mode="after")
     def _waves(self) -> LinePairContrast:

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, rows, tuples
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.base import Merit, check_field_point
+from tolerancing.merits.base import Merit, check_field_point, orientation_text, points_text, refocus_text
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
 
@@ -59,6 +59,10 @@ class PupilMerit(Merit):
     def points(self) -> Points:
         """The object points."""
         return self.field_points_mm or (self.field_mm,)
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        return points_text(self.points), refocus_text(self.refocus), *super().details
 
     def check(self, lens: Lens) -> None:
         for point in self.points:
@@ -127,6 +131,11 @@ class ModulationTransfer(PupilMerit):
     frequency_lp_per_mm: Positive
     orientation: Orientation = "worse"
 
+    @property
+    def details(self) -> tuple[str, ...]:
+        own = (f"{self.frequency_lp_per_mm:g} line pairs per mm", orientation_text(self.orientation))
+        return *own, *super().details
+
     def score(self, pupil: ReconstructionPupil) -> float:
         from wavesim import mtf
 
@@ -156,6 +165,10 @@ class SmallestResolvedLine(PupilMerit):
     orientation: Orientation = "worse"
 
     kind_unit: ClassVar[str] = "um"
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        return f"contrast {self.contrast:g}", orientation_text(self.orientation), *super().details
 
     def score(self, pupil: ReconstructionPupil) -> float:
         from wavesim.pupil import smallest_resolved_line_width_um

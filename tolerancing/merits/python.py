@@ -77,6 +77,10 @@ class PythonMerit(Merit):
     function: str
     score_unit: Annotated[str, Field(pattern=r"^[a-z%_]*$", max_length=20)] = ""
 
+    @property
+    def details(self) -> tuple[str, ...]:
+        return f"function {self.function}", *super().details
+
     _source: str = PrivateAttr(default="")
     _refusal: str = PrivateAttr(default="")
 

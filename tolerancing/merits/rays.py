@@ -11,7 +11,7 @@ from pydantic import field_validator
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, rows
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.base import Merit, check_field_point
+from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
 
@@ -35,6 +35,12 @@ class RayMerit(Merit):
     def check(self, lens: Lens) -> None:
         for point in self.field_points_mm:
             check_field_point(lens, point, "field_points_mm")
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        if self.field_points_mm:
+            return points_text(self.field_points_mm), *super().details
+        return "on the axis and at eight points on the rim of the field", *super().details
 
     def points(self, lens: Lens) -> Points:
         """The field points of this lens."""
@@ -69,6 +75,13 @@ class FootprintRadius(RayMerit):
     plane_distance_mm: Positive | None = None
 
     kind_unit: ClassVar[str] = "mm"
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        plane = "the last sensor plane"
+        if self.plane_distance_mm is not None:
+            plane = f"{self.plane_distance_mm:g} mm behind the exit vertex"
+        return plane, *super().details
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         lens = context.lens

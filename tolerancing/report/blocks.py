@@ -191,13 +191,13 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[Cell | str]], caption
     return Table(columns, tuple(tuple(row) for row in rows), caption)
 
 
-def number_text(value: float | None) -> str:
-    """A number with four digits; a dash where there is none."""
+def number_text(value: float | None, digits: int = 4) -> str:
+    """A number with so many digits; a dash where there is none."""
     if value is None or np.isnan(value):
         return "–"
     if np.isinf(value):
         return "∞" if value > 0.0 else "−∞"
-    return f"{value:.4g}".replace("-", "−")
+    return f"{value:.{digits}g}".replace("-", "−")
 
 
 def signed_text(value: float | None) -> str:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lensdesign.common.text import duration_text
+from tolerancing.merits.context import Context
+from tolerancing.run.tasks import Task
 from tolerancing.study.evaluate import context_of, score_dear, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.results import WORST
+from tolerancing.study.study import Study
 
 SHORT_SECONDS = 0.2
 """A trial that takes less is timed as one of a chunk, which share work."""
@@ -26,7 +29,8 @@ class RunEstimate:
     workers
         Processes that will do it; 0 where a cluster does.
     seconds
-        By what one trial takes, timed here, once all that is set up only once is.
+        By what one trial takes, timed here, once all that is set up only once is, and by what series tell
+        of their steps.
     """
 
     trials: int
@@ -46,7 +50,9 @@ class RunEstimate:
         return f"{what}: about {duration_text(self.seconds)} by {whom}"
 
 
-def estimate_run(loaded: LoadedStudy, lacking: dict[str, int], workers: int, chunk: int) -> RunEstimate:
+def estimate_run(
+    loaded: LoadedStudy, lacking: dict[str, int], steps: Sequence[Task], workers: int, chunk: int
+) -> RunEstimate:
     """Time some trials of a study, and tell how long what is missing takes.
 
     Parameters
@@ -54,7 +60,9 @@ def estimate_run(loaded: LoadedStudy, lacking: dict[str, int], workers: int, chu
     loaded
         The study, its merits' levels settled.
     lacking
-        How many ``trials``, ``steps`` and ``dear`` trials are missing.
+        How many ``trials`` and ``dear`` trials are missing.
+    steps
+        The steps that are missing.
     workers
         Number of processes; 0 for a cluster.
     chunk
@@ -66,12 +74,18 @@ def estimate_run(loaded: LoadedStudy, lacking: dict[str, int], workers: int, chu
     each = single
     if single < SHORT_SECONDS and chunk > 1:
         each = _seconds(lambda: score_trials(context, study, range(chunk))) / chunk
-    seconds = each * lacking["trials"] + single * lacking["steps"]
+    seconds = each * lacking["trials"] + sum(_step_seconds(context, study, step, single) for step in steps)
     if lacking["dear"]:
         score_dear(context, study, (0,), (WORST,))
         seconds += lacking["dear"] * _seconds(lambda: score_dear(context, study, (0,), (WORST,)))
-    counts = (lacking["trials"], lacking["steps"], lacking["dear"])
+    counts = (lacking["trials"], len(steps), lacking["dear"])
     return RunEstimate(*counts, workers, seconds / max(workers, 1))
+
+
+def _step_seconds(context: Context, study: Study, task: Task, trial: float) -> float:
+    """What its series tells, or what a trial takes."""
+    told = study.series[task.series].seconds(context, task.step)
+    return trial if told is None else told
 
 
 def _seconds(work: Callable[[], object]) -> float:

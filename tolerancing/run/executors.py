@@ -1,4 +1,4 @@
-"""Who does a run's tasks: this process, a pool of processes, or a Dask cluster."""
+"""Who does a run's tasks: this process, or a Dask cluster; and how few are handed out at a time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from lensdesign.common.clusters import ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
-from tolerancing.run.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from tolerancing.study.files import LoadedStudy
@@ -20,6 +19,11 @@ if TYPE_CHECKING:
 Done = list[tuple[Task, "Results"]]
 Batches = Generator[Done, None, None]
 Perform = Callable[[Iterable[Task]], Batches]
+
+Died = Callable[[list[Task]], Batches]
+
+KEPT = "what was finished is in the store, and the same command goes on from there"
+WORKER_DIED = f"a worker process died (out of memory, perhaps); {KEPT}: fewer --workers need less memory"
 
 TASKS_IN_FLIGHT = 3
 """Tasks handed out for each worker: one it does, and some so that it need not wait."""
@@ -41,33 +45,6 @@ def this_process(loaded: LoadedStudy) -> Iterator[Perform]:
             yield [(task, perform(context, loaded.study, task))]
 
     yield batches
-
-
-@contextmanager
-def local_pool(loaded: LoadedStudy, processes: int) -> Iterator[Perform]:
-    """Do tasks in processes of this machine; they end at once when the run is broken off."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import active_children, get_context
-
-    from tolerancing.run.workers import start_local, work_local
-
-    one_blas_thread()
-    others = set(active_children())
-    pool = ProcessPoolExecutor(
-        processes, mp_context=get_context("spawn"), initializer=start_local, initargs=(loaded,)
-    )
-
-    def batches(tasks: Iterable[Task]) -> Batches:
-        return in_flight(lambda task: pool.submit(work_local, task), tasks, lambda: processes)
-
-    try:
-        yield batches
-    except BaseException:
-        for worker in set(active_children()) - others:
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
@@ -102,9 +79,23 @@ def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str
 
 
 def in_flight(
-    submit: Callable[[Task], Future[Results]], tasks: Iterable[Task], workers: Callable[[], int]
+    submit: Callable[[Task], Future[Results]],
+    tasks: Iterable[Task],
+    workers: Callable[[], int],
+    died: Died | None = None,
 ) -> Batches:
     """Results of tasks as they come, a few tasks for each worker handed out at a time.
+
+    Parameters
+    ----------
+    submit
+        Hands out a task.
+    tasks
+        All tasks.
+    workers
+        How many do them at a time.
+    died
+        Does the tasks that had been handed out when a worker of a pool died, which breaks the pool.
 
     Raises
     ------
@@ -125,8 +116,18 @@ def in_flight(
         good = [(pending.pop(future), future.result()) for future in finished if future not in failed]
         if good:
             yield good
-        if failed:
+        if failed and died is not None and _is_broken(failed[0]):
+            suspects = list(pending.values())
+            pending.clear()
+            yield from died(suspects)
+        elif failed:
             result(failed[0])
+
+
+def _is_broken(future: Future[Results]) -> bool:
+    from concurrent.futures.process import BrokenProcessPool
+
+    return not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
 
 
 def _submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[Results]:
@@ -151,12 +152,9 @@ def result(future: Future[Results]) -> Results:
     """
     from concurrent.futures.process import BrokenProcessPool
 
-    kept = "what was finished is in the store, and the same command goes on from there"
     try:
         return result_of(future)
     except BrokenProcessPool as error:
-        raise RunError(
-            f"a worker process died (out of memory, perhaps); {kept}: fewer --workers need less memory"
-        ) from error
+        raise RunError(WORKER_DIED) from error
     except ClusterError as error:
-        raise RunError(f"{error}; {kept}") from error
+        raise RunError(f"{error}; {KEPT}") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -13,10 +13,11 @@ from pathlib import Path
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError
 from tolerancing.run.estimate import RunEstimate, estimate_run
-from tolerancing.run.executors import Perform, RunError, cluster_workers, local_pool, this_process
+from tolerancing.run.executors import Perform, RunError, cluster_workers, this_process
+from tolerancing.run.pool import EndedError, Rehearsal, local_pool
 from tolerancing.run.tasks import Task, chunk_size, dear_counts, missing_dear, missing_steps, missing_trials
 from tolerancing.store.store import Store, create_store, open_store
-from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
+from tolerancing.study.evaluate import first_scores, make_ready
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import MOST_TRIALS
 
@@ -83,8 +84,9 @@ def run_study(
 
     The rows of the store are the same whatever number of workers made them, in however many runs, whatever
     ended those. A run that is killed loses what its workers were at. Several runs may share one store, and
-    the work. Worker processes start by importing the main module, so a script that calls this needs the usual
-    ``if __name__ == "__main__":``.
+    the work. Where a merit in Python ends its worker, as a fault of memory does, that is its trial's failure,
+    as all that it raises; with `workers` = 1 it would end this process. Worker processes start by importing
+    the main module, so a script that calls this needs the usual ``if __name__ == "__main__":``.
 
     Parameters
     ----------
@@ -93,7 +95,8 @@ def run_study(
     store_path
         The store; made if it is not there, gone on with if it holds the same study.
     workers
-        Number of processes; as many as there are processors where left out. One works in this process.
+        Number of processes; as many as there are processors where left out. One that is asked for is this
+        process.
     trials
         Number of trials that the store is to hold in the end; the study's where left out.
     fresh
@@ -104,7 +107,7 @@ def run_study(
         Called with the amounts done and to do after each batch.
     announce
         Called once, before anything is scored, with what there is to do and about how long it takes; some
-        trials are timed for it.
+        trials are timed for it. Not where a merit in Python ends the process that does so.
 
     Raises
     ------
@@ -117,26 +120,30 @@ def run_study(
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
-    for merit in loaded.study.all_merits:
-        merit.get_ready()
-    store, is_new = _ready_store(Path(store_path), loaded, planned, fresh)
-    with store:
-        levels = {merit.label: merit.level for merit in store.merits()}
-        loaded = replace(loaded, study=loaded.study.with_levels(levels))
-        lacking = _lacking(loaded, store, planned)
-        processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
-        size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
-        tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
-        processes = min(processes, max(1, tasks))
-        tally = _Tally(report, lacking)
-        if tasks:
-            if announce is not None:
-                announce(estimate_run(loaded, lacking, processes, size))
-            store.start_writing()
-            with _workers(loaded, levels, processes, cluster) as perform:
-                trial_tasks = missing_trials(store, planned, size, in_order=is_new)
-                _score(loaded, store, perform, tally, trial_tasks, planned)
-            store.finish_writing()
+    with Rehearsal(loaded, here=workers == 1) as rehearsal:
+        rehearsal.do(make_ready, loaded.study)
+        store, is_new = _ready_store(Path(store_path), loaded, planned, fresh, rehearsal)
+        with store:
+            levels = {merit.label: merit.level for merit in store.merits()}
+            loaded = replace(loaded, study=loaded.study.with_levels(levels))
+            lacking = _lacking(loaded, store, planned)
+            processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+            size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
+            tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
+            processes = min(processes, max(1, tasks))
+            tally = _Tally(report, lacking)
+            if tasks:
+                if announce is not None:
+                    steps = tuple(missing_steps(loaded.study, store))
+                    with suppress(EndedError):  # by one of the first trials; which, will show
+                        announce(rehearsal.do(estimate_run, loaded, lacking, steps, processes, size))
+                here = processes == 1 and rehearsal.here
+                rehearsal.close()
+                store.start_writing()
+                with _workers(loaded, levels, processes, cluster, here) as perform:
+                    trial_tasks = missing_trials(store, planned, size, in_order=is_new)
+                    _score(loaded, store, perform, tally, trial_tasks, planned)
+                store.finish_writing()
     done = tally.done
     return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
 
@@ -151,11 +158,11 @@ def _check_counts(planned: int, workers: int | None, cluster: str | None) -> Non
 
 
 def _workers(
-    loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None
+    loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None, here: bool
 ) -> AbstractContextManager[Perform]:
     if address is not None:
         return cluster_workers(loaded, levels, address)
-    return this_process(loaded) if processes == 1 else local_pool(loaded, processes)
+    return this_process(loaded) if here else local_pool(loaded, processes)
 
 
 def _score(
@@ -189,15 +196,15 @@ def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
     return {"steps": steps, "trials": trials, "dear": dear}
 
 
-def _ready_store(path: Path, loaded: LoadedStudy, planned: int, fresh: bool) -> tuple[Store, bool]:
+def _ready_store(
+    path: Path, loaded: LoadedStudy, planned: int, fresh: bool, rehearsal: Rehearsal
+) -> tuple[Store, bool]:
     """The store that holds this study and knows what is planned, and whether it was made just now."""
     if os.path.exists(path):
         open_store(path).close()  # what is no store of ours is never replaced
         if not fresh:
             return _continued(path, loaded, planned), False
-    levels = decide_levels(loaded.lens, loaded.study)
-    study = loaded.study.with_levels(levels)
-    nominal = nominal_scores(context_of(loaded.lens, study), study)
+    levels, nominal = rehearsal.do(first_scores, loaded.lens, loaded.study)
     if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True
     return _continued(path, loaded, planned), False

@@ -47,6 +47,12 @@ class Task:
         """How much it counts in a progress bar."""
         return len(self.trials) or 1
 
+    def parts(self) -> list[Task]:
+        """The same, trial by trial."""
+        if not self.trials:
+            return [self]
+        return [Task((trial,), self.chosen[k : k + 1]) for k, trial in enumerate(self.trials)]
+
 
 def perform(context: Context, study: Study, task: Task) -> Results:
     """Do one task."""

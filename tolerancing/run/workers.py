@@ -28,13 +28,18 @@ def start_local(loaded: LoadedStudy) -> None:
     """Get a process of a local pool ready."""
     from tolerancing.study.evaluate import context_of
 
+    follow_parent()
+    global _own
+    _own = (context_of(loaded.lens, loaded.study), loaded.study)
+
+
+def follow_parent() -> None:
+    """Leave signals to the process that started this one, and end with it."""
     # They go to the whole group; only the process that holds the store may act on them.
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    global _own
-    _own = (context_of(loaded.lens, loaded.study), loaded.study)
 
 
 def _end_with_parent() -> None:
@@ -48,10 +53,14 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def work_local(task: Task) -> Results:
-    """Do a task in a process of a local pool."""
+def work_local(task: Task, fault: str = "") -> Results:
+    """Do a task in a process of a local pool; with a fault, that is what merits in Python come to."""
     assert _own is not None  # the initializer saw to it
-    return perform(*_own, task)
+    context, study = _own
+    if fault:
+        merits = tuple(merit.refused(fault) for merit in study.all_merits)
+        study = study.model_copy(update={"all_merits": merits})
+    return perform(context, study, task)
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,20 @@ def context_of(lens: Lens, study: Study) -> Context:
     InputError
         If one is not; as of :meth:`Merit.get_ready`.
     """
+    make_ready(study)
+    return pupils_of(lens, study)
+
+
+def make_ready(study: Study) -> None:
+    """Make sure that all merits of a study can score.
+
+    Raises
+    ------
+    InputError
+        If one cannot; as of :meth:`Merit.get_ready`.
+    """
     for merit in study.all_merits:
         merit.get_ready()
-    return pupils_of(lens, study)
 
 
 def pupils_of(lens: Lens, study: Study) -> Context:
@@ -104,6 +115,19 @@ def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Se
 def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
     """Score one step of one of a study's series."""
     return study.series[series].score(context, study.merits, step)
+
+
+def first_scores(lens: Lens, study: Study) -> tuple[dict[str, str], dict[str, float]]:
+    """The level of each merit, and its score of the nominal lens, by its label.
+
+    Raises
+    ------
+    InputError
+        As of :func:`nominal_scores`.
+    """
+    levels = decide_levels(lens, study)
+    settled = study.with_levels(levels)
+    return levels, nominal_scores(context_of(lens, settled), settled)
 
 
 def nominal_scores(context: Context, study: Study) -> dict[str, float]:

@@ -48,6 +48,10 @@ class Series(ABC):
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         """Score one step; `merits` are those that score all trials of the study."""
 
+    def seconds(self, context: Context, step: int) -> float | None:
+        """What a step takes on this machine, told before it runs; None where it is what a trial takes."""
+        return None
+
 
 class LinePairSection(Section):
     """What sweeps and grids score: merits of the study, and line pairs of their own.

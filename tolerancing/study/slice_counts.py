@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 BARS = 5
 
 Compensation = Literal["vertical", "oblique"]
+
+Result = TypeVar("Result")
 
 
 class SliceCounts(Section, Series):
@@ -87,23 +89,12 @@ class SliceCounts(Section, Series):
         return {"compensation": self.compensations[kind], "slices": float(self.slices[count])}
 
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
-        from wavesim import SamplingWarning, resolve
+        from wavesim import resolve
 
         start = time.perf_counter()
         coordinates = self.coordinates(step)
+        found = self._by_slices(resolve, context, step)
         slices = int(coordinates["slices"])
-        with warnings.catch_warnings():
-            # Too few slices are what this is about.
-            warnings.simplefilter("ignore", SamplingWarning)
-            found = resolve(
-                context.lens,
-                self.line_widths_um,
-                self.field_height_mm,
-                "slices",
-                bars=BARS,
-                slices=slices,
-                compensation=str(coordinates["compensation"]),
-            )
         pictures = tuple(_picture(line) for line in found.lines if slices in self.picture_slices)
         scores: dict[str, float] = {}
         for line in found.lines:
@@ -121,6 +112,29 @@ class SliceCounts(Section, Series):
             pictures=pictures,
             seconds=time.perf_counter() - start,
         )
+
+    def seconds(self, context: Context, step: int) -> float:
+        from wavesim.evaluation import resolving_seconds
+
+        return self._by_slices(resolving_seconds, context, step)
+
+    def _by_slices(self, work: Callable[..., Result], context: Context, step: int) -> Result:
+        """What the resolving test, or what tells its time, makes of a step."""
+        from wavesim import SamplingWarning
+
+        coordinates = self.coordinates(step)
+        with warnings.catch_warnings():
+            # Too few slices are what this is about.
+            warnings.simplefilter("ignore", SamplingWarning)
+            return work(
+                context.lens,
+                self.line_widths_um,
+                self.field_height_mm,
+                "slices",
+                bars=BARS,
+                slices=int(coordinates["slices"]),
+                compensation=str(coordinates["compensation"]),
+            )
 
 
 def _picture(line: LineContrast) -> Picture:

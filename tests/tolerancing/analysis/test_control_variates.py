@@ -1,4 +1,4 @@
-"""Two-level estimates: coverage of the intervals, bias, and how much narrower they get."""
+"""Control variates: coverage of the intervals, bias, and how much narrower they get."""
 
 import math
 

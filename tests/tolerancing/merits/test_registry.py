@@ -1,5 +1,7 @@
 """Merits: scores against independent computations, limits, failures as data."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,27 @@ def test_scores_do_not_depend_on_the_batch(context, batch, kind):
     assert np.all(np.isfinite(together))
     alone = [one.scores(context, single)[0] for single in batch.single_trials()]
     assert together.tolist() == alone
+
+
+@pytest.mark.parametrize("kind", sorted(MERITS))
+def test_what_a_merit_was_asked_for_is_told_in_words(kind):
+    keys = REQUIRED.get(kind, {})
+    if kind == "python":
+        keys = {"function": "file.py:name"}
+    if kind == "reconstructed_contrast":
+        keys = {"line_width_um": 1.55, "patch_mm": 0.1}
+    meaning = merit(kind, **keys, wavelength_um=0.6).meaning
+    assert not re.search(r"=|_|\b(True|False|None)\b|[{}\[\]]", meaning)
+    assert "ight of 0.6 um" in meaning
+    assert meaning.endswith(".")
+
+
+def test_words_tell_what_counts_at_the_level():
+    lines = {"line_width_um": 0.775, "orientation": "y", "refocus": False}
+    asked = merit("line_pair_contrast", level="pupil", **lines).meaning.partition("places. ")[2]
+    assert asked == "Lines of 0.775 um, along y, at (0, 0) mm in the object, not refocused."
+    waves = merit("line_pair_contrast", level="wave", line=True, electrons=5000.0, **lines).meaning
+    assert waves.endswith("not refocused, on a meridional line, 5000 electrons in the brightest pixel.")
 
 
 def test_ray_merits_match_rays_traced_one_lens_at_a_time(paper_lens, context, batch):

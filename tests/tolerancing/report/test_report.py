@@ -191,6 +191,8 @@ def test_the_theme_s_button_stands_beside_what_scrolls(full):
     assert links.count("<a ") == len(SECTIONS)
     assert "<button" not in links
     assert "<button" in button
+    # On a wide screen no entry is out of sight.
+    assert re.search(r"min-width: 900px.*?nav div \{ flex-wrap: wrap", text, re.DOTALL)
     # A single panel in the last row is as wide as its siblings.
     assert "auto-fit" not in text
 

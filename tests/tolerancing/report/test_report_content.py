@@ -217,6 +217,19 @@ def test_a_model_that_explains_nothing_is_left_out(loaded):
     assert "explains too little" in blocks[-1].text
 
 
+def test_the_curve_of_all_limits_is_missing_where_a_merit_is_left_out(write_study, ray_study):
+    loaded = load_study(write_study(ray_study + '[[merit]]\nkind = "throughput"\nat_least = 0.9\n'))
+    rng = np.random.default_rng(3)
+    values = rng.normal(0.0, 0.02, (200, len(loaded.study.perturbations)))
+    scores = np.column_stack([4.8 + values[:, 0], rng.normal(0.9, 0.05, 200)])
+    blocks = scale_section(data_of(loaded, scores, values))
+    (figure,) = [b.panels[0].figure for b in blocks if isinstance(b, FigureBlock)]
+    (line,) = figure.axes[0].get_lines()
+    assert line.get_label() == "largest_spread_deg"
+    # The bold one is that of all limits.
+    assert line.get_linewidth() < 2.0
+
+
 def test_pictured_trials_are_the_worst_and_the_median(loaded):
     scores = np.linspace(4.7, 4.9, 21)[:, None]
     scores[20] = np.nan

@@ -4,7 +4,10 @@ import pytest
 
 from tolerancing.run import estimate
 from tolerancing.run.estimate import RunEstimate, estimate_run
+from tolerancing.run.tasks import Task
 from tolerancing.study.files import load_study
+from wavesim.engines.slices import engine as slices_engine
+from wavesim.evaluation import resolving
 
 
 @pytest.fixture
@@ -25,10 +28,32 @@ def ticking(monkeypatch):
 
 def test_time_is_shared_by_the_workers(ticking, write_study, ray_study):
     loaded = load_study(write_study(ray_study))
-    lacking = {"trials": 100, "steps": 8, "dear": 3}
-    alone = estimate_run(loaded, lacking, 1, 16)
+    lacking = {"trials": 100, "dear": 3}
+    steps = [Task(series=0, step=step) for step in range(8)]
+    alone = estimate_run(loaded, lacking, steps, 1, 16)
     assert alone == RunEstimate(100, 8, 3, 1, 138.0)
     assert alone.sentence == "100 trials, 8 steps, 3 trials by dear merits: about 2.3 min by 1 worker"
-    assert estimate_run(loaded, lacking, 4, 16).seconds == 34.5
-    cluster = estimate_run(loaded, lacking | {"dear": 0}, 0, 16)
+    assert estimate_run(loaded, lacking, steps, 4, 16).seconds == 34.5
+    cluster = estimate_run(loaded, lacking | {"dear": 0}, steps, 0, 16)
     assert cluster.sentence.endswith("about 108.0 s by one worker of a cluster like this machine")
+
+
+SLICES = """
+[[slice_count]]
+slices = [10, 400]
+compensations = ["oblique"]
+line_widths_um = [1.0]
+"""
+
+
+def test_a_step_of_many_slices_takes_longer_than_a_trial(ticking, monkeypatch, write_study, ray_study):
+    monkeypatch.setattr(slices_engine, "fft_seconds", lambda *_: 0.1)
+    for name in ("pass_seconds", "exponential_seconds"):
+        monkeypatch.setattr(slices_engine, name, lambda *_: 0.0)
+    monkeypatch.setattr(resolving, "_registering_seconds", lambda _: 0.0)
+    loaded = load_study(write_study(ray_study + SLICES))
+    counts = [type(part).__name__ for part in loaded.study.series].index("SliceCounts")
+    lacking = {"trials": 0, "dear": 0}
+    few, many = (estimate_run(loaded, lacking, [Task(series=counts, step=k)], 1, 16).seconds for k in (0, 1))
+    # 390 slices more of both surfaces, there and back, each with two transforms.
+    assert many - few == pytest.approx(390 * 2 * 2 * 2 * 0.1)

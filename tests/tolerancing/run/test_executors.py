@@ -44,6 +44,12 @@ def loaded(write_study, full_study, tmp_path):
 
 
 @pytest.fixture
+def rays(write_study, ray_study):
+    """Of the toolkit's own merits, which need no process of their own at the start."""
+    return load_study(write_study(ray_study))
+
+
+@pytest.fixture
 def cluster(tmp_path_factory):
     made = Cluster(tmp_path_factory.mktemp("cluster"))
     yield made
@@ -63,41 +69,41 @@ def test_a_worker_that_is_killed_half_way_changes_no_row(loaded, cluster, tmp_pa
     assert rows(tmp_path / "cluster") == rows(tmp_path / "here")
 
 
-def test_workers_of_another_version_are_refused(loaded, cluster, tmp_path, monkeypatch, caplog):
+def test_workers_of_another_version_are_refused(rays, cluster, tmp_path, monkeypatch, caplog):
     cluster.worker()
     monkeypatch.setattr(module, "toolkit_version", lambda: "99.0")
     with pytest.raises(InputError, match=rf"worker tcp.* has version {toolkit_version()} .* 99\.0"):
-        run_study(loaded, tmp_path / "store", cluster=cluster.address)
+        run_study(rays, tmp_path / "store", cluster=cluster.address)
     assert caplog.text == ""
 
 
-def test_a_cluster_without_workers_is_refused(loaded, cluster, tmp_path, monkeypatch):
+def test_a_cluster_without_workers_is_refused(rays, cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "CONNECT_SECONDS", 4.0)
     with pytest.raises(InputError, match="no worker has joined the scheduler within 4 s"):
-        run_study(loaded, tmp_path / "store", cluster=cluster.address)
+        run_study(rays, tmp_path / "store", cluster=cluster.address)
 
 
-def test_no_scheduler_there_is_told_within_the_time_and_quietly(loaded, tmp_path, monkeypatch, capfd):
+def test_no_scheduler_there_is_told_within_the_time_and_quietly(rays, tmp_path, monkeypatch, capfd):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
     before = logging.getLogger("distributed").level
     with pytest.raises(InputError, match=f"{address}: no Dask scheduler answers"):
-        run_study(loaded, tmp_path / "store", cluster=address)
+        run_study(rays, tmp_path / "store", cluster=address)
     assert "".join(capfd.readouterr()) == ""
     assert logging.getLogger("distributed").level == before
 
 
-def test_missing_package_is_told(loaded, tmp_path, monkeypatch):
+def test_missing_package_is_told(rays, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match="extra cluster"):
-        run_study(loaded, tmp_path / "store", cluster="tcp://127.0.0.1:1")
+        run_study(rays, tmp_path / "store", cluster="tcp://127.0.0.1:1")
 
 
-def test_a_cluster_has_its_own_workers(loaded, tmp_path):
+def test_a_cluster_has_its_own_workers(rays, tmp_path):
     with pytest.raises(InputError, match="give one or the other"):
-        run_study(loaded, tmp_path / "store", cluster="tcp://127.0.0.1:1", workers=2)
+        run_study(rays, tmp_path / "store", cluster="tcp://127.0.0.1:1", workers=2)
 
 
 @pytest.fixture

@@ -287,6 +287,12 @@ def test_what_others_finished_is_handed_over_before_a_failure_is_told():
         next(batches)
 
 
+def test_a_task_falls_into_its_trials():
+    assert Task((3, 4), ("worst", "random")).parts() == [Task((3,), ("worst",)), Task((4,), ("random",))]
+    assert Task((3, 4)).parts() == [Task((3,)), Task((4,))]
+    assert Task(series=1, step=2).parts() == [Task(series=1, step=2)]
+
+
 def test_a_study_in_memory_of_another_machine_goes_to_workers_whole(full):
     again = pickle.loads(pickle.dumps(full))
     assert again.fingerprint == full.fingerprint

@@ -10,11 +10,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import stored_rows
 
 from lensdesign import InputError, TransferLensError
-from tolerancing.run.run import run_study
+from tolerancing.run.run import RunError, run_study
 from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
 
@@ -209,3 +210,51 @@ def test_a_merit_that_ends_the_program_at_once_is_told_at_the_start(
     with pytest.raises(TransferLensError, match="end"):
         run_study(study, tmp_path / "a.db", workers=1, trials=4)
     assert not (tmp_path / "a.db").exists()
+
+
+DYING = """
+import os
+
+
+def score(trial):
+    if trial.number == 0:
+        os.kill(os.getpid(), 11)
+    return 1.0
+"""
+
+
+def test_a_merit_that_a_signal_ends_fails_its_trial_alone(write_study, ray_study, tmp_path):
+    (tmp_path / "mine.py").write_text(DYING)
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    announced = []
+    outcome = run_study(study, tmp_path / "a.db", workers=2, trials=3, announce=announced.append)
+    assert (outcome.trials_run, outcome.workers, announced) == (3, 2, [])
+    with open_store(tmp_path / "a.db") as store:
+        trials = store.trials()
+    assert trials.messages == ("python: SIGSEGV ended its process", "", "")
+    assert np.isfinite(trials.scores).tolist() == [[True, False], [True, True], [True, True]]
+
+
+def test_a_merit_that_a_signal_ends_for_the_nominal_lens_is_told_at_the_start(
+    write_study, ray_study, tmp_path
+):
+    (tmp_path / "mine.py").write_text("import os\ndef score(trial):\n    os.kill(os.getpid(), 9)\n")
+    study = load_study(write_study(ray_study + OWN_MERIT))
+    with pytest.raises(InputError, match=r"^mine\.py: SIGKILL ended the process .* nothing was run"):
+        run_study(study, tmp_path / "a.db", workers=2, trials=4)
+    assert not (tmp_path / "a.db").exists()
+
+
+def test_a_death_that_no_trial_repeats_is_none_of_a_trial(write_study, ray_study, tmp_path):
+    """As for want of memory: the trials at hand are scored, and the run ends with a word."""
+    (tmp_path / "mine.py").write_text(
+        "import os\nfrom pathlib import Path\n"
+        f"def score(trial):\n    once = Path({str(tmp_path / 'once')!r})\n"
+        "    if trial.number is not None and not once.exists():\n"
+        "        once.touch()\n        os.kill(os.getpid(), 9)\n    return 1.0\n"
+    )
+    study = load_study(write_study("sensitivity = false\n" + ray_study + OWN_MERIT))
+    with pytest.raises(RunError, match="the same command goes on from there"):
+        run_study(study, tmp_path / "a.db", workers=2, trials=2)
+    with open_store(tmp_path / "a.db") as store:
+        assert store.trials().messages == ("", "")

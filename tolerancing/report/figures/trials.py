@@ -159,7 +159,10 @@ def _scatter_panel(data: ReportData, column: int, k: int, merit: Merit) -> Panel
 
 
 def scale_panel(
-    scales: Array, curves: Sequence[tuple[str, Array]], found: tuple[float, float, float] | None
+    scales: Array,
+    curves: Sequence[tuple[str, Array]],
+    whole: Array | None,
+    found: tuple[float, float, float] | None,
 ) -> Panel:
     """Yield against a common factor of all tolerances.
 
@@ -168,7 +171,9 @@ def scale_panel(
     scales
         The factors.
     curves
-        Names, and yields at the factors; the last is that of all limits.
+        Names of merits, and yields at the factors.
+    whole
+        Yield of all limits together, if it is known.
     found
         Yield of the trials, and the ends of its interval.
     """
@@ -176,9 +181,9 @@ def scale_panel(
         figure = styled_figure(6.2, 3.1)
         axis = figure.subplots()
         for number, (name, shares) in enumerate(curves):
-            whole = number == len(curves) - 1
-            color = INK if whole else SERIES[number % len(SERIES)]
-            axis.plot(scales, 100.0 * shares, color=color, linewidth=2.0 if whole else 1.1, label=name)
+            axis.plot(scales, 100.0 * shares, color=SERIES[number % len(SERIES)], linewidth=1.1, label=name)
+        if whole is not None:
+            axis.plot(scales, 100.0 * whole, color=INK, linewidth=2.0, label="all limits")
         if found is not None:
             share, low, high = (100.0 * v for v in found)
             axis.errorbar(

@@ -12,8 +12,8 @@ from lensdesign.common.text import duration_text
 from lensdesign.errors import InputError
 from tolerancing.analysis.control_variates import (
     Chosen,
+    ControlVariateEstimate,
     Seconds,
-    TwoLevelEstimate,
     combined_mean,
     combined_yield,
 )
@@ -72,7 +72,7 @@ def fidelity_section(data: ReportData) -> list[Block]:
     worst = sum(1 for why in dear.chosen if why == WORST)
     text = (
         f"{counted(len(dear), 'trial')} scored by the dear merits: the {worst} worst by the cheap merit and "
-        f"{len(dear) - worst} at random from the others. Estimates join both levels (control variate in the "
+        f"{len(dear) - worst} at random from the others. Estimates join both merits (control variate in the "
         "random trials, the worst counted whole)."
     )
     return [*blocks, Paragraph(text, soft=True), FigureBlock(tuple(panels), columns=2), table(headings, rows)]
@@ -108,7 +108,7 @@ def _mean_seconds(seconds: np.ndarray) -> float:
     return max(float(known.mean()), 1e-9) if len(known) else 1e-9
 
 
-def _estimate(name: str, found: TwoLevelEstimate, share: bool) -> list[str]:
+def _estimate(name: str, found: ControlVariateEstimate, share: bool) -> list[str]:
     text = percent_text if share else number_text
     return [
         name,

@@ -168,7 +168,7 @@ def _sensitivities(data: ReportData, found: Sensitivity, ranking: np.ndarray, m:
                 _clean(found.derivative[k, m], powers[1]),
                 *(_clean(v, least) for v in found.change[k, [0, -1], m]),
                 *parabola,
-                f"{found.residual[k, m]:.2g}",
+                number_text(found.residual[k, m], 2),
                 _clean(found.mean_shift[k, m], least),
                 number_text(found.standard_deviation[k, m]),
                 percent_text(share),
@@ -201,7 +201,7 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
             [
                 c.merit.column,
                 number_text(c.predicted_mean),
-                f"{number_text(c.mean)} ± {c.standard_error:.2g}",
+                f"{number_text(c.mean)} ± {number_text(c.standard_error, 2)}",
                 number_text(c.predicted_standard_deviation),
                 number_text(c.standard_deviation),
                 percent_text(c.predicted_share),

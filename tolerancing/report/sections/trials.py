@@ -102,10 +102,9 @@ def scale_section(data: ReportData) -> list[Block]:
         for label, model in models.items():
             kept[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
     curves = [(merits[label].column, np.mean(passed, axis=1)) for label, passed in kept.items()]
-    whole = len(models) == len(merits)
-    if whole:
-        curves.append(("all limits", np.mean(np.all(list(kept.values()), axis=0), axis=1)))
-    good = data.summary.good if whole else None
+    all_told = len(models) == len(merits)
+    whole = np.mean(np.all(list(kept.values()), axis=0), axis=1) if all_told else None
+    good = data.summary.good if all_told else None
     found = None if good is None else (good.share, good.low, good.high)
     qualities = [
         f"{merits[label].column} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
@@ -117,9 +116,9 @@ def scale_section(data: ReportData) -> list[Block]:
     )
     if faults:
         text += f" Left out: {joined(faults)}."
-    if whole and found is not None:
+    if found is not None:
         text += " The point is the yield of the trials themselves."
-    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves, found),))]
+    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves, whole, found),))]
 
 
 def _evenly(count: int) -> slice:
