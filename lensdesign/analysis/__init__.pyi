@@ -1,5 +1,6 @@
 from .check import check_design
 from .form_error import form_errors, pv_rms_waves
+from .ghosts import GhostReport, ghost_report
 from .matching import match, spread_limit_sine
 from .paraxial import cardinal_points, first_order
 from .report import CheckReport
@@ -8,12 +9,14 @@ from .spread import footprint, largest_spread, observation_distance_mm, rms_spot
 
 __all__ = [
     "CheckReport",
+    "GhostReport",
     "SagTable",
     "cardinal_points",
     "check_design",
     "first_order",
     "footprint",
     "form_errors",
+    "ghost_report",
     "largest_spread",
     "match",
     "observation_distance_mm",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import making as cli_making
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
@@ -159,6 +160,7 @@ app.command()(cli_making.export)
 app.command()(cli_making.scene)
 app.command()(cli_making.drawing)
 app.command()(cli_making.sag)
+app.command()(cli_ghost.ghost)
 app.command()(cli_view.view)
 app.command()(cli_verify.verify)
 

@@ -1,0 +1,57 @@
+"""The command that says where a lens's ghost falls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lensdesign.cli.making import Design, Json
+from lensdesign.common.console import print_json
+
+if TYPE_CHECKING:
+    from lensdesign.analysis.ghosts import GhostOnPlane
+
+
+def ghost(
+    design: Design,
+    share: Annotated[
+        float | None,
+        typer.Option(help="Of the light, that both reflections leave; left out: of uncoated surfaces."),
+    ] = None,
+    wavelength_um: Annotated[float | None, typer.Option(help="Left out: the design's first.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say where light falls that is reflected twice inside the lens, and what of its fringes pixels resolve.
+
+    The ghost is coherent with the light that goes straight through: what is recorded of it are fringes wider
+    than two pixels.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from lensdesign.analysis.ghosts import ghost_report
+    from lensdesign.files.design import load_design
+
+    report = ghost_report(load_design(design), share, wavelength_um)
+    if as_json:
+        print_json(report.as_dict())
+        return
+    typer.echo(f"share of the light {report.share:.3g}")
+    typer.echo(f"effective, back focal length of the ghost {report.efl_mm:.4g}, {report.bfl_mm:.4g} mm\n")
+    table = Table(box=None, pad_edge=False)
+    for name in ("plane", "field", "falls on", "fringes on"):
+        table.add_column(f"{name}\n(mm)", justify="right", no_wrap=True)
+    for name in ("relative\nirradiance", "contrast\nof fringes"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for one in report.on_planes:
+        table.add_row(*_cells(one))
+    Console(highlight=False, markup=False).print(table)
+
+
+def _cells(one: GhostOnPlane) -> list[str]:
+    cells = [f"{one.plane_distance_mm:g}", f"{one.field_mm:g}", f"{one.from_mm:.2f} to {one.to_mm:.2f}"]
+    if one.relative_irradiance is None:
+        return [*cells, "none", "", ""]
+    fringes = f"{one.fringes_from_mm:.2f} to {one.fringes_to_mm:.2f}"
+    return [*cells, fringes, f"{one.relative_irradiance:.2g}", f"{one.contrast:.3f}"]
