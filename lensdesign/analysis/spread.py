@@ -1,4 +1,4 @@
-"""What a lens does to its rays: spread behind the lens, footprint, spot, throughput, arrival angles.
+"""What a lens does to its rays: spread behind the lens, footprint, spot, throughput.
 
 Failed rays are left out of every figure, and every figure states the throughput that it stands on.
 """
@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import chain, islice
+from functools import lru_cache, partial
 
 import numpy as np
 
-from lensdesign.analysis.arrival import ArrivalAngles, arrival_angles
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
@@ -23,23 +21,6 @@ from lensdesign.tracing.bundles import launch_pairs, pupil_rings
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.extremes import Extremes, Metric, extremes
 from lensdesign.tracing.rays import RayTrace, trace_compiled
-
-__all__ = [
-    "ArrivalAngles",
-    "Footprint",
-    "Spot",
-    "Spread",
-    "Throughput",
-    "arrival_angles",
-    "edge_thickness_mm",
-    "footprint",
-    "largest_spread",
-    "observation_distance_mm",
-    "rms_spot_diameter",
-    "spread_and_footprints",
-    "throughput",
-]
-
 
 PAPER_DISTANCE_MM = 3.0
 Perturbations = Mapping[int, SurfacePerturbation] | None
@@ -153,7 +134,7 @@ def largest_spread(
     InputError
         If a field height lies outside the field, or a perturbation holds arrays of trials.
     """
-    (found,), passes = _largest(lens, [_angle], wavelength_um, field_heights_mm, pose, surface_perturbations)
+    (found,), passes = _largest(lens, [None], wavelength_um, field_heights_mm, pose, surface_perturbations)
     return _spread(found, passes)
 
 
@@ -173,21 +154,19 @@ def footprint(
     DesignError
         If no ray passes the lens.
     """
-    metrics = _reaches(lens, plane_distance_mm)
-    found, passes = _largest(lens, metrics, wavelength_um, None, pose, surface_perturbations)
-    return _footprint(lens, plane_distance_mm, found, passes)
+    found = _largest(lens, [plane_distance_mm], wavelength_um, None, pose, surface_perturbations)
+    return _footprint(lens, plane_distance_mm, *found)
 
 
 def spread_and_footprints(
     lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float]
 ) -> tuple[Spread, tuple[Footprint, ...]]:
     """As :func:`largest_spread`, and :func:`footprint` on each plane; sought at once, which is faster."""
-    reaches = [_reaches(lens, distance) for distance in plane_distances_mm]
-    (angle, *rest), passes = _largest(lens, [_angle, *chain(*reaches)], wavelength_um)
-    found = iter(rest)
+    (angle, *rest), passes = _largest(lens, [None, *plane_distances_mm], wavelength_um)
+    each = len(rest) // len(plane_distances_mm)
     footprints = tuple(
-        _footprint(lens, distance, list(islice(found, len(metrics))), passes)
-        for distance, metrics in zip(plane_distances_mm, reaches, strict=True)
+        _footprint(lens, distance, rest[i * each : (i + 1) * each], passes)
+        for i, distance in enumerate(plane_distances_mm)
     )
     return _spread(angle, passes), footprints
 
@@ -245,8 +224,7 @@ def throughput(
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
     heights = _heights(lens, field_heights_mm)
     azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(8) / 8
-    across = np.stack([np.sin(azimuths), np.cos(azimuths)], axis=-1)
-    fields = (heights[:, None, None] * across).reshape(-1, 2)
+    fields = (heights[:, None, None] * np.stack([np.sin(azimuths), np.cos(azimuths)], axis=-1)).reshape(-1, 2)
     rings, arms = 32, 96
     angle = 2.0 * np.pi * np.arange(arms) / arms
     radius = np.sqrt(np.linspace(0.0, 1.0, rings + 1))
@@ -281,19 +259,49 @@ def edge_thickness_mm(lens: Lens) -> float | None:
 
 def _largest(
     lens: Lens,
-    metrics: Sequence[Metric],
+    planes_mm: Sequence[float | None],
     wavelength_um: float | None,
     field_heights_mm: Sequence[float] | None = None,
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
 ) -> tuple[tuple[Extremes, ...], Throughput]:
-    """Extremes of metrics over field and pupil, and the throughput that they stand on."""
+    """Extremes over field and pupil of the reach on planes, and for None of the angle, and the throughput.
+
+    Those of a lens as it was designed are kept: a command asks for them again and again.
+    """
     wavelength_um = _wavelength(lens, wavelength_um)
+    system, _ = _one_system(lens, wavelength_um, pose, surface_perturbations)
+    if field_heights_mm is not None:
+        field_heights_mm = tuple(_heights(lens, field_heights_mm).tolist())
+    if pose == Pose() and not surface_perturbations and not any(system.figures):
+        # A catalogue's file may have changed since: the indices say so, the lens does not.
+        return _of_nominal(lens, tuple(planes_mm), wavelength_um, field_heights_mm, tuple(system.index.flat))
+    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, pose, surface_perturbations)
+
+
+@lru_cache(maxsize=64)
+def _of_nominal(
+    lens: Lens,
+    planes_mm: tuple[float | None, ...],
+    wavelength_um: float,
+    field_heights_mm: tuple[float, ...] | None,
+    _index: tuple[float, ...],
+) -> tuple[tuple[Extremes, ...], Throughput]:
+    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, Pose(), None)
+
+
+def _searched(
+    lens: Lens,
+    planes_mm: Sequence[float | None],
+    wavelength_um: float,
+    field_heights_mm: Sequence[float] | None,
+    pose: Pose,
+    surface_perturbations: Perturbations,
+) -> tuple[tuple[Extremes, ...], Throughput]:
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
-    heights = _heights(lens, field_heights_mm)
-    found = extremes(
-        lens, system, metrics, heights, symmetric=symmetric, between_heights=field_heights_mm is None
-    )
+    metrics = [metric for z in planes_mm for metric in ([_angle] if z is None else _reaches(lens, z))]
+    heights, whole = _heights(lens, field_heights_mm), field_heights_mm is None
+    found = extremes(lens, system, metrics, heights, symmetric=symmetric, between_heights=whole)
     if any(math.isnan(f.value) for f in found):
         raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
     return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations)

@@ -10,7 +10,7 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_lens
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 
@@ -95,15 +95,22 @@ def drawing(
     from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.fabrication.drawing.assumed import load_tolerances
     from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated, write_drawing
-    from lensdesign.files.design import load_design, save_design
+    from lensdesign.files.design import design_text, load_design
 
+    for taken, what in ((design, "the design itself"), (output, "the drawing")):
+        if as_drawn is not None and as_drawn.resolve() == taken.resolve():
+            raise InputError(f"cannot write {as_drawn}: it is {what}; give another file name")
     options = None if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
     lens = load_design(design)
     assumed = None if tolerances is None else load_tolerances(tolerances, lens)
     made, stated = drawing_as_stated(lens, options, assumed)
-    write_drawing(made, output)
-    if as_drawn is not None:
-        save_design(stated.lens, as_drawn)
+    if as_drawn is None:
+        write_drawing(made, output)
+    else:
+        # Both or neither: a sheet beside a design that could not be written would be another lens's.
+        with atomic_path(as_drawn) as temporary:
+            temporary.write_text(design_text(stated.lens, as_drawn.parent), encoding="utf-8")
+            write_drawing(made, output)
     notes = list(stated.notes)
     if assumed is not None and tolerances is not None:
         if assumed.design and (tolerances.parent / assumed.design).resolve() != design.resolve():

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -33,7 +33,8 @@ LOST_SECONDS = 0.05
 class _Stop:
     """The first signal, and what becomes of those that follow."""
 
-    def __init__(self) -> None:
+    def __init__(self, others: Callable[[Any], object]) -> None:
+        self.others = others
         self.number: int | None = None
         self.at = 0.0
         self.lost = False
@@ -53,9 +54,12 @@ class _Stop:
             self.end_at_once()
 
     def swallowed(self, told: Any) -> None:
-        """Raise an interrupt again that came up where none can be raised, as in callbacks of a compiler."""
+        """Raise an interrupt again that came up where none can be raised, as in callbacks of a compiler.
+
+        Other faults go to `others`, the hook that was there before.
+        """
         if self.number is None or not issubclass(told.exc_type, KeyboardInterrupt):
-            sys.__unraisablehook__(told)
+            self.others(told)
             return
         self.lost = True
         threading.Timer(
@@ -89,7 +93,7 @@ _stop: _Stop | None = None
 
 def stop_status() -> int:
     """Exit status of a command that was interrupted."""
-    return (_stop or _Stop()).status
+    return _stop.status if _stop else 128 + signal.SIGINT
 
 
 @contextmanager
@@ -102,9 +106,9 @@ def stoppable() -> Iterator[None]:
     if _stop is not None or threading.current_thread() is not threading.main_thread():
         yield
         return
-    _stop = _Stop()
+    _stop = _Stop(sys.unraisablehook)
     before = {number: signal.getsignal(number) for number in SIGNALS}
-    hook, sys.unraisablehook = sys.unraisablehook, _stop.swallowed
+    sys.unraisablehook = _stop.swallowed
     for number, handler in before.items():
         # A shell that starts a command in its background, or nohup, has it ignore them.
         if handler != signal.SIG_IGN:
@@ -118,4 +122,4 @@ def stoppable() -> Iterator[None]:
         _sweep()
         for number, handler in before.items():
             signal.signal(number, handler)
-        sys.unraisablehook, _stop = hook, None
+        sys.unraisablehook, _stop = _stop.others, None

@@ -37,6 +37,11 @@ def duration_text(seconds: float) -> str:
     return f"{seconds / 60.0:.1f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
+def decimals_text(value: float, places: int = 3) -> str:
+    """A number of so many decimals, without a minus sign before a zero."""
+    return f"{round(value, places) + 0.0:.{places}f}"
+
+
 def finite_or_none(value: T) -> T | None:
     """JSON knows no infinity, and nothing that is not a number; whatever is no float stays as it is."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -246,19 +246,19 @@ class _Draft:
         )
 
 
-def _start(fields: list[str], where: str) -> _Draft:
-    if len(fields) < 2:
-        said = _shown(" ".join(fields))
+def _start(words: list[str], where: str) -> _Draft:
+    if len(words) < 2:
+        said = _shown(" ".join(words))
         raise MaterialError(f"{where}: NM record needs a name and a formula number, got {said}")
-    if len(fields[0]) > LONGEST_NAME:
-        raise MaterialError(f"{where}: a glass name of {len(fields[0])} characters; at most {LONGEST_NAME}")
-    formula = _number(fields[1], where, "NM")
+    if len(words[0]) > LONGEST_NAME:
+        raise MaterialError(f"{where}: a glass name of {len(words[0])} characters; at most {LONGEST_NAME}")
+    formula = _number(words[1], where, "NM")
     if formula not in DISPERSION_FORMULAS:
         raise MaterialError(
-            f"{where}: glass {fields[0]} has dispersion formula {_short(fields[1])}; "
+            f"{where}: glass {words[0]} has dispersion formula {_short(words[1])}; "
             f"known are 1 to {max(DISPERSION_FORMULAS)}"
         )
-    return _Draft(fields[0], int(formula), where)
+    return _Draft(words[0], int(formula), where)
 
 
 def _shown(text: str) -> str:
@@ -269,18 +269,18 @@ def _short(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _number(field: str, where: str, record: str) -> float:
+def _number(word: str, where: str, record: str) -> float:
     try:
-        value = float(field) if field.isascii() and "_" not in field else math.nan
+        value = float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise MaterialError(f"{where}: {record} record has {_shown(field)} where a finite number must stand")
+        raise MaterialError(f"{where}: {record} record has {_shown(word)} where a finite number must stand")
     return value
 
 
 def _read_coefficients(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(field, where, "CD") for field in rest.split()]
+    values = [_number(word, where, "CD") for word in rest.split()]
     formula = DISPERSION_FORMULAS[draft.formula]
     count = formula.coefficient_count
     if not any(values[:count]):
@@ -294,7 +294,7 @@ def _read_coefficients(draft: _Draft, rest: str, where: str) -> None:
 
 
 def _read_range(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(field, where, "LD") for field in rest.split()]
+    values = [_number(word, where, "LD") for word in rest.split()]
     if len(values) < 2 or not 0.0 < values[0] < values[1]:
         raise MaterialError(
             f"{where}: LD record of glass {draft.name} is {_shown(rest.strip())}; it must hold the shortest "
@@ -308,7 +308,7 @@ def _read_comment(draft: _Draft, rest: str, _where: str) -> None:
 
 
 def _read_thermal(draft: _Draft, rest: str, where: str) -> None:
-    values = [_number(field, where, "TD") for field in rest.split()]
+    values = [_number(word, where, "TD") for word in rest.split()]
     if len(values) >= 7:
         draft.reference_temperature_c = values[6]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
 from lensdesign.analysis.report import CheckReport, Constraint
-from lensdesign.analysis.spread import footprint, largest_spread
+from lensdesign.analysis.spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
@@ -93,10 +93,10 @@ def _along(axis: int, _position: Array, direction: Array) -> Array:
 def _footprints(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
     """On each sensor plane, at the wavelength at which light reaches farthest."""
     if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
-        parts = [
-            min((footprint(lens, w, d) for w in lens.wavelengths_um), key=lambda f: f.margin_mm)
-            for d in lens.sensor.plane_distances_mm
-        ]
+        # Asked for as the check did, whose worst rays are kept.
+        planes_mm = (0.0, *lens.sensor.plane_distances_mm)
+        found = [spread_and_footprints(lens, w, planes_mm)[1] for w in lens.wavelengths_um]
+        parts = [min(same, key=lambda f: f.margin_mm) for same in zip(*found, strict=True)][1:]
         return [
             _at_least(f"margin of the footprint at {f.plane_distance_mm:g} mm", f.margin_mm, 0.0, "mm")
             for f in parts

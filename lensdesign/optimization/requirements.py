@@ -6,7 +6,7 @@ Each value is scaled to about 1. A constraint is kept where its value is not abo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -218,9 +218,16 @@ def _glass_rows(specification: Specification, state: State) -> list[Row]:
         at = _ground_height(lens, i, edge)
         rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
         least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
-        axis = (0.0, np.zeros(len(state.variables)))
-        rows.append(_gap_row(f"centre thickness behind surface {i + 1}", state, i, axis, least, scale))
+        gap, by = _thickness(state, i)
+        name = f"centre thickness behind surface {i + 1}"
+        rows.append(_finite(name, np.array([(least - gap) / scale]), -by[None] / scale))
     return rows
+
+
+def _thickness(state: State, i: int) -> tuple[float, Array]:
+    """Of the space behind a surface on the axis, and its derivatives by all variables."""
+    by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
+    return state.lens.surfaces[i].thickness_mm or 0.0, by
 
 
 def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[float, Array]:
@@ -240,21 +247,21 @@ def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: flo
     _, *slopes = shape.sag_and_slopes(x, y)
     xx, xy, yy = shape.second_derivatives(x, y)
     outward = slopes[0] * (xx * ux + xy * uy) + slopes[1] * (xy * ux + yy * uy)
-    by = _by(state, i, partial(_slope_square_by, shape, x, y)) + 2.0 * outward[:, None] * height[1]
+    by = _by(state, i, partial(_slope_square_by, shape, x, y, slopes)) + 2.0 * outward[:, None] * height[1]
     values = (slopes[0] ** 2 + slopes[1] ** 2) / limit - 1.0
     return _finite(f"slope at the edge of surface {i + 1}", values, by / limit)
 
 
 def _gap_row(name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float) -> Row:
-    """Of the space behind a surface at a radial height, in each direction; on the axis there is one."""
+    """Of the space behind a surface at a radial height, in each direction."""
     front, back = (s.shape for s in state.lens.surfaces[i : i + 2])
-    ux, uy = directions(front, back) if height[0] else (np.zeros(1), np.ones(1))
+    ux, uy = directions(front, back)
     x, y = height[0] * ux, height[0] * uy
     before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
-    by = np.array([float(v.kind == "thickness" and v.surface == i) for v in state.variables])
+    thickness, by = _thickness(state, i)
     by = by + _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
     outward = (behind - before)[1] * ux + (behind - before)[2] * uy
-    gap = (state.lens.surfaces[i].thickness_mm or 0.0) + behind[0] - before[0]
+    gap = thickness + behind[0] - before[0]
     return _finite(name, (least - gap) / scale, -(by + outward[:, None] * height[1]) / scale)
 
 
@@ -262,8 +269,8 @@ def _sag_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
     return shape.derivatives_by(term, x, y)[0]
 
 
-def _slope_square_by(shape: Shape, x: Array, y: Array, term: str) -> Array:
-    slopes, by = shape.sag_and_slopes(x, y)[1:], shape.derivatives_by(term, x, y)[1:]
+def _slope_square_by(shape: Shape, x: Array, y: Array, slopes: Sequence[Array], term: str) -> Array:
+    by = shape.derivatives_by(term, x, y)[1:]
     return 2.0 * (slopes[0] * by[0] + slopes[1] * by[1])
 
 

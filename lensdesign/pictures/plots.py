@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensdesign.analysis.arrival import ArrivalAngles, arrival_angles
 from lensdesign.analysis.matching import spread_limit_sine
-from lensdesign.analysis.spread import ArrivalAngles, arrival_angles, rms_spot_diameter
+from lensdesign.analysis.spread import rms_spot_diameter
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.lens import Lens

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
@@ -21,7 +23,7 @@ from lensdesign.tracing.rays import trace_compiled
 
 Metric = Callable[[Array, Array], Array]
 """Value of each ray from where it leaves the last surface, and its direction; of shape (..., 3) each."""
-Evaluate = Callable[[Array], Array]
+Evaluate = Callable[[Array, NDArray[np.int_]], Array]
 
 FIELD, PUPIL = slice(0, 2), slice(2, 4)
 FINEST_STEP = 1e-8
@@ -84,9 +86,9 @@ def extremes(
     tuple of Extremes, one for each metric
     """
 
-    def evaluate(coordinates: Array) -> Array:
-        """Values of shape (metrics, ...) at coordinates of shape (metrics or 1, ..., 4)."""
-        flat = coordinates.reshape(-1, 4)
+    def ends(coordinates: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Where rays of these coordinates end, where they head, and which arrive."""
+        flat, shape = coordinates.reshape(-1, 4), coordinates.shape[:-1]
         origins, directions = launch_pairs(
             system,
             flat[:, FIELD],
@@ -96,26 +98,37 @@ def extremes(
             lens.stop_semi_diameter_mm,
         )
         rays = trace_compiled(system, origins, directions)
-        wide = (len(metrics), *coordinates.shape[1:-1], 3)
-        position = np.broadcast_to(rays.position.reshape(*coordinates.shape[:-1], 3), wide)
-        direction = np.broadcast_to(rays.direction.reshape(*coordinates.shape[:-1], 3), wide)
-        values = [metric(*ends) for metric, *ends in zip(metrics, position, direction, strict=True)]
-        return np.where(rays.ok.reshape(coordinates.shape[:-1]), values, -np.inf)
+        return rays.position.reshape(*shape, 3), rays.direction.reshape(*shape, 3), rays.ok.reshape(shape)
 
-    starts = _starts(evaluate, heights_mm, symmetric)
-    per_height = starts.shape[1] // len(heights_mm)
-    heights = np.repeat(heights_mm, per_height)
-    spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
+    def every(coordinates: Array) -> Array:
+        """Values of all metrics, shape (metrics, ...), at coordinates of shape (..., 4)."""
+        position, direction, ok = ends(coordinates)
+        return np.where(ok, [metric(position, direction) for metric in metrics], -np.inf)
+
+    def own(coordinates: Array, sought: NDArray[np.int_]) -> Array:
+        """Values at coordinates of shape (starts, ..., 4) of the metric that each start, in order, seeks."""
+        position, direction, ok = ends(coordinates)
+        values = np.empty(ok.shape)
+        for metric, (i, j) in zip(metrics, pairwise(np.searchsorted(sought, range(count + 1))), strict=True):
+            values[i:j] = metric(position[i:j], direction[i:j])
+        return np.where(ok, values, -np.inf)
+
+    count = len(metrics)
+    starts = _starts(every, heights_mm, symmetric)
+    per_height = len(starts) // count // len(heights_mm)
+    sought = np.repeat(np.arange(count), len(starts) // count)
+    heights = np.tile(np.repeat(heights_mm, per_height), count)
     around = 0.0 if symmetric else 2.0 * np.pi / AZIMUTHS * lens.half_field_mm
     pupil_steps = [PUPIL_STEP, PUPIL_STEP]
-    best, values = _climb(
-        evaluate, starts, np.array([around, around, *pupil_steps]), lambda u: _project(u, heights)
-    )
-    tables = values.reshape(len(metrics), len(heights_mm), per_height).max(axis=2)
+    steps = np.array([around, around, *pupil_steps])
+    best, values = _climb(own, starts, sought, steps, heights, heights)
+    tables = values.reshape(count, len(heights_mm), per_height).max(axis=2)
     if between_heights:
+        spacing = np.ptp(heights_mm) / max(1, len(heights_mm) - 1)
         steps = np.array([around, max(around, spacing), *pupil_steps])
-        best, values = _climb(evaluate, best, steps, lambda u: _project(u, None, lens.half_field_mm))
-    return tuple(_extremes(*found) for found in zip(tables, best, values, strict=True))
+        top = np.full_like(heights, lens.half_field_mm)
+        best, values = _climb(own, best, sought, steps, np.zeros_like(heights), top)
+    return tuple(_extremes(table, best[sought == m], values[sought == m]) for m, table in enumerate(tables))
 
 
 def _extremes(table: Array, best: Array, values: Array) -> Extremes:
@@ -130,7 +143,7 @@ def _extremes(table: Array, best: Array, values: Array) -> Extremes:
     )
 
 
-def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
+def _starts(evaluate: Callable[[Array], Array], heights_mm: Array, symmetric: bool) -> Array:
     """For each metric and height the best sample on the rim of the stop and the best inside."""
     azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     radii = np.linspace(0.0, 1.0, round(1.0 / PUPIL_STEP) + 1)
@@ -141,52 +154,56 @@ def _starts(evaluate: Evaluate, heights_mm: Array, symmetric: bool) -> Array:
         axis=-1,
     )
     parts = [slice(-1, None), slice(0, -1)]
-    values = evaluate(coordinates[None])
+    values = evaluate(coordinates)
     starts = [
         coordinates[i, :, part].reshape(-1, 4)[np.argmax(values[m, i, :, part])]
         for m in range(len(values))
         for i in range(len(heights_mm))
         for part in parts
     ]
-    return np.reshape(starts, (len(values), -1, 4))
+    return np.array(starts)
 
 
-def _project(coordinates: Array, heights_mm: Array | None, half_field_mm: float = 0.0) -> Array:
-    """Put stop points back into the stop, and object points back to their heights or into the field.
+def _project(coordinates: Array, low_mm: Array, high_mm: Array) -> None:
+    """Put stop points back into the stop, and object points back between their least and largest heights.
 
-    Coordinates of shape (metrics, starts, polled, 4), overwritten; a height for each start.
+    Coordinates of shape (starts, polled, 4), overwritten.
     """
     fx, fy, px, py = np.moveaxis(coordinates, -1, 0)
     field = np.hypot(fx, fy)
-    if heights_mm is None:
-        scale = np.minimum(1.0, half_field_mm / np.maximum(field, 1e-300))
-    else:
-        scale = np.where(field > 0.0, heights_mm[:, None] / np.maximum(field, 1e-300), 1.0)
+    allowed = np.clip(field, low_mm[:, None], high_mm[:, None])
+    scale = np.where(field > 0.0, allowed / np.maximum(field, 1e-300), 1.0)
     share = np.maximum(1.0, np.hypot(px, py))
     fx *= scale
     fy *= scale
     px /= share
     py /= share
-    return coordinates
 
 
 def _climb(
-    evaluate: Evaluate, starts: Array, steps: Array, project: Callable[[Array], Array]
+    evaluate: Evaluate, starts: Array, sought: NDArray[np.int_], steps: Array, low_mm: Array, high_mm: Array
 ) -> tuple[Array, Array]:
-    """Direct search for the largest value from every start (metrics, starts, 4) at once."""
+    """Direct search for the largest value from every start (starts, 4) at once, until its steps are fine.
+
+    Each start seeks the metric `sought`; its field height stays between `low_mm` and `high_mm`.
+    """
     rng = np.random.default_rng(0)
-    best, values = starts.copy(), evaluate(starts)
-    size = np.full(values.shape, 0.5)
+    best, values = starts.copy(), evaluate(starts, sought)
+    size = np.full(len(starts), 0.5)
     for _ in range(MOST_STEPS):
-        if np.all(size < FINEST_STEP):
+        moving = np.flatnonzero(size >= FINEST_STEP)
+        if not len(moving):
             break
         direction = rng.normal(size=(POLLED // 2, 4)) * (steps > 0.0)
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         polled = np.concatenate([direction, -direction]) * steps
-        trial = project(best[..., None, :] + size[..., None, None] * polled)
-        found = evaluate(trial)
-        choice = (*np.indices(size.shape, sparse=True), np.argmax(found, axis=-1))
-        better = found[choice] > values
-        best[better], values[better] = trial[choice][better], found[choice][better]
-        size = np.where(better, np.minimum(1.0, 1.5 * size), 0.7 * size)
+        trial = best[moving, None, :] + size[moving, None, None] * polled
+        _project(trial, low_mm[moving], high_mm[moving])
+        found = evaluate(trial, sought[moving])
+        choice = np.arange(len(moving)), np.argmax(found, axis=1)
+        better = found[choice] > values[moving]
+        rows = moving[better]
+        best[rows], values[rows] = trial[choice][better], found[choice][better]
+        size[moving] *= np.where(better, 1.5, 0.7)
+        size = np.minimum(size, 1.0)
     return best, values

@@ -143,7 +143,8 @@ class Shape(ABC):
         across, down = np.asarray(x), np.asarray(y)
         with np.errstate(invalid="ignore", divide="ignore"):
             found = function(terms[..., None] if terms.ndim > 1 else terms, across, down)
-        shape = np.broadcast_shapes(across.shape, down.shape)
+        alike = across.shape == down.shape
+        shape = across.shape if alike else np.broadcast_shapes(across.shape, down.shape)
         wide = terms.shape[1:] + shape if terms.ndim > 1 else shape
         a, b, c = (part if np.shape(part) == wide else np.broadcast_to(part, wide) for part in found)
         return a, b, c

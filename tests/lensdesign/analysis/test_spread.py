@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from random_lenses import numbers
 from scipy.optimize import minimize
 
 from lensdesign import DesignError, InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
+from lensdesign.analysis.arrival import arrival_angles
 from lensdesign.analysis.spread import (
-    arrival_angles,
     edge_thickness_mm,
     footprint,
     largest_spread,
@@ -294,3 +296,18 @@ def test_a_point_in_the_dark(paper_lens: Lens) -> None:
     assert len(found.ok) == 817
     with pytest.raises(InputError, match=r"sensor_point_mm = .* must be two finite numbers"):
         arrival_angles(paper_lens, (0.0, math.inf))
+
+
+def test_a_lens_is_looked_at_anew_where_its_glass_has_changed(tmp_path: Path) -> None:
+    """What is found of a lens is kept; its catalogue's file may change all the same."""
+    path, found = tmp_path / "own.agf", []
+    slab = Surface(thickness_mm=GAP, material="own.agf:G", semi_diameter_mm=STOP)
+    for time, index in enumerate((1.0, 1.5)):
+        path.write_text(f"NM G 1 0 {index} 60\nCD {index**2} 0 0 0 0 0\nLD 0.3 2.0\n")
+        os.utime(path, ns=(time, time))
+        lens = window().replaced(glass_catalogs=(path,), surfaces=(slab, Surface()))
+        found.append(footprint(lens, plane_distance_mm=3.0).radius_mm)
+    sine = math.sin(math.atan(4.0 / DISTANCE))
+    in_glass, behind = (math.tan(math.asin(sine / n)) for n in (1.5, 1.0))
+    assert found[0] == pytest.approx(STOP + 7.0 * behind, abs=1e-6)
+    assert found[1] == pytest.approx(STOP + GAP * in_glass + 3.0 * behind, abs=1e-6)

@@ -305,6 +305,18 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
     )
     assert "9.7 ±0.02" in sheet.read_text(encoding="utf-8")
     assert load_design(drawn).edges[0].semi_diameter_mm == 11.25
+    before = drawn.read_bytes(), sheet.read_bytes()
+    for taken, what in ((drawn, "the design itself"), (sheet, "the drawing")):
+        ran = command("drawing", drawn, "-o", sheet, "--as-drawn", taken)
+        refused(ran, f"cannot write {taken}: it is {what}; give another file name")
+    in_a_file = drawn / "drawn.toml"
+    ran = command("drawing", paper_design, "-o", tmp_path / "second.svg", "--as-drawn", in_a_file)
+    refused(ran, f"cannot write {in_a_file}: a file stands where a folder is needed")
+    assert not (tmp_path / "second.svg").exists()
+    ran = command("drawing", paper_design, "-o", in_a_file.with_suffix(".svg"), "--as-drawn", own)
+    refused(ran, "a file stands where a folder is needed")
+    assert own.read_text().startswith('number = "TL-001"')
+    assert (drawn.read_bytes(), sheet.read_bytes()) == before
     own.write_text("thicknes = 3\n")
     refused(command("drawing", paper_design, "-o", sheet, "--sheet", own), "unknown key")
     code, out, _ = command("sag", paper_design, "--surface", 2, "-o", table, "--json")

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from stopping import heeding
 
+from lensdesign.common.interrupts import stoppable
+
 COMMAND = """
 import ctypes, sys, time
 from lensdesign.common.console import make_app, run_app
@@ -100,6 +102,20 @@ def test_an_interrupt_that_a_callback_swallows_comes_again(tmp_path: Path) -> No
     out, err = child.communicate(timeout=600)
     assert (child.returncode, out, err) == (130, "", "interrupted\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_other_faults_without_a_place_go_to_the_hook_that_was_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Faulty:
+        def __del__(self) -> None:
+            raise ValueError("at the end")
+
+    told: list[str] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda fault: told.append(str(fault.exc_value)))
+    before = sys.unraisablehook
+    with stoppable():
+        Faulty()
+    assert told == ["at the end"]
+    assert sys.unraisablehook is before
 
 
 def test_what_nohup_has_a_command_ignore_it_ignores(tmp_path: Path) -> None:

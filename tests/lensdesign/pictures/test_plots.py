@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
@@ -110,7 +109,7 @@ def test_layout_of_a_lens_that_does_not_close_is_still_drawn(paper_lens: Lens) -
 def crowded(lens: Lens) -> list[str]:
     """What of the figure's text overlaps other text, or leaves the figure, by the renderer's extents."""
     figure = layout_figure(lens)
-    FigureCanvasAgg(figure).draw()
+    figure.draw_without_rendering()
     (axes,) = figure.axes
     ticks = [t for axis in (axes.xaxis, axes.yaxis) for t in axis.get_ticklabels() if t.get_text()]
     inside = [t for t in ticks if figure.bbox.contains(*t.get_window_extent().p0)]
@@ -241,7 +240,7 @@ def test_layout_is_to_scale(paper_lens: Lens, triplet: Lens) -> None:
     for lens in (paper_lens, triplet, many_elements(20), scaled(paper_lens, 1e-3)):
         figure = layout_figure(lens)
         (axes,) = figure.axes
-        FigureCanvasAgg(figure).draw()
+        figure.draw_without_rendering()
         across, up = np.diff(axes.transData.transform([(0.0, 0.0), (1.0, 1.0)]), axis=0)[0]
         assert across == pytest.approx(up)
         bar = next(t.get_text() for t in axes.texts if re.fullmatch(r"[\d.e-]+ mm", t.get_text()))
@@ -288,7 +287,7 @@ def test_every_picture_says_which_lens_it_is_of(paper_lens: Lens) -> None:
     for draw in (layout_figure, spot_figure, incidence_figure, spread_figure):
         for lens, said in ((paper_lens, "Spatial information transfer lens, Table 1"), (odd, "One ")):
             figure = draw(lens)
-            FigureCanvasAgg(figure).draw()
+            figure.draw_without_rendering()
             texts = [figure._suptitle] if figure._suptitle else figure.texts  # type: ignore[attr-defined]
             (title,) = (text for text in texts if text.get_text().startswith(said))
             box = Text.get_window_extent(title)
@@ -354,7 +353,7 @@ def test_draw_all_warns_where_nobody_listens(
 ) -> None:
     no_rendering(monkeypatch)
     with pytest.warns(UserWarning, match="3D view left out"):
-        draw_all(paper_lens, tmp_path)
+        draw_all(paper_lens, tmp_path, ("svg",))
 
 
 def test_draw_all_with_rendering(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, paper_lens: Lens) -> None:
