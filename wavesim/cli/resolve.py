@@ -1,4 +1,4 @@
-"""The commands `wavesim resolve` and `wavesim choose`."""
+"""The command `wavesim resolve`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, numbers, print_warnings, refuse_no_picture, settings_text
@@ -179,8 +179,8 @@ def _print_resolved(results: list[Any]) -> None:
             f"{line.weakest_contrast:.3f}",
             f"{line.contrast_as_is:.3f}",
             f"{line.contrast_of_reference:.3f}",
-            f"{line.refocus_um:.2f}",
-            f"{line.shift_um:.3f}",
+            decimals_text(line.refocus_um, 2),
+            decimals_text(line.shift_um),
             f"{line.exit_correlation:.4f}",
         )
         for result in results
@@ -199,70 +199,3 @@ def _down_to(result: Any, contrast: float) -> str:
     if smallest is None:
         return f"no line has a contrast of {contrast:g}"
     return f"contrast of {contrast:g} or more down to {smallest:g} um"
-
-
-def choose(
-    design: Design,
-    error: Annotated[float, typer.Option(help="Relative L2 error of the exit field that is allowed.")] = 0.1,
-    field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
-    patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.1,
-    plane_distance_mm: PlaneDistanceMm = 2.0,
-    meridional: Annotated[bool, typer.Option(help="A line in place of a plane.")] = False,
-    runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
-    memory_gb: Annotated[float, typer.Option(help="Memory that may be used.")] = 16.0,
-    hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
-    wavelength_um: WavelengthUm = None,
-    as_json: AsJson = False,
-) -> None:
-    """Predict error, time and memory of every engine, and name the cheapest that holds."""
-    from wavesim.engines.choosing import choose as choose_engine
-    from wavesim.scene.patches import patch_scene
-
-    scene = patch_scene(
-        load_design(design),
-        patch_mm,
-        field_mm,
-        plane_distance_mm=plane_distance_mm,
-        wavelength_um=wavelength_um,
-        meridional=meridional,
-    )
-    choice = choose_engine(scene, error, memory_gb, 3600.0 * hours, runs)
-    if as_json:
-        print_json(_choice_summary(choice, runs))
-    else:
-        _print_choice(choice, runs)
-
-
-def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
-    return {
-        "engine": choice.chosen.engine,
-        "settings": choice.chosen.settings,
-        "reason": choice.reason,
-        "runs": runs,
-        "predictions": [
-            {
-                "engine": p.engine,
-                "settings": p.settings,
-                "relative_error": finite_or_none(p.relative_error),
-                "seconds": finite_or_none(p.seconds),
-                "setup_seconds": p.setup_seconds,
-                "peak_mb": 1e-6 * p.peak_bytes,
-                "neglected": p.neglected,
-                "refused": p.refused or None,
-            }
-            for p in choice.predictions
-        ],
-    }
-
-
-def _print_choice(choice: Any, runs: int) -> None:
-    rows = []
-    for p in choice.predictions:
-        figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
-        mark = "*" if p is choice.chosen else ""
-        rows.append((mark, p.label, *(("refused", "", "") if p.refused else figures)))
-    columns = ("error, at most", f"seconds, {runs} run(s)", "memory (MB)")
-    print_table(("", "engine"), columns, rows)
-    print()
-    for sentence in choice.reason.split(". "):
-        print(sentence.removesuffix("."))

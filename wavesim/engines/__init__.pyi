@@ -4,6 +4,7 @@ from .slices.engine import AnnularSlices
 from .surfaces.grids import TotalReflectionWarning
 from .thin_lens import ThinLens
 from .tiles.engine import EikonalTiles
+from .with_ghost import WithGhost
 from .wpm.engine import WavePropagation
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "ThinLens",
     "TotalReflectionWarning",
     "WavePropagation",
+    "WithGhost",
     "choose",
     "engine_for",
     "predict",

@@ -1,7 +1,8 @@
 """The engine that a scene needs, and no more: the cheapest whose predicted error is allowed.
 
 Engines say beforehand what they neglect and what they cost. Errors predicted are those of the exit field for
-an object that fills its grid evenly and sends light in all directions; they are meant as upper bounds.
+the light of one object, or for one that fills its grid evenly and sends light in all directions; they are
+meant as upper bounds.
 """
 
 from __future__ import annotations
@@ -17,11 +18,10 @@ from lensdesign.errors import InputError, SamplingError, refuse_not_whole
 from wavesim.engines.registry import AUTO, ENGINES, engine_class, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES, LONGEST_SECONDS
 from wavesim.fields.guards import SamplingWarning
-from wavesim.scene.engine import Engine
+from wavesim.scene.engine import Engine, upper_bound
+from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
-
-ERROR = 0.1
-"""Relative error of the exit field that is allowed if nothing else is said."""
+from wavesim.scene.settings import DEFAULT_ERROR
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,7 @@ def engine_for(
     error: float | None = None,
     memory_gb: float = 1e-9 * LARGEST_BYTES,
     runs: int = 2,
+    light: Light | None = None,
     **settings: Any,
 ) -> Engine:
     """An engine for a scene: the one named, or the cheapest that holds.
@@ -107,8 +108,8 @@ def engine_for(
         One of :data:`wavesim.engines.registry.ENGINES`, or "auto": the one that :func:`choose` takes.
     error
         Relative L2 error of the exit field that is allowed; of an engine named, its setting of this name.
-        Left out, `ERROR` for the choice, and what the engine named has.
-    memory_gb, runs
+        Left out, 0.05 for the choice, and what the engine named has.
+    memory_gb, runs, light
         As of :func:`choose`; they say nothing to an engine named.
     **settings
         Of the engine named; what is left out stays at the engine's own choice.
@@ -132,11 +133,12 @@ def engine_for(
             )
     if name != AUTO:
         return engine_class(name)(scene, **settings)
-    chosen = choose(scene, ERROR if error is None else error, memory_gb, runs=runs).chosen
+    most = DEFAULT_ERROR if error is None else error
+    chosen = choose(scene, most, memory_gb, runs=runs, light=light).chosen
     return engine_class(chosen.engine)(scene, **chosen.settings)
 
 
-def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
+def predict(scene: Scene, engine: str, light: Light | None = None, **settings: Any) -> Prediction:
     """What an engine says of a scene before it runs.
 
     Parameters
@@ -145,23 +147,27 @@ def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
         What is to be carried where.
     engine, settings
         As for :func:`engine_for`.
+    light
+        As of :func:`choose`.
 
     Raises
     ------
     InputError
-        If there is no such engine or setting.
+        If there is no such engine or setting, or the light is not that of the scene.
     """
     built = engine_for(scene, engine, **settings)
+    if light is not None:
+        light.refuse_beside(scene)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
-            cost, parts, error = built.cost(), built.neglected(), built.predicted_error()
+            cost, parts = built.cost(), built.neglected_of(light)
         except (InputError, SamplingError) as problem:
             return Prediction(engine, settings, refused=str(problem))
     return Prediction(
         engine,
         settings,
-        error,
+        upper_bound(parts),
         cost.seconds,
         cost.setup_seconds,
         cost.peak_bytes,
@@ -169,12 +175,12 @@ def predict(scene: Scene, engine: str, **settings: Any) -> Prediction:
     )
 
 
-def predictions(scene: Scene, error: float) -> Iterator[Prediction]:
+def predictions(scene: Scene, error: float, light: Light | None = None) -> Iterator[Prediction]:
     """Predictions of all engines, each with its candidates up to the first that holds or brings no gain."""
     for name in ENGINES:
         engine, before = engine_class(name), math.inf
         for settings in engine.candidates(scene, error):
-            found = predict(scene, name, **settings)
+            found = predict(scene, name, light, **settings)
             yield found
             if found.refused or found.relative_error <= error or found.relative_error > engine.gain * before:
                 break
@@ -183,10 +189,11 @@ def predictions(scene: Scene, error: float) -> Iterator[Prediction]:
 
 def choose(
     scene: Scene,
-    error: float = ERROR,
+    error: float = DEFAULT_ERROR,
     memory_gb: float = 1e-9 * LARGEST_BYTES,
     seconds: float = LONGEST_SECONDS,
     runs: int = 2,
+    light: Light | None = None,
 ) -> Choice:
     """Take the cheapest engine that holds.
 
@@ -200,11 +207,13 @@ def choose(
         Memory that may be used, and time that all runs may take.
     runs
         How often fields will be carried forward or back, over which the set-up is shared.
+    light
+        Behind the object; left out, it fills its grid evenly and goes in all directions.
 
     Raises
     ------
     InputError
-        If a value is not usable.
+        If a value is not usable, or the light is not that of the scene.
     SamplingError
         If no engine holds; the message has the figures of each.
     """
@@ -215,7 +224,7 @@ def choose(
             raise InputError(f"{name} = {value!r}: must be above 0")
     refuse_not_whole("runs", runs, 1)
     allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
-    weighed = tuple(predictions(scene, error))
+    weighed = tuple(predictions(scene, error, light))
     holding = [p for p in weighed if allowed.fault(p) is None]
     if not holding:
         listed = "; ".join(f"{p.label}: {allowed.fault(p)}" for p in weighed)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 ENGINES: dict[str, str] = {
     "eikonal": "wavesim.engines.tiles.engine:EikonalTiles",
-    "two-level": "wavesim.engines.whole_field.engine:TwoLevelTiles",
+    "two-level": "wavesim.engines.whole_field.engine:WholeFieldEngine",
     "slices": "wavesim.engines.slices.engine:AnnularSlices",
     "wpm": "wavesim.engines.wpm.engine:WavePropagation",
     "thin-lens": "wavesim.engines.thin_lens:ThinLens",

@@ -16,6 +16,7 @@ from wavesim.engines.registry import engine_class
 from wavesim.fields.field import Field, relative_error
 from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.scene.engine import Cost, Engine
+from wavesim.scene.light import Light
 
 TIMED_RUNS = 3
 """Runs of which the fastest counts, once set up; a run longer than a second is not repeated."""
@@ -121,7 +122,7 @@ def hold_against(
         built, seconds, setup_seconds, field = _timed(engine, case, settings)
         peak = peak_bytes(engine, case, settings)
         fresh = engine_for(case.scene, engine, **settings)
-        predicted, predicted_error = fresh.cost(), fresh.predicted_error()
+        predicted, predicted_error = fresh.cost(), fresh.predicted_error(Light(case.object_field))
     return OracleResult(
         engine=engine,
         oracle=oracle,

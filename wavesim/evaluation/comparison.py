@@ -20,7 +20,9 @@ from wavesim.evaluation.accuracy import hold_against
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
 from wavesim.oracles.registry import OracleCase
+from wavesim.scene.engine import Engine
 from wavesim.scene.patches import patch_scene
+from wavesim.scene.scene import Scene
 
 Progress = Callable[[int, int, str], None]
 
@@ -96,11 +98,16 @@ def lens_case(lens: Lens, patch_mm: float, field_mm: float = 0.0, **where: Any) 
         `exact` is that of the wave propagation method with fine steps; `uncertainty` is its own estimate.
     """
     scene = patch_scene(lens, patch_mm, field_mm, meridional=True, **where)
-    step_um = engine_for(scene, "wpm").settings()["step_um"]
-    truth = engine_for(scene, "wpm", step_um=REFERENCE_SHARE * step_um)
+    truth = reference_for(scene)
     start = random_field(scene.object_grid, scene.wavelength_um, lens.object.numerical_aperture)
     unknown = [part.relative_error for part in truth.neglected()]
     return OracleCase(scene, start, truth.forward(start), float(np.sqrt(np.sum(np.square(unknown)))))
+
+
+def reference_for(scene: Scene) -> Engine:
+    """The wave propagation method with fine steps."""
+    step_um = engine_for(scene, "wpm").settings()["step_um"]
+    return engine_for(scene, "wpm", step_um=REFERENCE_SHARE * step_um)
 
 
 def random_field(grid: Grid, wavelength_um: float, numerical_aperture: float) -> Field:

@@ -178,38 +178,39 @@ def free_space_maps() -> Iterator[FailureMap]:
             exact = beam.field(grid.y_mm, np.full(count, distance))
             padded = (count,) if pad is None else pad
 
-            def carried(check: bool) -> Any:
-                return propagate(start, distance, pad=padded, check=check).values
+            def carried(check: bool) -> Field:
+                return propagate(start, distance, pad=padded, check=check)
 
-            guard = _guard(lambda: carried(True))
-            return relative_error(carried(False), exact), guard
+            guard, found = _guard(lambda: carried(True))
+            seen = carried(False) if found is None else found
+            return relative_error(seen.values, exact), guard
 
         labels = ("distance (mm)", "pitch (um)")
         yield _map(name, method, labels, DISTANCES_MM, PITCHES_UM, cell)
 
 
-def _guard(run: Callable[[], Any]) -> int:
+def _guard(run: Callable[[], Field]) -> tuple[int, Field | None]:
+    """Word of the guard, and what it let through."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            run()
+            found = run()
         except (SamplingError, FoldError):
-            return REFUSED
-    return WARNED if any(issubclass(w.category, SamplingWarning) for w in caught) else SILENT
+            return REFUSED, None
+    return WARNED if any(issubclass(w.category, SamplingWarning) for w in caught) else SILENT, found
 
 
 def _run(engine: Engine, case: OracleCase, unguarded: Engine | None = None) -> tuple[float, int]:
-    """Error and word of the guard; where it refuses, the error is that of an engine without it, if any."""
-    guard = _guard(lambda: engine.forward(case.object_field))
-    if guard == REFUSED and unguarded is None:
-        return float("nan"), guard
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            values = (unguarded or engine).forward(case.object_field).values
-    except (SamplingError, FoldError, InputError):
-        return float("nan"), REFUSED
-    return relative_error(values, case.exact.values), guard
+    """Error and word of the guard; the error is that of an engine without it, if there is any."""
+    guard, found = _guard(lambda: engine.forward(case.object_field))
+    if unguarded is not None:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found = unguarded.forward(case.object_field)
+        except (SamplingError, FoldError, InputError):
+            return float("nan"), REFUSED
+    return float("nan") if found is None else relative_error(found.values, case.exact.values), guard
 
 
 def map_rows(found: FailureMap) -> list[dict[str, Any]]:

@@ -124,7 +124,7 @@ def chart_metrics(
 def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:
     """Residual, what the stated noise alone would leave of it, and the correlation of amplitudes (A6).
 
-    Over the pixels that are known, in blocks of rows.
+    Over the pixels that are known, in blocks of rows; None where none are.
 
     Parameters
     ----------
@@ -147,6 +147,8 @@ def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | N
         missed += float(left @ left)
         if sigma is not None:
             noise += float(np.sum(sigma[rows][known].astype(float) ** 2))
+    if count == 0:
+        return {"residual": None, "noise": None, "correlation": None}
     size = products[1, 1]
     about_means = products - np.outer(sums, sums) / count
     spread = math.sqrt(max(about_means[0, 0] * about_means[1, 1], 0.0))

@@ -23,6 +23,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import RESOLVED_CONTRAST
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import axial_wavenumbers, wave_factor
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Engine
 from wavesim.scene.patches import exit_grid
 from wavesim.scene.scene import Scene, wavelength_of
@@ -170,6 +171,32 @@ def resolve(
     return Resolved(field_mm, engine, reference, tested.settings(), lines)
 
 
+def resolving_seconds(
+    lens: Lens,
+    line_widths_um: Sequence[float],
+    field_mm: float = 0.0,
+    engine: str = "slices",
+    *,
+    reference: str = "eikonal",
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 0.0,
+    bars: int = 5,
+    **settings: Any,
+) -> float:
+    """What :func:`resolve` takes on this machine with the same arguments, told before it runs.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`resolve`.
+    """
+    _refuse(lens, line_widths_um, field_mm, bars)
+    scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
+    costs = (engine_for(scene, reference).cost(), engine_for(scene, engine, **settings).cost())
+    each = 2.0 * sum(cost.seconds for cost in costs) + _registering_seconds(scene.object_grid)
+    return sum(cost.setup_seconds for cost in costs) + len(line_widths_um) * each
+
+
 def meridional_scene(
     lens: Lens,
     widest_line_um: float,
@@ -300,6 +327,13 @@ def register(
     shift = (lag - count if lag > count / 2 else lag) * grid.pitch_mm
     turned = spectrum * wave_factor(kz * distance + 2.0 * np.pi * cycles * shift)
     return distance, float(shift), scipy.fft.ifft(turned)[: len(values)]
+
+
+def _registering_seconds(grid: Grid) -> float:
+    """What :func:`register` takes: a wave factor and a transform for every distance."""
+    count = scipy.fft.next_fast_len(2 * grid.size)
+    each = fft_seconds(count, line=True) + exponential_seconds(count) + 3.0 * pass_seconds(count)
+    return 2.0 * REFOCUS_RANGE_MM / REFOCUS_STEP_MM * each
 
 
 def _peak(values: Array) -> float:

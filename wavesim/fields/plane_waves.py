@@ -160,7 +160,8 @@ def transfer(
 class PlaneWay:
     """Free space between parallel planes, as a factor of a field's spectrum: `spectrum * way`.
 
-    The factor is the same for a frequency and its negative along each axis: a quarter of it is kept.
+    The factor is the same for a frequency and its negative along each axis: a quarter of it is kept, beside
+    the factors of a sideways shift, one along each axis.
 
     Parameters
     ----------
@@ -172,6 +173,8 @@ class PlaneWay:
         From the first plane to the second.
     dtype
         Of the factor.
+    shift_mm : (x, y)
+        Of the second plane's samples from the first's.
 
     Attributes
     ----------
@@ -179,16 +182,30 @@ class PlaneWay:
         For frequencies that are not negative; one sample, 1, where the way changes nothing.
     rows, columns : ndarray of int
         Which row and column of the factor belong to each row and column of a spectrum; a line is one row.
+    down, across : ndarray
+        Factors of the shift for each row and column; 1 without one.
     is_none : bool
         Whether the way changes nothing.
     """
 
     __array_ufunc__ = None  # a product with an array is ours to make
 
-    def __init__(self, grid: Grid, wavelength_um: float, distance_mm: float, dtype: DTypeLike) -> None:
+    def __init__(
+        self,
+        grid: Grid,
+        wavelength_um: float,
+        distance_mm: float,
+        dtype: DTypeLike,
+        shift_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         shape = (1, *grid.shape)[-2:]
+        self.down, self.across = (
+            np.exp(2j * np.pi / grid.pitch_mm * shift * scipy.fft.fftfreq(n)).astype(dtype)
+            for n, shift in zip(shape, reversed(shift_mm), strict=True)
+        )
         down, across = (np.arange(n // 2 + 1) / (n * grid.pitch_mm) for n in shape)
-        self.is_none = distance_mm == 0.0 and math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
+        held = math.hypot(down[-1], across[-1]) < 1e3 / wavelength_um
+        self.is_none = distance_mm == 0.0 and not any(shift_mm) and held
         orders = [np.minimum(np.arange(n), n - np.arange(n)) for n in shape]
         self.rows, self.columns = (np.zeros_like(order) if self.is_none else order for order in orders)
         self.factor: ComplexArray = np.ones((1, 1) if self.is_none else (len(down), len(across)), dtype)
@@ -204,10 +221,20 @@ class PlaneWay:
         """A spectrum on the second plane, in place; `back`: from it to the first."""
         if self.is_none:
             return spectrum
-        factor = self.factor.conj() if back else self.factor
-        for row, values in zip(self.rows, np.atleast_2d(spectrum), strict=True):
-            values *= factor[row, self.columns]
+        factor, down, across = self.factor, self.down, self.across
+        if back:
+            factor, down, across = factor.conj(), down.conj(), across.conj()
+        for row, along, values in zip(self.rows, down, np.atleast_2d(spectrum), strict=True):
+            values *= along * across * factor[row, self.columns]
         return spectrum
+
+    def there(self, spectrum: ComplexArray) -> ComplexArray:
+        """The field on the second plane, from its spectrum on the first."""
+        return np.asarray(scipy.fft.ifftn(self.times(spectrum.copy()), workers=-1, overwrite_x=True))
+
+    def back(self, values: ComplexArray) -> ComplexArray:
+        """The spectrum on the first plane, from the field on the second: the adjoint; uses the field up."""
+        return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), back=True)
 
 
 def steepest_walk_mm(grid: Grid, wavelength_um: float, index: float, distance_mm: float) -> float:

@@ -111,6 +111,23 @@ class Edge:
             )
             return first * second
         y, x = stop[..., 0] - self.pupil.centre[1], stop[..., 1] - self.pupil.centre[0]
+        found = np.ones(y.shape, complex)
+        near = np.hypot(y, x) > self._clear_radius(told)
+        found[near] = self._at(y[near], x[near], most)
+        return found
+
+    def _clear_radius(self, most: float) -> float:
+        """How far from the centre of a plane's pupil x stays above a value, along all arms and between."""
+        values = self.pupil.reach, self.rate, self.bend
+        reach, rate, bend = (np.minimum(v, np.roll(v, -1)) for v in values)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            grown = (np.sqrt(1.0 + 4.0 * bend * most / rate) - 1.0) / (2.0 * bend)
+            way = np.where(bend > 0.0, grown, most / (rate + bend * most))
+        # Of a bend outwards, x may stay below it.
+        return max(0.0, float(np.min(reach - np.where(way > 0.0, way, np.inf))))
+
+    def _at(self, y: Array, x: Array, most: tuple[float, float]) -> NDArray[np.complex128]:
+        """F at points of a plane's stop from the centre of the pupil."""
         arms = len(self.pupil.angles)
         place = np.mod(np.arctan2(y, x) * (arms / (2.0 * math.pi)), arms)
         first_arm = place.astype(np.intp) % arms

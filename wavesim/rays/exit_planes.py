@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lensdesign.common.arrays import Array
 from wavesim.fields.field import Grid
 from wavesim.fields.passage import Passage
 from wavesim.rays.maps import refuse_fold, sample_points
@@ -21,6 +22,9 @@ NARROWEST = 0.6
 """Share of its cross-section at the exit vertex to which a tube of rays may have come down."""
 
 FINENESS, ZONES = 0.85, 6.0
+
+Samples = list[tuple[tuple[float, float], Array]]
+"""Object points (x, y) with stop points that are open to each, shape (n, 2)."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +52,11 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
         If rays fold on the plane asked for, or on every plane.
     """
     target = scene.exit_grid
+    # What of the stop is open is so on every plane behind the lens.
+    samples = _samples(scene, target.z_mm if plane_z_mm is None else plane_z_mm)
     if plane_z_mm is None:
-        plane_z_mm = _chosen_z_mm(scene)
-    bundles = _bundles(scene, plane_z_mm)
+        plane_z_mm = _chosen_z_mm(scene, samples)
+    bundles = _bundles(scene, samples, plane_z_mm)
     for point, bundle in bundles:
         refuse_fold(bundle, point, plane_z_mm)
     if plane_z_mm == target.z_mm:
@@ -60,15 +66,15 @@ def exit_plane(scene: Scene, plane_z_mm: float | None) -> ExitPlane:
     return ExitPlane(grid, Passage(grid, target, scene.wavelength_um, index))
 
 
-def _chosen_z_mm(scene: Scene) -> float:
+def _chosen_z_mm(scene: Scene, samples: Samples) -> float:
     """The exit grid's plane; the one farthest from folds if light comes to a caustic in front of it."""
     last = scene.exit_grid.z_mm
     first = scene.lens.exit_vertex_z_mm
-    here = _quality(scene, last)
+    here = _quality(scene, samples, last)
     if last == first or (here.narrowing >= NARROWEST and here.caustics == 0):
         return last
     planes = [float(z) for z in np.linspace(first, last, CANDIDATES)[:-1]]
-    found = [_quality(scene, z) for z in planes]
+    found = [_quality(scene, samples, z) for z in planes]
     best = max(range(len(planes)), key=lambda i: found[i].evenness)
     if max(found[best].evenness, here.evenness) <= 0.0:
         raise FoldError(
@@ -97,10 +103,10 @@ class _Quality:
     caustics: int
 
 
-def _quality(scene: Scene, plane_z_mm: float) -> _Quality:
+def _quality(scene: Scene, samples: Samples, plane_z_mm: float) -> _Quality:
     evenness, narrowing, most = 1.0, np.inf, 0
     apart = plane_z_mm - scene.lens.exit_vertex_z_mm
-    for point, bundle in _bundles(scene, plane_z_mm):
+    for point, bundle in _bundles(scene, samples, plane_z_mm):
         try:
             most = max(most, refuse_fold(bundle, point, plane_z_mm))
         except FoldError:
@@ -112,17 +118,20 @@ def _quality(scene: Scene, plane_z_mm: float) -> _Quality:
     return _Quality(evenness, narrowing, most)
 
 
-def _bundles(scene: Scene, plane_z_mm: float) -> list[tuple[tuple[float, float], RayBundle]]:
-    """Rays of the middle and the corners of the object grid."""
+def _samples(scene: Scene, plane_z_mm: float) -> Samples:
+    """The middle and the corners of the object grid, and stop points that are open to each."""
     grid = scene.object_grid
     ends = [(a[0], a[-1]) for a in (grid.x_mm, grid.y_mm)]
     points = {grid.centre_mm} | {(float(x), float(y)) for x in ends[0] for y in ends[1]}
-    found = []
-    for point in sorted(points):
-        pupil = open_pupil(scene, point, plane_z_mm)
-        stop = sample_points(pupil, SAMPLE_ORDER[grid.is_line])
-        found.append((point, trace_bundle(scene, np.asarray(point), stop, plane_z_mm)))
-    return found
+    order = SAMPLE_ORDER[grid.is_line]
+    return [(p, sample_points(open_pupil(scene, p, plane_z_mm), order)) for p in sorted(points)]
+
+
+def _bundles(
+    scene: Scene, samples: Samples, plane_z_mm: float
+) -> list[tuple[tuple[float, float], RayBundle]]:
+    """Rays of the samples."""
+    return [(p, trace_bundle(scene, np.asarray(p), stop, plane_z_mm)) for p, stop in samples]
 
 
 def _covering_grid(scene: Scene, plane_z_mm: float, bundles: list[RayBundle]) -> Grid:

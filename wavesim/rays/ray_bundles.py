@@ -149,6 +149,9 @@ def shoot(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float, *, cl
     directions = np.where(real[..., None], directions, [0.0, 0.0, 1.0])
     rays = trace_compiled(scene.system, origins, directions, plane_z_mm, clip=clip, record_hits=True)
     rays.status[~real.reshape(rays.status.shape)] = Status.MISSED
+    if clip:
+        steep = rays.ok & (np.hypot(*rays.direction[:, :2].T) > scene.steepest_sine)
+        rays.status[steep], rays.failed_surface[steep] = Status.CLIPPED, scene.system.surfaces - 1
     return rays
 
 

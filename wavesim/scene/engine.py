@@ -11,15 +11,16 @@ import math
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
+from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating]
@@ -64,11 +65,46 @@ class Neglected:
     what : str
         In a few words.
     relative_error : float
-        Estimate of the exit field's relative L2 error from it; NaN where it is not known.
+        Estimate of the exit field's relative L2 error from it, for an object that fills its grid evenly and
+        sends light in all directions; NaN where it is not known.
+    at_rim : bool
+        Whether it goes with the amplitude at the aperture's rim.
     """
 
     what: str
     relative_error: float
+    at_rim: bool = False
+
+
+def upper_bound(parts: Iterable[Neglected]) -> float:
+    """Of the exit field's relative L2 error, from all that is neglected; infinite where it is not known.
+
+    Parts are taken as independent, so that squares add, and taken `SAFETY` times over, since estimates
+    scatter. Fields of equal energy differ by no more than twice their size.
+    """
+    error = SAFETY * math.sqrt(sum(part.relative_error**2 for part in parts))
+    return min(error, 2.0) if math.isfinite(error) else math.inf
+
+
+class Grids(Protocol):
+    """Between which grids light is carried."""
+
+    @property
+    def object_grid(self) -> Grid: ...
+
+    @property
+    def exit_grid(self) -> Grid: ...
+
+
+class Operator(Protocol):
+    """What a reconstruction asks of an engine: grids, the way there, and its adjoint."""
+
+    @property
+    def scene(self) -> Grids: ...
+
+    def forward(self, field: Field) -> Field: ...
+
+    def adjoint(self, field: Field) -> Field: ...
 
 
 class Engine(ABC):
@@ -124,14 +160,43 @@ class Engine(ABC):
             told = f"{self.name} {self.scene.lens.model_dump_json()} {self.scene!r} {self.settings()!r}"
         return sha256(told.encode()).hexdigest()
 
-    def predicted_error(self) -> float:
+    def rim_light(self, light: Light) -> float:
+        """Amplitude of light at the aperture's rim, over that of light which fills the aperture evenly.
+
+        Of engines that err at the rim; 1 for others.
+        """
+        return 1.0
+
+    def neglected_of(self, light: Light | None = None) -> tuple[Neglected, ...]:
+        """What is left out of the light of one object, the worst first; left out, of all directions alike.
+
+        Raises
+        ------
+        InputError
+            If the light is not that of the scene.
+        """
+        parts = self.neglected()
+        if light is None:
+            return parts
+        light.refuse_beside(self.scene)
+        share = self.rim_light(light) if any(part.at_rim for part in parts) else 1.0
+        own = (replace(p, relative_error=share * p.relative_error) if p.at_rim else p for p in parts)
+        return tuple(sorted(own, key=lambda part: -part.relative_error))
+
+    def predicted_error(self, light: Light | None = None) -> float:
         """Upper bound of the exit field's relative L2 error; infinite where it is not known.
 
-        What is neglected is taken as independent, so that squares add, and taken `SAFETY` times over, since
-        estimates scatter. Fields of equal energy differ by no more than twice their size.
+        Parameters
+        ----------
+        light
+            Behind the object; left out, it fills its grid evenly and goes in all directions.
+
+        Raises
+        ------
+        InputError
+            As :meth:`neglected_of`.
         """
-        error = SAFETY * math.sqrt(sum(part.relative_error**2 for part in self.neglected()))
-        return min(error, 2.0) if math.isfinite(error) else math.inf
+        return upper_bound(self.neglected_of(light))
 
     def forward(self, field: Field) -> Field:
         """Carry a field from the object grid to the exit grid.

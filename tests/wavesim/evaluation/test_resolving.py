@@ -15,6 +15,8 @@ from lensdesign import load_design, save_design
 from lensdesign.errors import InputError
 from lensdesign.lens.scaling import scaled
 from wavesim.cli.commands import app, main
+from wavesim.engines.choosing import engine_for
+from wavesim.evaluation import resolving
 from wavesim.evaluation.resolving import (
     LineContrast,
     Resolved,
@@ -22,10 +24,13 @@ from wavesim.evaluation.resolving import (
     meridional_scene,
     register,
     resolve,
+    resolving_seconds,
 )
 from wavesim.fields.field import Grid, correlation
 from wavesim.fields.guards import SamplingWarning
 from wavesim.pictures.resolving import resolving_figure
+from wavesim.scene.engine import Cost, Engine
+from wavesim.scene.scene import Scene
 
 TWIN = scaled(load_design("designs/paper_singlet.toml"), 0.125)
 GRID = Grid((2400,), 5e-5, -1.0)
@@ -115,6 +120,37 @@ def test_weakest_contrast_is_that_of_one_gap() -> None:
     assert found.smallest_resolved_um() == 0.775
 
 
+class Counted:
+    """An engine that takes a second for each passage, and counts them."""
+
+    def __init__(self, engine: Engine, passages: list[str]) -> None:
+        self.engine, self.passages = engine, passages
+
+    def __getattr__(self, name: str) -> object:
+        if name in ("forward", "adjoint"):
+            self.passages.append(name)
+        return getattr(self.engine, name)
+
+    def cost(self) -> Cost:
+        return Cost(1.0, 100.0, 0)
+
+
+def test_the_time_told_is_that_of_the_passages_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    passages: list[str] = []
+
+    def counted(scene: Scene, name: str, **settings: object) -> Counted:
+        return Counted(engine_for(scene, name, **settings), passages)
+
+    monkeypatch.setattr(resolving, "engine_for", counted)
+    for name in ("fft_seconds", "pass_seconds", "exponential_seconds"):
+        monkeypatch.setattr(resolving, name, lambda *_, **__: 0.0)
+    widths = [0.775, 1.0]
+    told = resolving_seconds(TWIN, widths, engine="eikonal", plane_distance_mm=0.25)
+    assert passages == []
+    resolve(TWIN, widths, engine="eikonal", plane_distance_mm=0.25)
+    assert told == 2 * 100.0 + len(passages)
+
+
 def test_picture_shows_every_engine_at_every_field() -> None:
     slices = {"slices": 30, "compensation": "oblique"}
     results = [
@@ -183,6 +219,7 @@ def test_command_prints_contrasts(twin_file: Path) -> None:
     shown = CliRunner().invoke(app, ["resolve", str(twin_file), *options, *engine])
     limits = "contrast of 0.5 or more down to 0.775 um, contrast of 0.2 or more down to 0.775 um"
     assert f"field 0.1 mm: {limits}" in shown.stdout
+    assert "-0.000" not in shown.stdout
 
 
 def test_command_compares_engines_in_one_picture(twin_file: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.passage import Passage
-from wavesim.rays.edges import fresnel_edge, light_edge
+from wavesim.rays.edges import Edge, fresnel_edge, light_edge
 from wavesim.rays.ray_bundles import open_pupil
 from wavesim.scene.scene import Scene
 
@@ -80,3 +80,16 @@ def test_light_of_a_point_behind_a_hole(dimensions: int, allowed: float) -> None
     found = engine.forward(Field(scene.object_grid, values, WAVELENGTH_UM)).values
     exact = through_the_hole(scene, place)
     assert relative_error(found, exact) < allowed
+
+
+def test_only_what_lies_near_the_rim_is_drawn(paper_lens: Lens, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what is left out is 1 indeed."""
+    scene = Scene(paper_lens, Grid((40, 40), 5e-4, -13.5, (0.2, 1.1)), Grid((30, 30), 0.5, 12.7), 0.532)
+    pupil = open_pupil(scene, (0.2, 1.1), 12.7, 90)
+    edge = light_edge(scene, (0.2, 1.1), pupil, 12.7)
+    rng = np.random.default_rng(3)
+    stop = pupil.points(rng.uniform(0.0, 1.05, 4000), rng.uniform(0.0, 2.0 * math.pi, 4000))[:, ::-1]
+    found = edge.factor(stop, 0.05, edge.shadow)
+    assert 0.5 < np.mean(found == 1.0) < 0.99
+    monkeypatch.setattr(Edge, "_clear_radius", lambda self, most: 0.0)
+    np.testing.assert_array_equal(found, edge.factor(stop, 0.05, edge.shadow))

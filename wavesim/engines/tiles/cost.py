@@ -21,6 +21,10 @@ from wavesim.scene.scene import Scene
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
 """To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""
 
+EDGE_SECONDS, EDGE_PASSES = {True: 0.027, False: 0.1}, 350
+"""To find how the light of each falls off at the rim; complex products that take as long as to draw it, for
+each sample of the plane."""
+
 SPREAD_PASSES = 60
 """Complex products that take as long as one nonuniform point."""
 
@@ -69,6 +73,10 @@ def tiles_cost(
     one *= SPREAD_OUT[scene.object_grid.is_line]
     setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
     setup += 40.0 * pass_seconds(size.window + size.points)
+    probing = PROBE_SECONDS[scene.object_grid.is_line]
+    if carrier.edge is not None:
+        edge = EDGE_SECONDS[scene.object_grid.is_line]
+        setup, probing = setup + edge + pass_seconds(EDGE_PASSES * size.window), probing + edge
     kept, passing = _bytes(size, rank, low_rank, len(shape))
     beyond_seconds, beyond_bytes = 0.0, 0
     if plane.beyond is not None:
@@ -76,7 +84,7 @@ def tiles_cost(
     result = COMPLEX128 * math.prod(shape)
     return Cost(
         count * one + beyond_seconds,
-        PROBE_SECONDS[scene.object_grid.is_line] + count * setup,
+        probing + count * setup,
         max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, result + beyond_bytes)),
     )
 

@@ -20,15 +20,18 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
-from wavesim.engines.tiles.operator import TileOperator, precision_for
+from wavesim.engines.tiles.operator import Tile, TileOperator, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
 from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
+from wavesim.engines.tiles.rim_light import rim_light
+from wavesim.fields.field import Field
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Precision
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected
+from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
 TILE_SHARE, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
@@ -77,12 +80,11 @@ class EikonalTiles(Engine):
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         """Wide tiles, then narrower ones."""
-        tiles = {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
-        yield tiles
-        grid = scene.object_grid
-        width = 0.5 * max(grid.shape) * grid.pitch_mm
-        while width > 0.5 * NARROWEST * grid.pitch_mm:
-            yield {**tiles, "tile_width_mm": width}
+        left = float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))
+        yield {"error": left}
+        width = 0.5 * cls(scene, error=left).settings()["tile_width_mm"]
+        while width > 0.5 * NARROWEST * scene.object_grid.pitch_mm:
+            yield {"error": left, "tile_width_mm": width}
             width *= 0.5
 
     @classmethod
@@ -197,6 +199,25 @@ class EikonalTiles(Engine):
             return result
         return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
 
+    def tile_fields(self, field: Field) -> Iterator[tuple[Tile, RayMap, NDArray[np.complexfloating]]]:
+        """Each tile, the rays that carry it, and its field alone on the plane on which tiles are summed.
+
+        Parameters
+        ----------
+        field
+            On the object grid.
+        """
+        scaled = field.values * field.values.real.dtype.type(self.scene.object_grid.cell)
+        for tile, carrier, operator in self.tile_operators(scaled.dtype):
+            alone = np.zeros(self.plane.grid.shape, scaled.dtype)
+            operator.add_forward(scaled, alone)
+            yield tile, carrier, alone
+
+    def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
+        """Each tile, the rays that carry it, and what carries fields of a type."""
+        for tile, operator in zip(self.probe.tiles, self._prepared(dtype), strict=True):
+            yield tile, self._map(tile.centre_mm), operator
+
     def _adjoint(self, values: Any) -> Any:
         field = _usable(values)
         dtype = field.dtype
@@ -230,19 +251,16 @@ class EikonalTiles(Engine):
         middle = self.probe.tiles[len(self.probe.tiles) // 2]
         carrier = self._map(middle.centre_mm)
         share, sharp = edge_error(self.scene, middle, carrier)
-        return tuple(
-            sorted(
-                (
-                    Neglected(what, left),
-                    Neglected("movement of the aperture's edge over a tile, object evenly lit", share),
-                    Neglected(
-                        "diffraction at the aperture's edge, beyond Fresnel's",
-                        drawn_error(middle, carrier, sharp),
-                    ),
-                ),
-                key=lambda part: -part.relative_error,
-            )
+        drawn = drawn_error(middle, carrier, sharp)
+        parts = (
+            Neglected(what, left),
+            Neglected("movement of the aperture's edge over a tile", share, at_rim=True),
+            Neglected("diffraction at the aperture's edge, beyond Fresnel's", drawn, at_rim=True),
         )
+        return tuple(sorted(parts, key=lambda part: -part.relative_error))
+
+    def rim_light(self, light: Light) -> float:
+        return rim_light(self.scene, self.probe.tiles, self.plane.grid.z_mm, light)
 
     def cost(self) -> Cost:
         rank = self.probe.rank_for(self._allowed) if self._quadratic == "low-rank" else 1

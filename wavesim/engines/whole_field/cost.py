@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wavesim.engines.whole_field.tiles import FieldSettings, SuperTile
+from wavesim.engines.whole_field.tiles import SuperTile, WholeFieldSettings
 from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
 from wavesim.runtime.threads import THREADS
@@ -16,12 +16,12 @@ MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 370.0, 135.0, 33.0
 """Complex products (of complex128) as which count: a tile's maps, for each sample of its grid; its Fourier
 transform, for each sample and term; a carried sample of a finer grid. Measured."""
 
-SETUP_SECONDS, LEAST_SECONDS = 3.0, 0.2
+SETUP_SECONDS, LEAST_SECONDS = 1.8, 0.2
 BASE_BYTES = 60_000_000
 """Of polynomials and rays, while they are fitted."""
 
 
-def two_level_cost(scene: Scene, settings: FieldSettings, groups: Sequence[SuperTile]) -> Cost:
+def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequence[SuperTile]) -> Cost:
     """Seconds of one use and of the set-up, and most bytes at one time beside argument and result.
 
     Parameters

@@ -22,16 +22,17 @@ from wavesim.engines.tiles.edge import edge_error, rim_share
 from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
-from wavesim.engines.whole_field.cost import two_level_cost
-from wavesim.engines.whole_field.factors import field_factors
+from wavesim.engines.tiles.rim_light import rim_light
+from wavesim.engines.whole_field.cost import whole_field_cost
+from wavesim.engines.whole_field.factors import factors_over_object
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
-from wavesim.engines.whole_field.ray_maps import FieldMaps, Region, field_maps, field_region
+from wavesim.engines.whole_field.ray_maps import MapsOverObject, Region, maps_over_object, region_of_object
 from wavesim.engines.whole_field.tiles import (
     TAPER,
     TAPER_LOSS,
-    FieldSettings,
     SuperTile,
+    WholeFieldSettings,
 )
 from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
@@ -40,6 +41,7 @@ from wavesim.runtime.device import Device, Precision, device_named
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Cost, Neglected, Task, Tiled, Way
+from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
 ZONES = 0.74
@@ -75,7 +77,7 @@ def tiles_along(scene: Scene) -> float:
     return 0.0 if grid.is_line else max(grid.shape) * grid.pitch_mm / tile_width_for(scene)
 
 
-class TwoLevelTiles(Tiled):
+class WholeFieldEngine(Tiled):
     """Eikonal tiles summed in two levels, for planes.
 
     Attributes
@@ -141,10 +143,10 @@ class TwoLevelTiles(Tiled):
     @cached_property
     def region(self) -> Region:
         """The part of the object plane that is carried."""
-        return field_region(self.scene)
+        return region_of_object(self.scene)
 
     @cached_property
-    def _prepared(self) -> tuple[float, Cut, FieldSettings]:
+    def _prepared(self) -> tuple[float, Cut, WholeFieldSettings]:
         """Width of tiles, the tiles, and what they share; narrower ones where the first are too wide."""
         width, maps = self._asked_width_mm or tile_width_for(self.scene), None
         for narrower in range(NARROWINGS, -1, -1):
@@ -175,15 +177,15 @@ class TwoLevelTiles(Tiled):
                 found.append((tile, tuple(place)))
         return tuple(found)
 
-    def _maps(self, spans_mm: Array) -> FieldMaps:
+    def _maps(self, spans_mm: Array) -> MapsOverObject:
         scene, tolerance = self.scene, MAPS_SHARE * self._error
         with one_blas_thread():
-            return field_maps(scene, self.region, scene.exit_grid.z_mm, _reach_mm(spans_mm), tolerance)
+            return maps_over_object(scene, self.region, scene.exit_grid.z_mm, _reach_mm(spans_mm), tolerance)
 
-    def _followed(self, maps: FieldMaps, spans_mm: Array) -> FieldSettings:
+    def _followed(self, maps: MapsOverObject, spans_mm: Array) -> WholeFieldSettings:
         scene, z_mm, error = self.scene, self.scene.exit_grid.z_mm, self._error
         with one_blas_thread():
-            factors = field_factors(
+            factors = factors_over_object(
                 scene,
                 self.region,
                 spans_mm,
@@ -192,7 +194,7 @@ class TwoLevelTiles(Tiled):
             )
         transform_error = float(np.clip(TRANSFORM_SHARE * error, 1e-5, 1e-3))
         interpolation_error = INTERPOLATION_SHARE * error
-        return FieldSettings(
+        return WholeFieldSettings(
             scene,
             (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
             maps,
@@ -339,14 +341,20 @@ class TwoLevelTiles(Tiled):
             ),
             Neglected("rays between those that were traced", maps),
             Neglected("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
-            Neglected(f"place of the aperture's edge, drawn over {1e3 * taper_mm:.2g} um", tapered),
-            Neglected("movement of the aperture's edge over a tile, object evenly lit", moved),
-            Neglected("diffraction at the aperture's edge in front of the plane", diffracted),
+            Neglected(
+                f"place of the aperture's edge, drawn over {1e3 * taper_mm:.2g} um", tapered, at_rim=True
+            ),
+            Neglected("movement of the aperture's edge over a tile", moved, at_rim=True),
+            Neglected("diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True),
         )
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
 
+    def rim_light(self, light: Light) -> float:
+        tiles = [tile for tile, _ in self._prepared[1]]
+        return rim_light(self.scene, tiles, self.scene.exit_grid.z_mm, light)
+
     def cost(self) -> Cost:
-        return two_level_cost(self.scene, self._prepared[2], self.groups)
+        return whole_field_cost(self.scene, self._prepared[2], self.groups)
 
 
 def _shared_spans(tiles: Cut) -> Array:

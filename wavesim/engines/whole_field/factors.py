@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.residual import MAX_RANK, Separable, at_tile_nodes, tile_residual
-from wavesim.engines.whole_field.ray_maps import OverField, Region, field_terms, fit_over_field, solve
+from wavesim.engines.whole_field.ray_maps import OverObject, Region, fit_over_object, object_terms, solve
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 
 SENSOR_ORDER = 12
-FIELD_ORDERS = (2, 4)
+OBJECT_ORDERS = (2, 4)
 """In the object point; the first that follows is taken. The lower one asks for less than half of the rays."""
 
 SPECTRUM_SHARE = 0.5
@@ -27,12 +27,12 @@ SPECTRUM_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class FieldFactors:
+class FactorsOverObject:
     """The expansion of all tiles.
 
     Attributes
     ----------
-    sensor : OverField
+    sensor : OverObject
         u_r(s), complex.
     logarithm : ndarray, shape (terms, nodes, nodes)
         Of the factor that all tile factors share, as polynomials in the tile's centre.
@@ -44,7 +44,7 @@ class FieldFactors:
         Of the expansion, in the worst of the tiles looked at.
     """
 
-    sensor: OverField
+    sensor: OverObject
     logarithm: NDArray[np.complex128]
     tile_nodes: NDArray[np.complex128]
     spans_mm: Array
@@ -53,19 +53,19 @@ class FieldFactors:
     def at(self, point_mm: tuple[float, float]) -> Separable:
         """The expansion of the tile about an object point (y, x)."""
         unit = self.sensor.region.scaled(np.array([point_mm]))
-        shared = np.tensordot(field_terms(unit, self.sensor.order)[0], self.logarithm, axes=1)
+        shared = np.tensordot(object_terms(unit, self.sensor.order)[0], self.logarithm, axes=1)
         return Separable(
             self.sensor.at(point_mm), shared, self.tile_nodes, self.spans_mm, self.relative_error
         )
 
 
-def field_factors(
+def factors_over_object(
     scene: Scene,
     region: Region,
     spans_mm: Array,
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
-) -> FieldFactors:
+) -> FactorsOverObject:
     """The shortest expansion that holds all over a region.
 
     Parameters
@@ -84,7 +84,7 @@ def field_factors(
     RayMapError
         If more than 32 terms are needed, or polynomials cannot follow the factors: tiles are too wide.
     """
-    for order in FIELD_ORDERS:
+    for order in OBJECT_ORDERS:
         found = _factors_of_order(order, scene, region, spans_mm, mapper, error)
         if found.relative_error <= error:
             return found
@@ -103,8 +103,8 @@ def _factors_of_order(
     spans_mm: Array,
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
-) -> FieldFactors:
-    """As :func:`field_factors`, by polynomials of one order; their error may be more than is allowed."""
+) -> FactorsOverObject:
+    """As :func:`factors_over_object`, by polynomials of one order, whose error may be more than allowed."""
     points = region.nodes(order)
     places = [(float(x), float(y)) for y, x in points]
     residuals = [tile_residual(scene, place, spans_mm, mapper(place)) for place in places]
@@ -112,14 +112,14 @@ def _factors_of_order(
     basis = _shared_basis([r.weights for r in residuals], values, shares, SPECTRUM_SHARE * error)
     tile = basis / np.sqrt(shares)
     factors = [(v * np.sqrt(shares) @ basis.conj().T).T for v in values]
-    sensor = fit_over_field(region, (order, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors)
+    sensor = fit_over_object(region, (order, SENSOR_ORDER), points, [r.sensor_mm for r in residuals], factors)
     means = np.stack([r.mean for r in residuals])
-    logarithm = solve(field_terms(region.scaled(points), order), means.reshape(len(points), -1))
+    logarithm = solve(object_terms(region.scaled(points), order), means.reshape(len(points), -1))
     left = 0.0
     for residual, value, (x, y) in zip(residuals, values, places, strict=True):
         missed = value - sensor.at((y, x)).at(residual.sensor_mm).T @ tile
         left = max(left, float(np.sqrt(residual.weights @ np.abs(missed) ** 2 @ shares)))
-    return FieldFactors(
+    return FactorsOverObject(
         sensor, logarithm.reshape(-1, *means.shape[1:]), at_tile_nodes(tile, 2), spans_mm, left
     )
 

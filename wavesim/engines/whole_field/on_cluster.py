@@ -21,7 +21,7 @@ from lensdesign.common.clusters import (
     toolkit_version,
 )
 from lensdesign.errors import InputError
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.scene.engine import Engine, Task, Way
 from wavesim.scene.scene import Scene
 
@@ -70,7 +70,7 @@ def _in_order(cluster: Cluster, sent: Any, way: Way, tasks: Iterable[Task]) -> I
             future.cancel()
 
 
-def refuse_no_tiles(engine: Engine) -> TwoLevelTiles:
+def refuse_no_tiles(engine: Engine) -> WholeFieldEngine:
     """The engine, if a cluster can do its work.
 
     Raises
@@ -78,7 +78,7 @@ def refuse_no_tiles(engine: Engine) -> TwoLevelTiles:
     InputError
         If it has no super-tiles.
     """
-    if not isinstance(engine, TwoLevelTiles):
+    if not isinstance(engine, WholeFieldEngine):
         raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level")
     return engine
 
@@ -116,7 +116,7 @@ def tiles_in(address: str | None) -> Iterator[Callable[[Engine], Engine]]:
         yield take
 
 
-_engines: dict[str, TwoLevelTiles] = {}
+_engines: dict[str, WholeFieldEngine] = {}
 _making = threading.Lock()
 
 
@@ -132,7 +132,7 @@ def work(packet: ScenePacket, way: Way, number: int, values: Any) -> Any:
         if packet.key not in _engines:
             refuse_other_version(packet.toolkit_version)
             _engines.clear()
-            made = TwoLevelTiles(packet.scene, **packet.settings)
+            made = WholeFieldEngine(packet.scene, **packet.settings)
             made.groups  # noqa: B018
             _engines[packet.key] = made
         engine = _engines[packet.key]

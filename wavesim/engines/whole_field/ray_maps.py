@@ -25,7 +25,7 @@ from wavesim.scene.scene import Scene
 REACH = 1.05
 """Share of the way to the aperture's edge up to which rays are fitted: interpolation looks beyond it."""
 
-SENSOR_ORDERS, FIELD_ORDERS = (12, 16, 20, 24), (4, 6, 8, 10)
+SENSOR_ORDERS, OBJECT_ORDERS = (12, 16, 20, 24), (4, 6, 8, 10)
 ARMS = 72
 HELD_OUT = 7
 """Object points that the polynomials have not seen, at which they are held against rays."""
@@ -65,7 +65,7 @@ class Region:
         return np.asarray((points_mm - np.array(self.centre_mm)) / self.half_mm)
 
 
-def field_region(scene: Scene) -> Region:
+def region_of_object(scene: Scene) -> Region:
     """The object grid's box, or the lens's field where that is smaller."""
     grid, radius = scene.object_grid, scene.lens.half_field_mm
     half = np.array(grid.half_widths_mm)
@@ -76,7 +76,7 @@ def field_region(scene: Scene) -> Region:
 
 
 @dataclass(frozen=True, eq=False)
-class OverField:
+class OverObject:
     """Smooth maps whose coefficients are polynomials of a total order in the object point.
 
     Attributes
@@ -104,7 +104,7 @@ class OverField:
     def at(self, point_mm: tuple[float, float]) -> SmoothMap:
         """The map of one object point (y, x)."""
         unit = self.region.scaled(np.array([point_mm]))
-        weights = field_terms(unit, self.order)[0]
+        weights = object_terms(unit, self.order)[0]
         values = np.tensordot(weights, self.coefficients, axes=1)
         return SmoothMap(box_middles(self.middles, unit)[0], self.half_width, values)
 
@@ -114,7 +114,7 @@ def box_middles(middles: Array, unit: Array) -> Array:
     return np.asarray(middles[0] + unit @ middles[1:])
 
 
-def field_terms(unit: Array, order: int) -> Array:
+def object_terms(unit: Array, order: int) -> Array:
     """Chebyshev products of a total order in two variables, shape (n, terms)."""
     first, second = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
     y, x = (chebyshev.chebvander(column, order) for column in unit.T)
@@ -154,12 +154,12 @@ def _node(scene: Scene, point_mm: Array, plane_z_mm: float, order: int, shift: f
 
 
 @dataclass(frozen=True, eq=False)
-class FieldMaps:
+class MapsOverObject:
     """Maps of a whole field.
 
     Attributes
     ----------
-    carriers : OverField
+    carriers : OverObject
         Of path V in mm, amplitude in 1/mm, cosines p along y and x, and the square of the share of the way to
         the aperture's edge.
     slopes_per_mm : ndarray, shape (2, 2)
@@ -173,16 +173,16 @@ class FieldMaps:
         large where the open part of the stop has corners.
     """
 
-    carriers: OverField
+    carriers: OverObject
     slopes_per_mm: Array
     caustics: int
     errors: tuple[float, float, float]
     edge_error_mm: float
 
 
-def field_maps(
+def maps_over_object(
     scene: Scene, region: Region, plane_z_mm: float, reach_mm: float, tolerance: float
-) -> FieldMaps:
+) -> MapsOverObject:
     """Follow the rays of all of a region.
 
     Parameters
@@ -208,24 +208,24 @@ def field_maps(
     """
     checks = [_node(scene, point, plane_z_mm, 10, 0.37) for point in _held_out(region)]
     limits = np.array([tolerance, 10.0 * tolerance, tolerance])
-    best: FieldMaps | None = None
-    for sensor_order, field_order in zip(SENSOR_ORDERS, FIELD_ORDERS, strict=True):
-        nodes = [_node(scene, p, plane_z_mm, sensor_order) for p in region.nodes(field_order)]
+    best: MapsOverObject | None = None
+    for sensor_order, object_order in zip(SENSOR_ORDERS, OBJECT_ORDERS, strict=True):
+        nodes = [_node(scene, p, plane_z_mm, sensor_order) for p in region.nodes(object_order)]
         if len({n.caustics for n in nodes}) > 1:
             raise RayMapError(
                 f"plane z = {plane_z_mm:g} mm: light of parts of the field has touched different numbers of "
                 "caustics; choose another plane"
             )
         inside = [n.bundle.ok for n in nodes]
-        carriers = fit_over_field(
+        carriers = fit_over_object(
             region,
-            (field_order, sensor_order),
+            (object_order, sensor_order),
             np.array([n.point_mm for n in nodes]),
             [n.bundle.sensor_mm[ok] for n, ok in zip(nodes, inside, strict=True)],
             [n.values[:, ok] for n, ok in zip(nodes, inside, strict=True)],
         )
         errors, edge_mm = _errors(carriers, checks, scene, reach_mm)
-        best = FieldMaps(
+        best = MapsOverObject(
             carriers, _slopes(nodes), nodes[0].caustics, (errors[0], errors[1], errors[2]), edge_mm
         )
         if np.all(np.array(errors) < limits):
@@ -246,13 +246,13 @@ def _held_out(region: Region) -> Array:
     return np.asarray(region.centre_mm + region.half_mm * (share * np.stack([np.sin(turn), np.cos(turn)])).T)
 
 
-def fit_over_field(
+def fit_over_object(
     region: Region,
     orders: tuple[int, int],
     points_mm: Array,
     sensor_mm: Sequence[Array],
     values: Sequence[NDArray],
-) -> OverField:
+) -> OverObject:
     """Polynomials in the sensor point at every node, then in the object point through their coefficients.
 
     Parameters
@@ -266,7 +266,7 @@ def fit_over_field(
     sensor_mm, values
         For every node sensor points, shape (n, 2), and what they carry, shape (functions, n).
     """
-    field_order, sensor_order = orders
+    object_order, sensor_order = orders
     unit = region.scaled(points_mm)
     spans = np.array([[s.min(axis=0), s.max(axis=0)] for s in sensor_mm])
     plane = np.column_stack([np.ones(len(unit)), unit])
@@ -275,20 +275,20 @@ def fit_over_field(
     n = sensor_order + 1
     first, second = np.nonzero(np.add.outer(np.arange(n), np.arange(n)) <= sensor_order)
     solutions = [
-        solve(field_terms((at - box_middles(middles, place[None])) / half_width, sensor_order), carried.T)
+        solve(object_terms((at - box_middles(middles, place[None])) / half_width, sensor_order), carried.T)
         for at, carried, place in zip(sensor_mm, values, unit, strict=True)
     ]
-    over = solve(field_terms(unit, field_order), np.stack(solutions).reshape(len(unit), -1))
+    over = solve(object_terms(unit, object_order), np.stack(solutions).reshape(len(unit), -1))
     over = over.reshape(len(over), len(first), -1)
     coefficients = np.zeros((len(over), over.shape[2], n, n), over.dtype)
     coefficients[:, :, first, second] = np.moveaxis(over, 2, 1)
-    return OverField(region, field_order, middles, half_width, coefficients)
+    return OverObject(region, object_order, middles, half_width, coefficients)
 
 
 def _errors(
-    carriers: OverField, checks: list[_Node], scene: Scene, reach_mm: float
+    carriers: OverObject, checks: list[_Node], scene: Scene, reach_mm: float
 ) -> tuple[tuple[float, float, float], float]:
-    """Of path, amplitude and direction, as of :class:`FieldMaps`; and of the edge in mm."""
+    """Of path, amplitude and direction, as of :class:`MapsOverObject`; and of the edge in mm."""
     wavelength_mm = 1e-3 * scene.wavelength_um
     worst = np.zeros(4)
     for node in checks:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import BAND_MARGIN, Tile
 from wavesim.engines.whole_field.carried import Carried, Ways, ways_between
-from wavesim.engines.whole_field.factors import FieldFactors
-from wavesim.engines.whole_field.ray_maps import REACH, FieldMaps
+from wavesim.engines.whole_field.factors import FactorsOverObject
+from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.device import Device, Precision, folded
@@ -37,7 +37,7 @@ SMOOTH_SAMPLES = 150
 
 
 @dataclass(frozen=True, eq=False)
-class FieldSettings:
+class WholeFieldSettings:
     """What all tiles of a field have in common.
 
     Attributes
@@ -45,16 +45,16 @@ class FieldSettings:
     scene : Scene
     axes : (y, x)
         Of the plane, in mm.
-    maps : FieldMaps
-    factors : FieldFactors
+    maps : MapsOverObject
+    factors : FactorsOverObject
     kernel : Kernel
     precision : Precision
     """
 
     scene: Scene
     axes: tuple[Array, Array]
-    maps: FieldMaps
-    factors: FieldFactors
+    maps: MapsOverObject
+    factors: FactorsOverObject
     kernel: Kernel
     precision: Precision
 
@@ -85,7 +85,7 @@ class SuperTile:
         Its tiles.
     """
 
-    def __init__(self, settings: FieldSettings, tiles: tuple[Tile, ...]) -> None:
+    def __init__(self, settings: WholeFieldSettings, tiles: tuple[Tile, ...]) -> None:
         self.settings, self.tiles = settings, tiles
         self.part = _around([tile.part for tile in tiles])
         centres = np.array([t.centre_mm[::-1] for t in tiles])
@@ -157,7 +157,7 @@ def window_between(axes: Sequence[Array], low: Array, high: Array) -> tuple[slic
     return rows, columns
 
 
-def _smooth_axis(fine: Array, settings: FieldSettings) -> Array:
+def _smooth_axis(fine: Array, settings: WholeFieldSettings) -> Array:
     """Samples between which phase and edge are cubic."""
     step = float(np.max(settings.half_width_mm)) / SMOOTH_SAMPLES
     count = math.ceil((fine[-1] - fine[0]) / step) + 4
@@ -234,7 +234,7 @@ class Step(Protocol):
         """Conjugate transpose: the coarse field of a fine one."""
 
 
-class FieldTile:
+class ObjectTile:
     """One tile on its super-tile's grid, for any array library.
 
     Parameters
@@ -321,7 +321,7 @@ def carry_tiles(
     Parameters
     ----------
     device, step
-        As of :class:`FieldTile`.
+        As of :class:`ObjectTile`.
     way
         Forward or adjoint.
     frames
@@ -333,7 +333,7 @@ def carry_tiles(
     """
     plans: dict[tuple[int, ...], Any] = {}
     for frame in frames:
-        tile, place = FieldTile(device, step, frame, plans), frame.group.within(frame.tile)
+        tile, place = ObjectTile(device, step, frame, plans), frame.group.within(frame.tile)
         if way == "forward":
             tile.add(values[place], result)
         else:

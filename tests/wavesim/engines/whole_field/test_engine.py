@@ -15,8 +15,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.whole_field import ray_maps
-from wavesim.engines.whole_field.engine import TwoLevelTiles
-from wavesim.engines.whole_field.ray_maps import field_maps, field_region
+from wavesim.engines.whole_field.engine import WholeFieldEngine
+from wavesim.engines.whole_field.ray_maps import maps_over_object, region_of_object
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
@@ -41,14 +41,14 @@ def noise(grid: Grid, seed: int = 1) -> Field:
 
 
 @pytest.fixture(scope="module")
-def displaced(paper_lens: Lens) -> TwoLevelTiles:
+def displaced(paper_lens: Lens) -> WholeFieldEngine:
     """Through a lens that is displaced, perturbed and bare."""
     changes = {1: SurfacePerturbation(tilt_x_deg=0.2, radius_mm=0.05)}
     scene = plane_scene(paper_lens, (-0.4, 0.3), pose=POSE, coating="bare", surface_perturbations=changes)
-    return TwoLevelTiles(scene, error=1e-2, tiles_across=2, tile_width_mm=0.03)
+    return WholeFieldEngine(scene, error=1e-2, tiles_across=2, tile_width_mm=0.03)
 
 
-def hold_against_one_level(engine: TwoLevelTiles, error: float) -> None:
+def hold_against_one_level(engine: WholeFieldEngine, error: float) -> None:
     scene = engine.scene
     field = noise(scene.object_grid)
     one = EikonalTiles(scene, error=1e-3, tile_width_mm=0.06).forward(
@@ -68,14 +68,14 @@ def hold_against_one_level(engine: TwoLevelTiles, error: float) -> None:
 
 def test_two_levels_give_what_one_level_gives(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens, (0.2, 1.2))
-    hold_against_one_level(TwoLevelTiles(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3)
+    hold_against_one_level(WholeFieldEngine(scene, error=1e-3, tiles_across=2, tile_width_mm=0.03), 1e-3)
 
 
-def test_displaced_and_perturbed_lenses_are_followed(displaced: TwoLevelTiles) -> None:
+def test_displaced_and_perturbed_lenses_are_followed(displaced: WholeFieldEngine) -> None:
     hold_against_one_level(displaced, 1e-2)
 
 
-def test_adjoint_is_the_conjugate_transpose(displaced: TwoLevelTiles) -> None:
+def test_adjoint_is_the_conjugate_transpose(displaced: WholeFieldEngine) -> None:
     scene = displaced.scene
     here, there = noise(scene.object_grid, 1), noise(scene.exit_grid, 2)
     out = displaced.forward(here).values.astype(complex)
@@ -87,16 +87,16 @@ def test_adjoint_is_the_conjugate_transpose(displaced: TwoLevelTiles) -> None:
 
 
 @pytest.fixture(scope="module")
-def small_field(paper_lens: Lens) -> TwoLevelTiles:
+def small_field(paper_lens: Lens) -> WholeFieldEngine:
     """All of the field of a twin, and corners beyond it."""
     twin = scaled(paper_lens, 1.0 / 16.0)
     grid = Grid((400, 400), 0.5e-3, twin.object_z_mm)
-    return TwoLevelTiles(
+    return WholeFieldEngine(
         Scene(twin, grid, Grid((500, 500), 3.0e-3, twin.sensor_z_mm[0]), WAVELENGTH_UM), error=3e-2
     )
 
 
-def test_light_beyond_the_field_is_left_out(small_field: TwoLevelTiles) -> None:
+def test_light_beyond_the_field_is_left_out(small_field: WholeFieldEngine) -> None:
     grid, radius = small_field.scene.object_grid, small_field.scene.lens.half_field_mm
     outside = grid.radius_squared_mm2() > radius**2
     field = noise(grid)
@@ -108,7 +108,7 @@ def test_light_beyond_the_field_is_left_out(small_field: TwoLevelTiles) -> None:
     assert np.all(back[~outside] != 0.0)
 
 
-def test_a_field_in_focus_comes_back(small_field: TwoLevelTiles) -> None:
+def test_a_field_in_focus_comes_back(small_field: WholeFieldEngine) -> None:
     """Nearly unitary: what the aperture takes in comes back."""
     grid = small_field.scene.object_grid
     radius = np.sqrt(grid.radius_squared_mm2())
@@ -117,7 +117,7 @@ def test_a_field_in_focus_comes_back(small_field: TwoLevelTiles) -> None:
     assert relative_error(back.values, smooth) < 0.05
 
 
-def test_progress_is_told(small_field: TwoLevelTiles) -> None:
+def test_progress_is_told(small_field: WholeFieldEngine) -> None:
     told: list[tuple[int, int]] = []
     small_field.report = lambda done, count: told.append((done, count))
     small_field.forward(noise(small_field.scene.object_grid))
@@ -127,7 +127,7 @@ def test_progress_is_told(small_field: TwoLevelTiles) -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 77, 10_000])
-def test_bands_make_the_plane(small_field: TwoLevelTiles, rows: int) -> None:
+def test_bands_make_the_plane(small_field: WholeFieldEngine, rows: int) -> None:
     field = noise(small_field.scene.object_grid)
     whole = small_field.forward(field).values
     sums: dict[int, NDArray[Any]] = {}
@@ -137,7 +137,7 @@ def test_bands_make_the_plane(small_field: TwoLevelTiles, rows: int) -> None:
     assert sorted(sums) == list(range(len(small_field.groups)))
 
 
-def test_sums_that_are_there_are_not_made_again(small_field: TwoLevelTiles) -> None:
+def test_sums_that_are_there_are_not_made_again(small_field: WholeFieldEngine) -> None:
     field = noise(small_field.scene.object_grid)
     sums: dict[int, NDArray[Any]] = {}
     whole = np.concatenate([v for _, v in small_field.forward_in_bands(field, 100, sums)])
@@ -152,7 +152,7 @@ def test_sums_that_are_there_are_not_made_again(small_field: TwoLevelTiles) -> N
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_memory_is_what_was_predicted(small_field: TwoLevelTiles, back: bool) -> None:
+def test_memory_is_what_was_predicted(small_field: WholeFieldEngine, back: bool) -> None:
     scene = small_field.scene
     field = noise(scene.exit_grid if back else scene.object_grid)
     carry = small_field.adjoint if back else small_field.forward
@@ -165,30 +165,30 @@ def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
     scene = plane_scene(paper_lens)
     for wrong in ({"tile_width_mm": math.nan}, {"tiles_across": 0}, {"error": 1e-6}):
         with pytest.raises(InputError, match=next(iter(wrong))):
-            TwoLevelTiles(scene, **wrong)  # type: ignore[arg-type]
+            WholeFieldEngine(scene, **wrong)  # type: ignore[arg-type]
     line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
     with pytest.raises(InputError, match="on a line take eikonal"):
-        TwoLevelTiles(line)
+        WholeFieldEngine(line)
 
 
 def test_tiles_too_wide_are_refused_by_name(paper_lens: Lens) -> None:
     with pytest.raises(RayMapError, match="make tiles narrower"):
-        TwoLevelTiles(plane_scene(paper_lens, samples=1600), tile_width_mm=0.8).groups  # noqa: B018
+        WholeFieldEngine(plane_scene(paper_lens, samples=1600), tile_width_mm=0.8).groups  # noqa: B018
 
 
 def test_a_fold_on_the_plane_is_refused(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(1, radius_mm=-6.0, semi_diameter_mm=7.5)
     grids = Grid((100, 100), 0.5e-3, -13.5), Grid((50, 50), 0.1, 20.0)
     with pytest.raises(FoldError, match="fold on the plane z = 20 mm"):
-        TwoLevelTiles(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
+        WholeFieldEngine(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
 
 
 def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
     grid = Grid((6000, 6000), 0.5e-3, -13.5)
     scene = Scene(paper_lens, grid, Grid((100, 100), 0.1, 12.7), WAVELENGTH_UM, POSE)
-    region = field_region(scene)
+    region = region_of_object(scene)
     assert region.is_disc
-    maps = field_maps(scene, region, 12.7, 0.09, 1e-4)
+    maps = maps_over_object(scene, region, 12.7, 0.09, 1e-4)
     path, amplitude, direction = maps.errors
     assert path < 1e-4
     assert amplitude < 1e-3
@@ -199,12 +199,12 @@ def test_maps_that_cannot_be_so_accurate_are_refused(
     paper_lens: Lens, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ray_maps, "SENSOR_ORDERS", (12, 16))
-    monkeypatch.setattr(ray_maps, "FIELD_ORDERS", (4, 6))
+    monkeypatch.setattr(ray_maps, "OBJECT_ORDERS", (4, 6))
     scene = plane_scene(paper_lens)
-    region = field_region(scene)
+    region = region_of_object(scene)
     assert not region.is_disc
     with pytest.raises(RayMapError, match="ask for less accuracy"):
-        field_maps(scene, region, 12.7, 0.09, 1e-11)
+        maps_over_object(scene, region, 12.7, 0.09, 1e-11)
 
 
 def test_corners_of_a_vignetted_stop_are_told(paper_lens: Lens) -> None:
@@ -212,6 +212,6 @@ def test_corners_of_a_vignetted_stop_are_told(paper_lens: Lens) -> None:
     found = []
     for semi_diameter in (10.0, 8.0):
         scene = Scene(paper_lens.with_surface(1, semi_diameter_mm=semi_diameter), grid, radius, WAVELENGTH_UM)
-        found.append(field_maps(scene, field_region(scene), 12.7, 0.09, 1e-4).edge_error_mm)
+        found.append(maps_over_object(scene, region_of_object(scene), 12.7, 0.09, 1e-4).edge_error_mm)
     assert found[0] < 1e-5
     assert 1e-4 < found[1] < 0.1

@@ -16,7 +16,7 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cluster import ScenePacket, refuse_no_tiles, tiles_in, work
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
@@ -45,8 +45,8 @@ def noise(grid: Grid, seed: int = 1) -> Field:
 
 def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster: Cluster) -> None:
     first, _ = cluster.worker(), cluster.worker()
-    here = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
-    away = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
+    here = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
+    away = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
     away.report = lambda done, _: first.kill() if done == 3 else None
     field, back = noise(scene.object_grid), noise(scene.exit_grid)
     with tiles_in(cluster.address) as take:
@@ -61,7 +61,7 @@ def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster:
 
 def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene, cluster: Cluster) -> None:
     cluster.worker()
-    engine = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
+    engine = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
     engine.report = lambda done, _: cluster.close() if done == 2 else None
     sums: dict[int, Any] = {}
     with tiles_in(cluster.address) as take:
@@ -78,7 +78,7 @@ def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
 
 
 def test_a_worker_does_what_is_done_here(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = TwoLevelTiles(scene, error=3e-2)
+    engine = WholeFieldEngine(scene, error=3e-2)
     packet = pickle.loads(pickle.dumps(ScenePacket("1.0", scene, engine.settings(), "key")))
     monkeypatch.setattr(cluster_tiles, "_engines", {})
     part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)

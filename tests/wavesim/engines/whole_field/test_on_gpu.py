@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -11,13 +10,13 @@ import numpy as np
 import pytest
 import stand_in_device
 from numpy.typing import NDArray
-from places import ROOT
 
+from benchmarks import gpu_field
 from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field.carried import Carried, ways_between
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_gpu import DeviceStep, blocks_of
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
@@ -44,18 +43,18 @@ def small_scene(lens: Lens, **changes: Any) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def known(paper_lens: Lens) -> tuple[TwoLevelTiles, NDArray[Any], NDArray[Any]]:
+def known(paper_lens: Lens) -> tuple[WholeFieldEngine, NDArray[Any], NDArray[Any]]:
     """The engine, and what the compiled loops make of noise there and back."""
     scene = small_scene(paper_lens, pose=Pose(tilt_x_deg=0.2, decenter_y_mm=0.005))
-    engine = TwoLevelTiles(scene, error=3e-2, tiles_across=2)
+    engine = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
     there = engine.forward(noise(scene.object_grid)).values
     back = engine.adjoint(noise(scene.exit_grid, 2)).values
     return engine, there, back
 
 
-def on(engine: TwoLevelTiles, device: Device) -> TwoLevelTiles:
+def on(engine: WholeFieldEngine, device: Device) -> WholeFieldEngine:
     """The same engine, its maps of the field included, on a device."""
-    other = TwoLevelTiles(engine.scene, error=3e-2, tiles_across=2)
+    other = WholeFieldEngine(engine.scene, error=3e-2, tiles_across=2)
     other.__dict__.update({name: value for name, value in engine.__dict__.items() if name != "device"})
     other.device = device
     return other
@@ -142,7 +141,7 @@ def test_the_device_is_told_among_the_settings(known: Any, monkeypatch: pytest.M
     assert on(engine, device).settings() == engine.settings() | {"device": "gpu"}
     monkeypatch.setattr("wavesim.engines.whole_field.engine.device_named", lambda name: device)
     made = engine_for(engine.scene, "two-level", device="gpu")
-    assert isinstance(made, TwoLevelTiles)
+    assert isinstance(made, WholeFieldEngine)
     assert made.device is device
 
 
@@ -155,7 +154,7 @@ def test_a_mixture_of_memories_is_caught_by_the_stand_in() -> None:
 
 def test_what_is_not_there_is_refused(paper_lens: Lens, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="no such device; allowed: cpu, gpu"):
-        TwoLevelTiles(small_scene(paper_lens), device="gpus")
+        WholeFieldEngine(small_scene(paper_lens), device="gpus")
     monkeypatch.setitem(sys.modules, "cupy", None)
     with pytest.raises(InputError, match="install transferlens with its extra gpu"):
         device_named("gpu")
@@ -180,12 +179,14 @@ def test_a_computer_without_a_gpu_is_refused(monkeypatch: pytest.MonkeyPatch, co
         device_named("gpu")
 
 
-def test_the_benchmark_runs_at_few_samples() -> None:
-    command = [sys.executable, "-m", "benchmarks.gpu_field", "--device", "cpu", "--samples", "300"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("difference from") == 3
-    assert " NO" not in done.stdout
+def test_the_benchmark_runs_at_few_samples(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["gpu_field", "--device", "cpu", "--samples", "300"])
+    gpu_field.main()
+    said = capsys.readouterr().out
+    assert said.count("difference from") == 3
+    assert " NO" not in said
 
 
 def test_a_gpu_gives_what_the_processor_gives(known: Any) -> None:

@@ -1,0 +1,126 @@
+"""The command `wavesim choose`: what every engine would do with a scene, and which is taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensdesign.common.console import print_json
+from lensdesign.common.text import finite_or_none
+from lensdesign.files.design import load_design
+from lensdesign.lens.lens import Lens
+from wavesim.cli.options import AsJson, Design
+from wavesim.cli.resolve import PlaneDistanceMm
+from wavesim.cli.runs import print_table
+from wavesim.scene.settings import DEFAULT_ERROR, ChoiceSettings
+
+if TYPE_CHECKING:
+    from wavesim.scene.light import Light
+    from wavesim.scene.scene import Scene
+
+EVEN = "even"
+"""In place of an object: light that fills the patch evenly and goes in all directions."""
+
+
+def choose(
+    design: Design,
+    settings: ChoiceSettings,
+    object_: Annotated[
+        str, typer.Option("--object", help="usaf, star, phase, tissue, FILE, or even: light everywhere.")
+    ] = "usaf",
+    error: Annotated[float, typer.Option(help="Relative L2 error of the exit field.")] = DEFAULT_ERROR,
+    field_mm: Annotated[float, typer.Option(help="Height of the field point along y.")] = 0.0,
+    plane_distance_mm: PlaneDistanceMm = 2.0,
+    meridional: Annotated[bool, typer.Option(help="The object's middle line in place of a plane.")] = False,
+    runs: Annotated[int, typer.Option(help="Forward and adjoint runs that share the set-up.")] = 2,
+    memory_gb: Annotated[float, typer.Option(help="Memory that may be used.")] = 16.0,
+    hours: Annotated[float, typer.Option(help="Time that all runs may take.")] = 1.0,
+    as_json: AsJson = False,
+) -> None:
+    """Predict error, time and memory of every engine, and name the cheapest that holds.
+
+    Errors are those of the object's own light: a chart sends a twentieth of what light of all directions does
+    to the rim of the aperture, where rays err most.
+    """
+    from wavesim.engines.choosing import choose as choose_engine
+    from wavesim.scene.patches import patch_scene
+
+    lens = load_design(design)
+    scene = patch_scene(
+        lens,
+        settings.patch_mm,
+        field_mm,
+        plane_distance_mm=plane_distance_mm,
+        wavelength_um=settings.wavelength_um,
+        meridional=meridional,
+        object_pitch_um=settings.object_pitch_um,
+    )
+    light = None
+    if object_ != EVEN:
+        scene, light = _lit_scene(lens, scene, object_, settings)
+    choice = choose_engine(scene, error, memory_gb, 3600.0 * hours, runs, light)
+    if as_json:
+        print_json({"object": object_} | _choice_summary(choice, runs))
+    else:
+        print(f"object {object_}, patch {settings.patch_mm:g} mm, {field_mm:g} mm off the axis")
+        _print_choice(choice, runs)
+
+
+def _lit_scene(lens: Lens, scene: Scene, name: str, settings: ChoiceSettings) -> tuple[Scene, Light]:
+    """The scene with the object's own samples, and the light behind it; of a line, of its middle column."""
+    from wavesim.fields.field import Field
+    from wavesim.objects.patch import lit_patch, make_target
+    from wavesim.scene.light import Light
+
+    patch, illumination = lit_patch(lens, settings, settings.wavelength_um)
+    target = make_target(
+        patch,
+        name,
+        settings.ground,
+        numerical_aperture=lens.object.numerical_aperture,
+        picture_pixel_um=settings.picture_pixel_um,
+        picture_width_mm=settings.picture_width_mm,
+        chart_at_mm=settings.chart_at_mm,
+    )
+    values = illumination.values * target.transmission.values
+    if scene.object_grid.is_line:
+        values = values[:, values.shape[1] // 2]
+    grid = replace(scene.object_grid, shape=values.shape)
+    return replace(scene, object_grid=grid), Light(Field(grid, values, scene.wavelength_um))
+
+
+def _choice_summary(choice: Any, runs: int) -> dict[str, Any]:
+    return {
+        "engine": choice.chosen.engine,
+        "settings": choice.chosen.settings,
+        "reason": choice.reason,
+        "runs": runs,
+        "predictions": [
+            {
+                "engine": p.engine,
+                "settings": p.settings,
+                "relative_error": finite_or_none(p.relative_error),
+                "seconds": finite_or_none(p.seconds),
+                "setup_seconds": p.setup_seconds,
+                "peak_mb": 1e-6 * p.peak_bytes,
+                "neglected": p.neglected,
+                "refused": p.refused or None,
+            }
+            for p in choice.predictions
+        ],
+    }
+
+
+def _print_choice(choice: Any, runs: int) -> None:
+    rows = []
+    for p in choice.predictions:
+        figures = (f"{p.relative_error:.2g}", f"{p.total_seconds(runs):.2g}", f"{p.peak_bytes / 1e6:.3g}")
+        mark = "*" if p is choice.chosen else ""
+        rows.append((mark, p.label, *(("refused", "", "") if p.refused else figures)))
+    columns = ("error, at most", f"seconds, {runs} run(s)", "memory (MB)")
+    print_table(("", "engine"), columns, rows)
+    print()
+    for sentence in choice.reason.split(". "):
+        print(sentence.removesuffix("."))

@@ -1,0 +1,55 @@
+"""The light behind an object, of which engines predict their error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from lensdesign.errors import InputError
+from wavesim.fields.field import Field
+from wavesim.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What is known of the light behind an object.
+
+    Attributes
+    ----------
+    field : Field
+        On the object grid of the scene.
+    even : float
+        Share of the energy that fills the aperture evenly, whatever the field's spectrum: 0 where the field
+        is the light itself, more where an unknown object scatters it.
+
+    Raises
+    ------
+    InputError
+        If the share is not from 0 to 1.
+    """
+
+    field: Field
+    even: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.even <= 1.0:
+            raise InputError(f"even = {self.even!r}: must be from 0 to 1")
+
+    def on(self, scene: Scene) -> Light:
+        """The same light where a scene's object stands; its grid is a displaced one of equal shape."""
+        field = self.field
+        return replace(self, field=Field(scene.object_grid, field.values, scene.wavelength_um, field.index))
+
+    def refuse_beside(self, scene: Scene) -> None:
+        """Refuse a scene whose light this is not.
+
+        Raises
+        ------
+        InputError
+            If the field does not lie on the scene's object grid, or has another wavelength.
+        """
+        field = self.field
+        if (field.grid, field.wavelength_um) != (scene.object_grid, scene.wavelength_um):
+            raise InputError(
+                f"light on the grid {field.grid}, of {field.wavelength_um:g} um: must be the scene's, "
+                f"{scene.object_grid}, of {scene.wavelength_um:g} um"
+            )
