@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, refuse_not_whole
 from wavesim.camera.recorded import Recorded, amplitude_unit
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.retrieval_steps import (
-    BLOCK_BYTES,
+from wavesim.reconstruction.retrieval.steps import (
     Array,
     ComplexArray,
     Match,
@@ -45,9 +44,6 @@ LIT, LARGEST_TV_SHARE = 1e-4, 2e-2
 
 WATCHED, LEAST_GAIN = 50, 1e-3
 """Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
-
-BLOCKS = 6
-"""That a thread has at one time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,26 +229,6 @@ def iterated(
     return state
 
 
-def retrieval_bytes(shape: tuple[int, ...], distances_mm: Sequence[float], masked: bool = True) -> int:
-    """Most bytes that :func:`retrieve` takes in single precision, beside its arguments and with its result.
-
-    Parameters
-    ----------
-    shape
-        Of the grid.
-    distances_mm
-        Of the recorded planes from the plane sought. One at 0 takes no transforms.
-    masked
-        Whether planes have pixels that tell nothing.
-    """
-    samples, item = math.prod(shape), np.dtype(np.complex64).itemsize
-    carried = sum(distance != 0.0 for distance in distances_mm)
-    # This field and the one before; for each plane its field and a quarter of a carrier; rows beside blocks.
-    fields = 2.0 + 1.25 * carried + 2.0 * shape[-1] * item / BLOCK_BYTES
-    masks = len(distances_mm) if masked else 0
-    return round(samples * (fields * item + masks)) + (os.cpu_count() or 1) * BLOCKS * BLOCK_BYTES
-
-
 def amplitude_correlation(a: Array, b: Array) -> float:
     """Correlation of two amplitudes (A6)."""
     x, y = a - a.mean(dtype=float), b - b.mean(dtype=float)
@@ -314,7 +290,7 @@ def replace_amplitude(
     field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
 ) -> None:
     """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
-    from wavesim.reconstruction.retrieval_kernel import replace
+    from wavesim.reconstruction.retrieval.kernel import replace
 
     replace(*(None if values is None else np.atleast_2d(values) for values in (field, amplitude, known)))
 
@@ -332,6 +308,15 @@ def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: s
             raise InputError(f"plane {number}: its shape {plane.amplitude.shape} is not {whose} {shape}")
         if not math.isfinite(plane.distance_mm):
             raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
+        if not all(map(math.isfinite, plane.shift_mm)):
+            raise InputError(f"plane {number}: shift_mm = {plane.shift_mm!r}: must be finite")
+        behind = plane.background
+        if behind is not None and (
+            behind.shape != shape or not np.all((behind >= 0.0) & np.isfinite(behind))
+        ):
+            raise InputError(
+                f"plane {number}: background must be finite and not negative, of the shape {shape}"
+            )
         if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
             raise InputError(f"plane {number}: amplitudes must be finite and not negative")
         if not np.any(plane.amplitude > 0.0):
@@ -349,6 +334,11 @@ def _refuse(
     if len(recorded) < 2:
         raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
     refuse_planes(recorded, grid.shape, "the grid's")
+    for number, plane in enumerate(recorded, start=1):
+        if any(plane.shift_mm) or plane.background is not None:
+            raise InputError(
+                f"plane {number}: Appendix A knows neither shifts nor backgrounds; method object takes both"
+            )
     if len({plane.distance_mm for plane in recorded}) < len(recorded):
         raise InputError("two planes have the same distance_mm: they must differ")
     if (unit := amplitude_unit(recorded)) != 1.0:

@@ -1,18 +1,32 @@
-"""What memory a reconstruction takes, told before it runs: the iterations alone, and a whole run."""
+"""Arrays that a reconstruction holds, and when: each listed once, and told before it runs what they take.
+
+A new array is one line here, in the list of the step that makes it.
+"""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Flag, auto
+from typing import Any
+
+import numpy as np
 
 from wavesim.objects.patch import LIGHT_BYTES
-from wavesim.reconstruction.from_field import retrieval_bytes
-from wavesim.reconstruction.from_object import Kind
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, FLOAT32, Need, fixed, in_files, movable
+from wavesim.reconstruction.retrieval.steps import BLOCK_BYTES
+from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
+from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
 from wavesim.scene.engine import Engine
+from wavesim.scene.settings import Kind
 
-LIT_BYTES = 1
-"""For each sample of the object: whether there is light."""
+LIGHT_OF_MODE_BYTES = 56
+"""For each sample of the object, while light of one direction is made, in double precision."""
+
+TILTED_WAYS, TILTED_FIELDS = 6, 3
+"""Planes, at most as a rule, from which the field on a tilted sensor follows, and fields while it does."""
 
 READ_BYTES = 24
 """For each sample of the object, while a true object is read. Measured."""
@@ -24,6 +38,211 @@ truth, and drawn. Measured."""
 PLANE_BYTES = 20
 """For each pixel, while residuals of a plane are drawn. Measured."""
 
+BLOCKS = 6
+"""Of rows or columns, that a thread of Appendix A has at one time."""
+
+
+class Phase(Flag):
+    """What a run does at one time.
+
+    An iteration goes through the lens, sees what pixels would on each plane, changes the field by what they
+    did see, goes back to the object, smoothes it, steps, and accelerates. One of Appendix A is a pass.
+    """
+
+    LIGHTING = auto()
+    READING = auto()
+    MOVING = auto()
+    DRAWING_NOISE = auto()
+    STARTING = auto()
+    MEASURING_NOISE = auto()
+    LENS = auto()
+    SEEING = auto()
+    CHANGING = auto()
+    BACK = auto()
+    SMOOTHING = auto()
+    STEPPING = auto()
+    ACCELERATING = auto()
+    PASSING = auto()
+    ENDING = auto()
+    JUDGING = auto()
+    COMPARING = auto()
+    SHARPNESS = auto()
+    CARRYING = auto()
+    DRAWING = auto()
+
+
+BEFORE = Phase.LIGHTING | Phase.READING | Phase.MOVING
+PLANES = Phase.SEEING | Phase.CHANGING
+STEPPING = Phase.STEPPING | Phase.ACCELERATING
+ITERATING = Phase.LENS | PLANES | Phase.BACK | Phase.SMOOTHING | STEPPING
+STARTING = Phase.STARTING | Phase.MEASURING_NOISE
+DESCENDING = Phase.DRAWING_NOISE | STARTING | ITERATING | Phase.ENDING
+RESULTS = Phase.JUDGING | Phase.COMPARING | Phase.SHARPNESS | Phase.CARRYING | Phase.DRAWING
+AFTER_MOVING = DESCENDING | Phase.PASSING | RESULTS
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What sizes and numbers of arrays follow from.
+
+    Attributes
+    ----------
+    source, behind : tuple of int
+        Samples of the object, and of the exit grid.
+    distances_mm : tuple of float
+        Of the recorded planes from the exit grid.
+    engine_bytes : int
+        That the engine takes.
+    dtype : numpy dtype
+        Of fields.
+    """
+
+    source: tuple[int, ...]
+    behind: tuple[int, ...]
+    distances_mm: tuple[float, ...]
+    engine_bytes: int = 0
+    dtype: Any = np.complex64
+
+    @classmethod
+    def of(cls, engine: Engine, distances_mm: Sequence[float]) -> Sizes:
+        """With an engine, in complex64."""
+        scene, taken = engine.scene, engine.cost().peak_bytes
+        return cls(scene.object_grid.shape, scene.exit_grid.shape, tuple(distances_mm), taken)
+
+    @property
+    def real(self) -> np.dtype[Any]:
+        """Of amplitudes."""
+        return np.zeros(0, self.dtype).real.dtype
+
+    @property
+    def planes(self) -> int:
+        """How many are recorded."""
+        return len(self.distances_mm)
+
+    @property
+    def far(self) -> int:
+        """How many have a way to them."""
+        return sum(distance != 0.0 for distance in self.distances_mm)
+
+    @property
+    def quarter(self) -> tuple[int, ...]:
+        """Frequencies of the exit grid that are not negative, for which a way is kept."""
+        return tuple(n // 2 + 1 for n in (1, *self.behind)[-2:])
+
+
+def given_arrays(
+    sizes: Sizes, *, with_sigma: bool = True, backgrounds: int = 0, truth: bool = False
+) -> Inventory:
+    """What is reconstructed from: `backgrounds` planes have one; `truth`: with a true object, to compare."""
+    source, behind, held = sizes.source, sizes.behind, AFTER_MOVING
+    return (
+        Listed("the illumination", source, sizes.dtype, held, lies="scratch"),
+        Listed("the recorded amplitudes", behind, sizes.real, held, sizes.planes, lies="scratch"),
+        Listed(
+            "the standard deviations", behind, sizes.real, held, sizes.planes * with_sigma, lies="scratch"
+        ),
+        Listed("the backgrounds", behind, sizes.real, held, backgrounds, lies="scratch"),
+        Listed("the true object", source, sizes.dtype, held, int(truth), lies="scratch"),
+    )
+
+
+def step_array(sizes: Sizes, kind: Kind, during: Phase = ITERATING, count: int = 2) -> Listed:
+    """The object after a step, and the point from which the next one goes; `kind` of object: as sought."""
+    dtype = sizes.real if kind == "amplitude" else sizes.dtype
+    return Listed("a step", sizes.source, dtype, during, count, lies="scratch")
+
+
+def descent_arrays(
+    sizes: Sizes, kind: Kind, active_width: float, modes: int = 1, tilted: bool = False
+) -> Inventory:
+    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `active_width`: as of it.
+
+    `modes` are those of the light of a wide source; `tilted`: the sensor is.
+    """
+    source, behind, quarter, dtype, real = sizes.source, sizes.behind, sizes.quarter, sizes.dtype, sizes.real
+    step = step_array(sizes, kind)
+    through_lens = Phase.STARTING | Phase.LENS | Phase.BACK | Phase.ENDING
+    common: Inventory = (
+        Listed("where there is light", source, bool, DESCENDING),
+        Listed("ways to planes", quarter, dtype, DESCENDING, sizes.far),
+        work("the engine's work", sizes.engine_bytes, through_lens),
+        Listed("noise at the exit", behind, dtype, Phase.DRAWING_NOISE, 1 + int(sizes.planes > 1)),
+        Listed("a way back", quarter, dtype, Phase.DRAWING_NOISE, int(sizes.far > 0)),
+        Listed("the sum of noise at the exit", behind, dtype, Phase.STARTING),
+        Listed("noise in the object", source, dtype, STARTING),
+        Listed("noise where there is light", source, dtype, Phase.MEASURING_NOISE),
+        step,
+        Listed("the field in the object", source, dtype, Phase.LENS),
+        Listed("the field at the exit", behind, dtype, Phase.LENS),
+        Listed("the change at the exit", behind, dtype, Phase.BACK),
+        Listed("the change of the object", source, dtype, Phase.BACK),
+        Listed("the object, smoothed, as it was, and its flow", source, step.dtype, Phase.SMOOTHING, 4),
+        Listed("the object, smoothed", source, step.dtype, Phase.STEPPING),
+        step_array(sizes, kind, Phase.STEPPING, 1),
+        step_array(sizes, kind, Phase.ACCELERATING, 2),
+        step_array(sizes, kind, Phase.ENDING, 1),
+        Listed("residual maps", behind, real, Phase.ENDING, sizes.planes),
+    )
+    if tilted:
+        common += _of_a_tilt(sizes)
+    if modes > 1:
+        return common + _of_modes(sizes, modes)
+    return common + (_of_pixels(sizes) if active_width > 0.0 else _of_points(sizes))
+
+
+def _of_a_tilt(sizes: Sizes) -> Inventory:
+    """While the sensor is tilted."""
+    ways, seen = TILTED_WAYS * sizes.planes, PLANES | Phase.ENDING
+    return (
+        Listed("ways to parallel planes", sizes.quarter, sizes.dtype, DESCENDING, ways),
+        Listed("fields on parallel planes", sizes.behind, sizes.dtype, seen, TILTED_FIELDS),
+    )
+
+
+def _of_modes(sizes: Sizes, modes: int) -> Inventory:
+    """While planes are seen in the light of several modes, by pixels."""
+    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
+    seen, all_through = PLANES | Phase.ENDING, Phase.LENS | PLANES | Phase.BACK | Phase.ENDING
+    return (
+        Listed("spectra of modes at the exit", behind, dtype, all_through, modes),
+        Listed("means over pixels", behind, real, all_through, sizes.planes),
+        work("light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.source), Phase.LENS | Phase.BACK),
+        Listed("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
+        Listed("rows through pixels and their edges", behind, dtype, seen, 2),
+        Listed("means along rows, and over pixels", behind, real, Phase.SEEING | Phase.ENDING, 3),
+        Listed("what planes have changed", behind, dtype, Phase.CHANGING),
+    )
+
+
+def _of_pixels(sizes: Sizes) -> Inventory:
+    """While planes are seen by pixels that integrate."""
+    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
+    seen = PLANES | Phase.ENDING
+    return (
+        Listed("the spectrum at the exit", behind, dtype, seen),
+        Listed("rows through pixels and their edges", behind, dtype, seen, 2),
+        Listed("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
+        Listed("means over pixels", behind, real, PLANES),
+        Listed("what planes before have changed", behind, dtype, Phase.SEEING, int(sizes.planes > 1)),
+        Listed("what planes have changed", behind, dtype, Phase.CHANGING),
+    )
+
+
+def _of_points(sizes: Sizes) -> Inventory:
+    """While planes are seen at points."""
+    behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
+    seen, far, near = PLANES | Phase.ENDING, sizes.far, sizes.planes - sizes.far
+    changed_before = int(near > 0 and sizes.planes > 1) + int(far > 1)
+    return (
+        Listed("the field at the exit, seen", behind, dtype, seen),
+        Listed("the spectrum at the exit", behind, dtype, seen, int(far > 0)),
+        Listed("the field on a plane", behind, dtype, seen),
+        Listed("squares of its parts", behind, real, Phase.SEEING, 2),
+        Listed("a square of its parts", behind, real, Phase.ENDING),
+        Listed("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),
+        Listed("what planes before have changed", behind, dtype, Phase.CHANGING, changed_before),
+    )
+
 
 def reconstruction_bytes(
     engine: Engine,
@@ -32,6 +251,8 @@ def reconstruction_bytes(
     kind: Kind = "complex",
     active_width: float = 0.0,
     with_sigma: bool = True,
+    modes: int = 1,
+    tilted: bool = False,
 ) -> Need:
     """Memory that :func:`wavesim.reconstruct` takes in complex64, beside Python and libraries (some 0.3 GB).
 
@@ -45,39 +266,51 @@ def reconstruction_bytes(
         As of :func:`wavesim.reconstruct`.
     with_sigma
         Whether recorded amplitudes come with standard deviations.
+    modes
+        Of the light, if its source is wide.
+    tilted
+        Whether the sensor is tilted.
 
     Returns
     -------
     Need
         Illumination, recorded arrays and last steps are those that can lie in files.
     """
-    scene, planes = engine.scene, len(distances_mm)
-    source, behind = COMPLEX64 * scene.object_grid.size, COMPLEX64 * scene.exit_grid.size
-    step = source // 2 if kind == "amplitude" else source
-    far = sum(distance != 0.0 for distance in distances_mm)
-    kept = movable(source) + movable(2 * step) + movable(planes * behind * (1.0 if with_sigma else 0.5))
-    kept += fixed(LIT_BYTES * scene.object_grid.size) + fixed(0.25 * far * behind)
-    carrying = fixed(engine.cost().peak_bytes + source + behind)
-    replacing = fixed(behind * _fields_of_a_plane(planes, far, active_width))
-    smoothing = fixed(4.0 * step)
-    return kept + (carrying | replacing | smoothing)
+    sizes = Sizes.of(engine, distances_mm)
+    own = descent_arrays(sizes, kind, active_width, modes, tilted)
+    return need_of(given_arrays(sizes, with_sigma=with_sigma) + own)
 
 
-def _fields_of_a_plane(planes: int, far: int, active_width: float) -> float:
-    """Fields of the exit grid's size at one time while they take the amplitudes recorded.
+def retrieval_arrays(sizes: Sizes, masked: bool = True) -> Inventory:
+    """What :func:`wavesim.retrieve` holds beside its arguments; `masked`: not all pixels are known."""
+    behind, dtype, passing = sizes.behind, sizes.dtype, Phase.PASSING
+    blocks = math.prod(behind) * np.dtype(dtype).itemsize // BLOCK_BYTES
+    return (
+        Listed("the field sought, and the one before", behind, dtype, passing, 2),
+        Listed("fields on planes", behind, dtype, passing, sizes.far),
+        Listed("ways to planes", sizes.quarter, dtype, passing, sizes.far),
+        Listed("pixels that are known", behind, bool, passing, sizes.planes * masked),
+        Listed("rows beside blocks", behind[-1:], dtype, passing, 2 * blocks),
+        work("blocks", (os.cpu_count() or 1) * BLOCKS * BLOCK_BYTES, passing),
+    )
 
-    Pixels that integrate: the spectrum, twice as many rows of the field and their intensity, and what planes
-    before have changed. At points: the field, its spectrum, what is changed of each, and the field on a plane
-    with its intensity.
+
+def retrieval_bytes(shape: tuple[int, ...], distances_mm: Sequence[float], masked: bool = True) -> int:
+    """Most bytes that :func:`wavesim.retrieve` takes in single precision, beside its arguments.
+
+    Parameters
+    ----------
+    shape
+        Of the grid.
+    distances_mm
+        Of the recorded planes from the plane sought. One at 0 takes no transforms.
+    masked
+        Whether planes have pixels that tell nothing.
     """
-    if active_width > 0.0:
-        return 4.5 + (planes > 1)
-    if far == 0:
-        return 3.5
-    return 4.5 + (planes > 2)
+    return need_of(retrieval_arrays(Sizes(shape, shape, tuple(distances_mm)), masked)).most_bytes
 
 
-def run_need(
+def run_arrays(
     engine: Engine,
     distances_mm: Sequence[float],
     *,
@@ -85,11 +318,14 @@ def run_need(
     kind: Kind,
     active_width: float,
     frames_bytes: int,
-    shown: int,
+    shown: tuple[int, ...],
     carried: int,
     truth: bool,
-) -> Need:
-    """Memory that the command `wavesim reconstruct` takes, from reading its frames to writing its results.
+    backgrounds: int = 0,
+    modes: int = 1,
+    tilted: bool = False,
+) -> Inventory:
+    """What the command `wavesim reconstruct` holds, from reading its frames to writing its results.
 
     Parameters
     ----------
@@ -100,43 +336,63 @@ def run_need(
     frames_bytes
         Of all frames as they are read.
     shown
-        Samples of the object that are judged and written.
+        Samples of the object, along each axis, that are judged and written.
     carried
-        Samples that are carried along the axis for refocusing; 0 without it.
+        Number of samples that are carried along the axis for refocusing; 0 without it.
     truth
         Whether a true object is compared.
+    backgrounds
+        How many planes have a background.
+    modes, tilted
+        As of :func:`reconstruction_bytes`.
     """
-    planes, source, behind = len(distances_mm), engine.scene.object_grid.size, engine.scene.exit_grid.size
-    true = movable(COMPLEX64 * source if truth else 0)
-    given = movable(COMPLEX64 * source) + movable(planes * COMPLEX64 * behind) + true
-    frames = fixed(frames_bytes)
-    lit, read = fixed(LIGHT_BYTES * source), fixed((COMPLEX64 + READ_BYTES) * source if truth else 0)
-    reading = frames + (lit | read)
-    if method == "object":
-        iterating = reconstruction_bytes(engine, distances_mm, kind=kind, active_width=active_width)
-        kept, found = COMPLEX64 * source * (1 if kind == "amplitude" else 2), COMPLEX64 * source
-    else:
-        iterating = _retrieving(engine, distances_mm)
-        kept, found = 2 * COMPLEX64 * behind, COMPLEX64 * behind
-    results = fixed(planes * FLOAT32 * behind) + fixed(found) + fixed(COMPLEX64 * shown)
-    results += (
-        fixed(engine.cost().peak_bytes + COMPLEX64 * (2 * shown + behind))
-        | fixed(max(JUDGED_BYTES, DRAWN_BYTES) * shown)
-        | fixed(REFOCUSED_BYTES * min(carried, MOST_JUDGED**2))
-        | fixed(CARRIED_BYTES * carried)
-        | fixed(PLANE_BYTES * behind)
+    sizes = Sizes.of(engine, distances_mm)
+    of_object = method == "object"
+    own = descent_arrays(sizes, kind, active_width, modes, tilted) if of_object else _paper_arrays(sizes)
+    given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
+    source = math.prod(sizes.source)
+    before = (
+        work("the process itself", BASE_BYTES, BEFORE | AFTER_MOVING),
+        work("the frames", frames_bytes, BEFORE),
+        work("light, as it is made", LIGHT_BYTES * source, Phase.LIGHTING),
+        work("the true object, as it is read", truth * (COMPLEX64 + READ_BYTES) * source, Phase.READING),
+        work("all that is given, as it was read", sum(one.bytes_of_all for one in given), Phase.MOVING),
     )
-    passed = movable(3 * COMPLEX64 * shown if truth else 0)
-    run = reading | frames + fixed(given.most_bytes) | iterating + true | results + given + passed
     # A new checkpoint is written before the earlier one goes.
-    return fixed(BASE_BYTES) + run + in_files(2 * kept)
+    state, kept = (
+        ("a step", ITERATING)
+        if method == "object"
+        else ("the field sought, and the one before", Phase.PASSING)
+    )
+    files = (Listed("checkpoints", (named(own, state).bytes_of_all,), np.uint8, kept, 2, lies="file"),)
+    return before + given + own + files + _results(sizes, method, shown, carried, truth)
 
 
-def _retrieving(engine: Engine, distances_mm: Sequence[float]) -> Need:
-    """What Appendix A takes."""
-    source, behind = engine.scene.object_grid.size, engine.scene.exit_grid.size
-    starting = fixed(engine.cost().peak_bytes + 2 * COMPLEX64 * behind)
-    passing = fixed(retrieval_bytes(engine.scene.exit_grid.shape, distances_mm))
-    # Recorded amplitudes are there twice, as they were recorded and as Appendix A takes them.
-    recorded = movable(len(distances_mm) * (COMPLEX64 + FLOAT32) * behind)
-    return (starting | passing) + movable(COMPLEX64 * source) + recorded
+def _paper_arrays(sizes: Sizes) -> Inventory:
+    """What Appendix A holds, with the field that it starts from."""
+    lifted = Phase.LENS | Phase.PASSING
+    return (
+        work("the engine's work", sizes.engine_bytes, Phase.LENS),
+        Listed("the field at the exit", sizes.behind, sizes.dtype, Phase.LENS, 2),
+        Listed("amplitudes above the noise", sizes.behind, sizes.real, lifted, sizes.planes, lies="scratch"),
+        *retrieval_arrays(sizes),
+    )
+
+
+def _results(sizes: Sizes, method: str, shown: tuple[int, ...], carried: int, truth: bool) -> Inventory:
+    """What is held from the last iteration on; all but `sizes` as of :func:`run_arrays`."""
+    dtype, part = sizes.dtype, math.prod(shown)
+    return (
+        Listed("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
+        Listed("what was found", sizes.source if method == "object" else sizes.behind, dtype, RESULTS),
+        Listed("the part that is shown", shown, dtype, RESULTS),
+        Listed("a field that the lens passes", shown, dtype, RESULTS, 3 * truth, lies="scratch"),
+        work("the engine's work", sizes.engine_bytes, Phase.JUDGING),
+        Listed("fields before the lens", shown, dtype, Phase.JUDGING, 2),
+        Listed("the field behind the lens", sizes.behind, dtype, Phase.JUDGING),
+        work("a comparison", JUDGED_BYTES * part, Phase.COMPARING),
+        work("sharpness", REFOCUSED_BYTES * min(carried, MOST_JUDGED**2), Phase.SHARPNESS),
+        work("what is carried along the axis", CARRIED_BYTES * carried, Phase.CARRYING),
+        work("pictures of the object", DRAWN_BYTES * part, Phase.DRAWING),
+        work("pictures of a plane", PLANE_BYTES * math.prod(sizes.behind), Phase.DRAWING),
+    )

@@ -54,8 +54,8 @@ def progress_kept(checkpoint: Checkpoint | None, scratch: Scratch) -> Progressed
     if kept is None:
         return None
     return Progressed(
-        scratch.moved(kept.pop("transmission"), "what was kept"),
-        scratch.moved(kept.pop("ahead"), "what was kept"),
+        scratch.moved(kept.pop("transmission"), "a step"),
+        scratch.moved(kept.pop("ahead"), "a step"),
         float(kept["momentum"]),
         tuple(kept["misfit"].tolist()),
         float(kept["scale"]),
@@ -164,13 +164,13 @@ def _prepared(recorded: Sequence[Recorded], scratch: Scratch) -> tuple[list[Reco
     """
     planes = []
     for plane in recorded:
-        lifted = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "the recorded amplitudes")
+        lifted = scratch.array(plane.amplitude.shape, plane.amplitude.dtype, "amplitudes above the noise")
         for row in range(len(lifted)):
             least: Any = 0.0
             if plane.sigma is not None:
                 least = DARKEST * np.where(np.isfinite(plane.sigma[row]), plane.sigma[row], 0.0)
             lifted[row] = np.maximum(plane.amplitude[row], least)
-        planes.append(Recorded(plane.distance_mm, lifted, plane.sigma))
+        planes.append(replace(plane, amplitude=lifted))
     first = planes[0].amplitude
     factor = np.float32(MEDIAN / float(np.median(first[first > LIT * first.max()])))
     for plane in planes:

@@ -65,21 +65,6 @@ class Need:
         )
 
 
-def fixed(count_bytes: float) -> Need:
-    """Of arrays that lie in memory in any case."""
-    return Need(round(count_bytes), round(count_bytes))
-
-
-def movable(count_bytes: float) -> Need:
-    """Of arrays that can lie in files, by :class:`wavesim.runtime.scratch.Scratch`."""
-    return Need(round(count_bytes), 0)
-
-
-def in_files(count_bytes: float) -> Need:
-    """Of files that are written in any case."""
-    return Need(0, 0, round(count_bytes))
-
-
 def memory_limit(memory_gb: float | None) -> float:
     """Bytes that a run may take: those given, or a share of what is free.
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.errors import InputError
+from wavesim.runtime.inventory import Listed
 
 WRITTEN = 2**20
 """Bytes at a time, where a system cannot reserve a file's room at once."""
@@ -72,6 +73,16 @@ class Scratch:
         self._count(in_file, size)
         weakref.finalize(flat, self._count, in_file, -size).atexit = False
         return flat.view(dtype).reshape(shape)
+
+    def make(self, one: Listed) -> NDArray[Any]:
+        """One of the arrays listed, of zeros.
+
+        Raises
+        ------
+        InputError
+            As :meth:`array`.
+        """
+        return self.array(one.shape, one.dtype, one.name)
 
     def moved(self, values: NDArray[Any], what: str = "an array") -> NDArray[Any]:
         """A copy of an array; the memory of the original comes back where it is no longer used.

@@ -1,7 +1,6 @@
 """Dual-plane phase retrieval."""
 
 import itertools
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.passage import propagate
 from wavesim.fields.plane_waves import fft_frequencies, transfer
-from wavesim.reconstruction import retrieval_steps
 from wavesim.reconstruction.from_field import (
     FEEDBACK,
     WATCHED,
@@ -22,10 +20,10 @@ from wavesim.reconstruction.from_field import (
     replace_amplitude,
     residual,
     residual_and_map,
-    retrieval_bytes,
     retrieve,
     stagnation,
 )
+from wavesim.reconstruction.retrieval import steps as retrieval_steps
 
 GRID = Grid((96, 96), 4e-3, 0.0)
 WAVELENGTH = 0.532
@@ -164,6 +162,10 @@ def test_progress_is_told() -> None:
         ({"recorded": [Recorded(1.0, np.ones(GRID.shape))] * 2}, "same distance_mm"),
         ({"recorded": [Recorded(d, np.full(GRID.shape, np.nan)) for d in DISTANCES]}, "finite"),
         ({"recorded": [Recorded(d, -np.ones(GRID.shape)) for d in DISTANCES]}, "not negative"),
+        (
+            {"recorded": [Recorded(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
+            "Appendix A knows neither shifts nor backgrounds",
+        ),
         ({"recorded": [Recorded(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
         ({"recorded": [Recorded(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
         ({"iterations": 0}, "iterations = 0"),
@@ -341,26 +343,6 @@ def test_arguments_stay_as_they_were() -> None:
     retrieve(GRID, WAVELENGTH, planes, start, iterations=4)
     for now, then in itertools.zip_longest([*(p.amplitude for p in planes), start.values], copies):
         np.testing.assert_array_equal(now, then)
-
-
-@pytest.mark.parametrize("distances", [(0.0, 3.0), (2.0, 22.0), (2.0, 8.0, 22.0)])
-@pytest.mark.parametrize("masked", [False, True])
-def test_memory_is_as_told(distances: tuple[float, ...], masked: bool) -> None:
-    shape = (1500, 1400)
-    rng, grid = np.random.default_rng(5), Grid(shape, 3.2e-3, 0.0)
-    sigma = np.ones(shape, np.float32)
-    sigma[5, 7] = np.inf
-    planes = [
-        Recorded(d, 60.0 + rng.random(shape, dtype=np.float32), sigma if masked else None) for d in distances
-    ]
-    retrieve(
-        Grid((8, 8), 3.2e-3, 0.0), WAVELENGTH, [Recorded(d, np.ones((8, 8))) for d in (0.0, 1.0)], tv_step=0
-    )
-    tracemalloc.start()
-    retrieve(grid, WAVELENGTH, planes, iterations=3)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert retrieval_bytes(shape, distances, masked=masked) == pytest.approx(peak, rel=0.3)
 
 
 def test_what_is_left_on_a_plane() -> None:

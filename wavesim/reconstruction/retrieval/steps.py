@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay
-from wavesim.reconstruction import retrieval_kernel
+from wavesim.reconstruction.retrieval import kernel
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -224,7 +224,7 @@ class Passes:
 
         def one(block: Block) -> float:
             part = (now[block.own], plane.amplitude[block.own], _known(plane, block.own))
-            return float(retrieval_kernel.replaced_power(*part))
+            return float(kernel.replaced_power(*part))
 
         return math.fsum(self._over(one, self._blocks(0)))
 
@@ -234,7 +234,7 @@ class Passes:
         def one(block: Block) -> Sums:
             field = scipy.fft.ifft(plane.there[block.own], axis=1)
             sums = _compared(field, plane, block) if watched else ()
-            retrieval_kernel.replace(field, plane.amplitude[block.own], _known(plane, block.own))
+            kernel.replace(field, plane.amplitude[block.own], _known(plane, block.own))
             plane.there[block.own] = scipy.fft.fft(field, axis=1, overwrite_x=True)
             return sums
 
@@ -275,18 +275,16 @@ class Passes:
                 if plane.carrier is None:
                     sums = _compared(now[block.own], plane, block)
                     field = now[block.wide].copy()
-                    retrieval_kernel.replace(field, plane.amplitude[block.wide], _known(plane, block.wide))
+                    kernel.replace(field, plane.amplitude[block.wide], _known(plane, block.wide))
                 else:
                     field = plane.there[block.wide].copy()
                     for row in _beside(block) if plane is lead else ():
                         field[row - block.wide.start] = beside[row]
                     field = np.ascontiguousarray(scipy.fft.ifft(field, axis=1, overwrite_x=True))
                 first = block.own.start - block.wide.start
-                retrieval_kernel.add_smoothed(
-                    _floats(field), first, *step, plane is self.planes[0], _floats(mean)
-                )
+                kernel.add_smoothed(_floats(field), first, *step, plane is self.planes[0], _floats(mean))
             after = before[block.own]
-            retrieval_kernel.feed_back(_floats(mean), own, _floats(now[block.own]), a, _floats(after), b)
+            kernel.feed_back(_floats(mean), own, _floats(now[block.own]), a, _floats(after), b)
             self._leave(after, block)
             return sums
 
@@ -311,12 +309,12 @@ def _carry(spectrum: ComplexArray, plane: Plane, block: Block, back: bool, resul
     """Carry columns of a spectrum to a plane or back; the sum of |values|^2 of the result."""
     assert plane.carrier is not None
     way, columns = plane.carrier, plane.carrier.columns[block.own]
-    return float(retrieval_kernel.carry(spectrum, way.factor, way.rows, columns, back, result))
+    return float(kernel.carry(spectrum, way.factor, way.rows, columns, back, result))
 
 
 def _compared(field: ComplexArray, plane: Plane, block: Block) -> Sums:
     amplitude, known = plane.amplitude[block.own], _known(plane, block.own)
-    return tuple(retrieval_kernel.compare(field, amplitude, known))
+    return tuple(kernel.compare(field, amplitude, known))
 
 
 def _match(sums: Sequence[Sums]) -> Match:

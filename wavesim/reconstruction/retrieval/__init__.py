@@ -1,0 +1,1 @@
+"""Steps of Appendix A, and their compiled loops."""
