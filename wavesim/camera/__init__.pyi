@@ -5,7 +5,14 @@ from .imaging import Imaged, image
 from .mounting import mounting_table, read_mounting
 from .recorded import Recorded, recorded_intensity
 from .recording import Recording, drop_parts, image_patch
-from .sensor import FootprintWarning, frames_of_light, light_on_pixels, record, sensor_grid
+from .sensor import (
+    FootprintWarning,
+    frames_of_light,
+    interference_on_pixels,
+    light_on_pixels,
+    record,
+    sensor_grid,
+)
 from .windows import DiversityWarning, diversity, exit_scene, sensor_window
 
 __all__ = [
@@ -25,6 +32,7 @@ __all__ = [
     "frames_of_light",
     "image",
     "image_patch",
+    "interference_on_pixels",
     "light_on_pixels",
     "merged_intensity",
     "mounting_table",

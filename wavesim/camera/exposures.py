@@ -20,6 +20,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive, Section
 from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.camera.frames import Bits, Counts, Frame, NotNegative, Offset
+from wavesim.camera.pixels.errors import PixelPattern
 from wavesim.runtime.threads import row_blocks
 
 Seed = int | np.random.SeedSequence
@@ -98,7 +99,13 @@ def exposure_for(intensity: Array, brightest_electrons: float) -> float:
     return exposure
 
 
-def expose(intensity: Array, exposure: float, electronics: Electronics, seed: Seed | None) -> Counts:
+def expose(
+    intensity: Array,
+    exposure: float,
+    electronics: Electronics,
+    seed: Seed | None,
+    pattern: PixelPattern | None = None,
+) -> Counts:
     """Counts of pixels on which a mean intensity falls.
 
     Parameters
@@ -111,6 +118,8 @@ def expose(intensity: Array, exposure: float, electronics: Electronics, seed: Se
         Full well, noise and quantisation.
     seed
         Of the noise; None gives the counts of the mean, rounded, without noise.
+    pattern
+        Of pixels that are not alike.
 
     Returns
     -------
@@ -126,7 +135,8 @@ def expose(intensity: Array, exposure: float, electronics: Electronics, seed: Se
     counts = np.empty(intensity.shape, np.uint16)
     clipped = 0
     for rows in row_blocks(len(intensity)):
-        counts[rows], number = _exposed(intensity[rows], exposure, electronics, random)
+        held, dark = (intensity[rows], 0.0) if pattern is None else pattern.of(intensity, rows)
+        counts[rows], number = _exposed(held, dark, exposure, electronics, random)
         clipped += number
     if clipped:
         warnings.warn(
@@ -136,7 +146,11 @@ def expose(intensity: Array, exposure: float, electronics: Electronics, seed: Se
 
 
 def _exposed(
-    intensity: Array, exposure: float, electronics: Electronics, random: np.random.Generator | None
+    intensity: Array,
+    dark_electrons: Array | float,
+    exposure: float,
+    electronics: Electronics,
+    random: np.random.Generator | None,
 ) -> tuple[Counts, int]:
     """Counts, and how many of them are clipped."""
     electrons = intensity.astype(float) * exposure
@@ -146,6 +160,7 @@ def _exposed(
     if random is not None:
         # Beyond twice full well all is clipped, and Poisson numbers have no upper end.
         electrons = random.poisson(np.minimum(electrons, 2.0 * full + 100.0)).astype(float)
+    electrons = electrons + dark_electrons
     clipped = electrons > full
     electrons = np.minimum(electrons, full)
     if random is not None:
@@ -231,12 +246,12 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
     ordered = sorted(frames, key=lambda frame: frame.settings.exposure)
     times = [frame.settings.exposure for frame in ordered]
     electrons = [electrons_of(frame, rows) for frame in ordered]
-    known = [frame.counts[rows] < frame.settings.clipped_counts for frame in ordered]
+    known = [known_in(frame, rows) for frame in ordered]
     fixed = [fixed_variance(frame) for frame in ordered]
     # In units of the longest exposure, so that squares of exposures of any unit stay finite.
-    shares = [time / times[-1] for time in times]
+    shares = [time / times[-1] * gain_of(frame, rows) for time, frame in zip(times, ordered, strict=True)]
     seen = sum(np.where(k, e, 0.0) for k, e in zip(known, electrons, strict=True))
-    over = sum(k * s for k, s in zip(known, shares, strict=True))
+    over = np.asarray(sum(k * s for k, s in zip(known, shares, strict=True)))
     dark = np.asarray(over == 0.0)
     rough = np.maximum(seen, 0.0) / np.where(dark, 1.0, over)
 
@@ -253,9 +268,25 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
 
 
 def electrons_of(frame: Frame, rows: slice = slice(None)) -> Array:
-    """Electrons that a frame's counts stand for, less the dark count; below 0 where noise is."""
+    """Electrons that a frame's counts stand for, less the dark signal; below 0 where noise is."""
     settings = frame.settings
-    return (frame.counts[rows].astype(float) - settings.offset_counts) * settings.gain_electrons_per_count
+    electrons = (
+        frame.counts[rows].astype(float) - settings.offset_counts
+    ) * settings.gain_electrons_per_count
+    if frame.maps is not None and frame.maps.dark_electrons is not None:
+        electrons -= frame.maps.dark_electrons[rows]
+    return electrons
+
+
+def gain_of(frame: Frame, rows: slice = slice(None)) -> Array | float:
+    """Gain of a frame's pixels over that of their mean."""
+    return 1.0 if frame.maps is None or frame.maps.gain is None else frame.maps.gain[rows]
+
+
+def known_in(frame: Frame, rows: slice = slice(None)) -> NDArray[np.bool_]:
+    """Pixels of a frame that are not clipped, nor bad."""
+    known = frame.counts[rows] < frame.settings.clipped_counts
+    return np.asarray(known if frame.bad is None else known & ~frame.bad[rows])
 
 
 def fixed_variance(frame: Frame) -> float:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,12 @@ from wavesim.camera.exposures import (
     clipped_in_all,
     electrons_of,
     fixed_variance,
+    known_in,
     merged_intensity,
 )
 from wavesim.camera.frames import Frame, read_frame
+from wavesim.camera.pixels.bad import found_bad
+from wavesim.camera.pixels.maps import PixelMaps, read_pixel_maps
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.runtime.threads import row_blocks
 from wavesim.scene.settings import FrameSetSettings, SettingError
@@ -43,8 +46,23 @@ OTHER_PICTURE, SURE = 0.05, 6.0
 """Mean square difference of two frames of one plane, less what is noise, over the mean square intensity, from
 which on they are different pictures; and the standard deviations of that noise by which it must show."""
 
+SAME_EXPOSURE, MOST_OFF = 3e-3, 0.3
+"""Relative error of an exposure from which on it is told and taken out, and up to which it can be: beyond,
+frames state something else than what they are."""
+
+SEEN, NOT_CLIPPED = 20.0, 0.9
+"""Pixels that tell it: standard deviations of a dark one that they show, and share of the counts at most."""
+
 COMPARED = 4_000_000
 """Pixels, about, that two frames of one plane are compared in: of larger ones, some rows."""
+
+
+class BadPixelWarning(UserWarning):
+    """A stated number of pixels is hot or dead, and left out."""
+
+
+class ExposureWarning(UserWarning):
+    """A frame's light is not what its exposure says, which is taken out."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +89,7 @@ def read_frames(
     settings: FrameSetSettings | None = None,
     *,
     lens: Lens | None = None,
+    assumed: Mapping[str, Any] | None = None,
     **changes: Any,
 ) -> tuple[Frame, ...]:
     """Frames in the order of their planes, those of one plane by exposure, checked to belong together.
@@ -78,13 +97,15 @@ def read_frames(
     Parameters
     ----------
     paths
-        TIFF files.
+        TIFF or PNG files.
     settings
         What stands in for what they do not say.
     lens
         The design, whose pixel pitch, wavelength and planes are taken where neither files nor settings say
         them: the wavelength of a design that has one, its planes in the order of the files if there are as
         many.
+    assumed
+        What is taken, told by a warning, where neither these nor files nor settings say it.
     **changes
         Settings by name, in place of those of `settings`.
 
@@ -99,31 +120,124 @@ def read_frames(
     -----
     SaturationWarning
         If a few pixels are clipped in all frames of a plane.
+    BadPixelWarning, ExposureWarning
+        If pixels are hot or dead, or exposures other than stated.
     AssumedWarning
         For each frame, what was taken of the design.
     """
-    given = _given(len(paths), (settings or FrameSetSettings()).replaced(**changes))
+    settings = (settings or FrameSetSettings()).replaced(**changes)
+    given = _given(len(paths), settings)
     for number, path in enumerate(paths):
         if path in paths[:number]:
             raise InputError(f"{path}: is named twice: a frame counts once")
-    assumed = _assumed(len(paths), lens)
-    frames = [read_frame(path, known, **own) for path, known, own in zip(paths, assumed, given, strict=True)]
-    _refuse_unlike(paths, frames)
+    taken = [dict(assumed or {}) | own for own in _assumed(len(paths), lens)]
+    read = [read_frame(path, known, **own) for path, known, own in zip(paths, taken, given, strict=True)]
+    _refuse_unlike(paths, read)
     order = sorted(
-        zip(paths, frames, strict=True),
+        zip(paths, read, strict=True),
         key=lambda one: (one[1].settings.plane_distance_mm, one[1].settings.exposure),
     )
-    for _, group in groupby(order, key=lambda one: one[1].settings.plane_distance_mm):
-        plane = list(group)
+    named = [path for path, _ in order]
+    frames = _without_bad(_with_maps(named, [frame for _, frame in order], settings))
+    checked = []
+    for _, group in groupby(
+        zip(named, frames, strict=True), key=lambda one: one[1].settings.plane_distance_mm
+    ):
+        plane = _with_true_exposures(list(group))
         for shorter, longer in pairwise(plane):
             _refuse_other_picture(shorter, longer)
         _check_saturation(plane)
-    return tuple(frame for _, frame in order)
+        checked += [frame for _, frame in plane]
+    return tuple(checked)
+
+
+def _with_maps(paths: Sequence[Path], frames: Sequence[Frame], settings: FrameSetSettings) -> list[Frame]:
+    """Frames with what is known of their pixels."""
+    own = frames[0].settings
+    maps = read_pixel_maps(
+        frames[0].counts.shape,
+        own.offset_counts,
+        own.gain_electrons_per_count,
+        flat=settings.flat,
+        dark=settings.dark,
+        bad=settings.bad_pixels,
+    )
+    if maps is None:
+        return list(frames)
+    if maps.dark_electrons is not None:
+        dark = own.offset_counts + float(maps.dark_electrons.mean()) / own.gain_electrons_per_count
+        for path, frame in zip(paths, frames, strict=True):
+            if dark > float(frame.counts.mean()):
+                raise InputError(
+                    f"{settings.dark}: has {dark:.4g} counts in the mean, more than {path} with "
+                    f"{frame.counts.mean():.4g}: must be a picture without light"
+                )
+    return [replace(frame, maps=maps) for frame in frames]
+
+
+def _without_bad(frames: Sequence[Frame]) -> list[Frame]:
+    """Frames whose hot and dead pixels are marked, too."""
+    planes = frames_by_plane(frames)
+    result = list[Frame]()
+    for plane, found in zip(planes, found_bad(planes), strict=True):
+        maps = plane[0].maps or PixelMaps()
+        new = found if maps.bad is None else found & ~maps.bad
+        if not new.any():
+            result += plane
+            continue
+        warnings.warn(
+            f"plane at {plane[0].settings.plane_distance_mm:g} mm: {np.count_nonzero(new)} pixels are hot or "
+            "dead; they are left out",
+            BadPixelWarning,
+            stacklevel=3,
+        )
+        maps = replace(maps, bad=found if maps.bad is None else found | maps.bad)
+        result += [replace(frame, maps=maps) for frame in plane]
+    return result
+
+
+def _with_true_exposures(plane: Sequence[tuple[Path, Frame]]) -> list[tuple[Path, Frame]]:
+    """Frames of one plane whose exposures are those of their light, from the shortest's on."""
+    result = [plane[0]]
+    for path, frame in plane[1:]:
+        factor, deviation = _exposure_ratio(result[-1][1], frame)
+        off = abs(factor - 1.0)
+        if max(SAME_EXPOSURE, SURE * deviation) < off <= MOST_OFF:
+            warnings.warn(
+                f"{path}: is {100.0 * (factor - 1.0):+.2g} % brighter than its exposure says, against "
+                f"{result[-1][0]}: that is taken out",
+                ExposureWarning,
+                stacklevel=3,
+            )
+            settings = frame.settings.replaced(exposure=factor * frame.settings.exposure)
+            frame = replace(frame, settings=settings)
+        result.append((path, frame))
+    return result
+
+
+def _exposure_ratio(short: Frame, long: Frame) -> tuple[float, float]:
+    """Light of a longer exposure over what a shorter one and both exposures say, and its deviation."""
+    ratio = long.settings.exposure / short.settings.exposure
+    clear = NOT_CLIPPED * (long.settings.clipped_counts - long.settings.offset_counts)
+    most = clear * long.settings.gain_electrons_per_count
+    least = SEEN * math.sqrt(fixed_variance(short) + 1.0)
+    shorter = longer = scatter = 0.0
+    every = 1 + short.counts.size // COMPARED
+    for block in row_blocks(len(short.counts)):
+        rows = slice(block.start, block.stop, every)
+        two = electrons_of(long, rows)
+        # Chosen by the frame whose noise is less: chosen by both, the noise of the other would choose, too.
+        chosen = known_in(short, rows) & known_in(long, rows) & (two > least * ratio) & (two < most)
+        one = electrons_of(short, rows)[chosen]
+        shorter += float(one.sum())
+        longer += float(two[chosen].sum()) / ratio
+        scatter += float(np.sum(np.maximum(one, 0.0) * (1.0 + 1.0 / ratio) + fixed_variance(short)))
+    return (longer / shorter, math.sqrt(scatter) / shorter) if shorter > 0.0 else (1.0, math.inf)
 
 
 def _given(count: int, settings: FrameSetSettings) -> list[dict[str, Any]]:
     """For each frame, the settings that stand in for what it does not say."""
-    told = settings.model_dump(exclude_none=True)
+    told = settings.model_dump(exclude_none=True, exclude={"flat", "dark", "bad_pixels"})
     for name in ("plane_distance_mm", "exposure"):
         if name in told and len(told[name]) != count:
             said = ",".join(f"{number:g}" for number in told[name])
@@ -180,11 +294,16 @@ def _refuse_other_picture(shorter: tuple[Path, Frame], longer: tuple[Path, Frame
     (path, short), (other, long) = shorter, longer
     ratio = long.settings.exposure / short.settings.exposure
     excess = scatter = size = 0.0
+    seen = LEAST_SIGNAL * math.sqrt(fixed_variance(short))
     every = 1 + short.counts.size // COMPARED
     for block in row_blocks(len(short.counts)):
         rows = slice(block.start, block.stop, every)
-        known = ~(short.saturated[rows] | long.saturated[rows])
-        one, two = electrons_of(short, rows)[known], electrons_of(long, rows)[known] / ratio
+        known = known_in(short, rows) & known_in(long, rows)
+        one, two = electrons_of(short, rows), electrons_of(long, rows) / ratio
+        # Dark signals of pixels differ, and of a faint picture they are most of what is seen. The longer
+        # exposure chooses: where the shorter one does, its noise would.
+        known &= (two > seen) | (one > 5.0 * seen)
+        one, two = one[known], two[known]
         noise = np.maximum(two, 0.0) * (1.0 + 1.0 / ratio)
         noise += fixed_variance(short) + fixed_variance(long) / ratio**2
         excess += float(np.sum((one - two) ** 2 - noise))

@@ -1,7 +1,7 @@
 """Recorded frames: an intensity picture as counts, with all that is needed to turn it back into intensity.
 
-On disk a frame is a 16-bit grey TIFF whose ImageDescription holds the settings as JSON. A camera's own files
-come in at the same door, their settings given by hand.
+On disk a frame is a 16-bit grey TIFF whose ImageDescription holds the settings as JSON. A camera's own files,
+TIFF or PNG, come in at the same door, their settings given by hand.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from lensdesign.common.input_files import check_input
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
+from wavesim.camera.pixels.maps import PixelMaps
 from wavesim.scene.settings import SettingError
 
 Counts = NDArray[np.uint16]
@@ -112,6 +113,8 @@ class Frame:
         Rows along y and columns along x, both increasing, as in a :class:`~wavesim.fields.field.Grid`.
     settings : FrameSettings
         How it was recorded.
+    maps : PixelMaps, optional
+        What is known of its pixels; a file does not hold it.
 
     Raises
     ------
@@ -121,6 +124,7 @@ class Frame:
 
     counts: Counts
     settings: FrameSettings
+    maps: PixelMaps | None = None
 
     def __post_init__(self) -> None:
         counts = self.counts
@@ -138,6 +142,11 @@ class Frame:
             raise InputError(
                 f"frame counts reach {int(counts.max())}: {bits} bits end at {top}{hint if aligned else ''}"
             )
+
+    @property
+    def bad(self) -> NDArray[np.bool_] | None:
+        """Pixels that tell nothing, shape (ny, nx); None where none are known."""
+        return None if self.maps is None else self.maps.bad
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
@@ -171,7 +180,7 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
 
 
 def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None = None, **given: Any) -> Frame:
-    """Read a frame from a grey TIFF of 8, 12 or 16 bits.
+    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits.
 
     Parameters
     ----------
@@ -195,7 +204,7 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
         Naming what was assumed.
     """
     path = Path(path)
-    counts, description = _read_tiff(path)
+    counts, description = _read_picture(path)
     settings = _written_settings(description, path) | given
     fields = FrameSettings.model_fields
     for name in given:
@@ -217,8 +226,8 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
         raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
 
 
-def _read_tiff(path: Path) -> tuple[Counts, str]:
-    """Counts and ImageDescription of a grey TIFF."""
+def _read_picture(path: Path) -> tuple[Counts, str]:
+    """Counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
     from PIL import Image, UnidentifiedImageError
 
     check_input(path)
@@ -229,7 +238,7 @@ def _read_tiff(path: Path) -> tuple[Counts, str]:
     with data, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with Image.open(data, formats=["TIFF"]) as image:
+            with Image.open(data, formats=["TIFF", "PNG"]) as image:
                 tags: Any = getattr(image, "tag_v2", {})
                 _refuse_foreign(image, tags, path)
                 description = tags.get(DESCRIPTION, "")
@@ -237,22 +246,24 @@ def _read_tiff(path: Path) -> tuple[Counts, str]:
         except InputError:
             raise
         except UnidentifiedImageError:
-            raise InputError(f"{path}: no TIFF picture, or damaged at its start") from None
+            raise InputError(f"{path}: no TIFF or PNG picture, or damaged at its start") from None
         except Image.DecompressionBombError as error:
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # Pillow raises errors of many kinds on damaged files
-            raise InputError(f"{path}: damaged TIFF: {str(error) or type(error).__name__}") from None
+            said = str(error) or type(error).__name__
+            raise InputError(f"{path}: damaged TIFF or PNG: {said}") from None
 
 
 def _refuse_foreign(image: Any, tags: Any, path: Path) -> None:
-    """Say what a TIFF is, if not one grey picture of counts."""
+    """Say what a picture is, if not one grey picture of counts."""
     if image.mode not in GREY_MODES:
         raise InputError(
-            f"{path}: a TIFF of kind {image.mode!r}: must be grey, of whole numbers of 8, 12 or 16 bits"
+            f"{path}: a {image.format} of kind {image.mode!r}: must be grey, of whole numbers of 8, 12 or 16 "
+            "bits"
         )
     if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
         raise InputError(f"{path}: a TIFF in which white is zero: must be one in which black is zero")
-    if image.n_frames != 1:
+    if getattr(image, "n_frames", 1) != 1:
         raise InputError(f"{path}: holds {image.n_frames} pictures: must hold one")
 
 

@@ -14,8 +14,10 @@ from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.camera.exposures import Electronics
 from wavesim.camera.frames import Frame
+from wavesim.camera.memory import imaging_arrays
 from wavesim.camera.mounting import light_on
-from wavesim.camera.recording import PARTS, Progress, Recording, image_patch, imaging_need, recorded_scene
+from wavesim.camera.pixels.errors import PixelErrors
+from wavesim.camera.recording import PARTS, Progress, Recording, image_patch, recorded_scene
 from wavesim.camera.windows import (
     check_footprint,
     diversity,
@@ -24,11 +26,15 @@ from wavesim.camera.windows import (
     sensor_window,
 )
 from wavesim.engines.whole_field.on_cluster import tiles_in
+from wavesim.engines.with_ghost import WithGhost
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, Target, lit, lit_patch, make_target
+from wavesim.runtime.inventory import need_of
 from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
+from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine
+from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement, placed
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ImageSettings, SettingError
@@ -60,6 +66,8 @@ class Imaged:
         What the planes tell of the phase (:func:`wavesim.camera.windows.diversity`).
     memory : Memory
         What was said to be taken.
+    predicted_error : float
+        Upper bound of the field's relative L2 error on the first plane, of this object's light.
     """
 
     settings: ImageSettings
@@ -72,6 +80,7 @@ class Imaged:
     share_beyond_pixels: float
     diversity: float
     memory: Memory
+    predicted_error: float
 
     def __repr__(self) -> str:
         return f"Imaged({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -95,7 +104,7 @@ def image(
     thing: str | Field = "usaf",
     settings: ImageSettings | None = None,
     *,
-    placement: Placement | Pose | None = None,
+    placement: Placement | Pose | Bench | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     before: Callable[[Memory], None] | None = None,
@@ -113,8 +122,8 @@ def image(
     settings
         All that may be set; defaults if left out.
     placement
-        How lens, object, sensor and light are not as designed, in place of the settings' decenter, tilt and
-        despace. Frames say of their planes what the stage says, and of the light its own wavelength.
+        How lens, object, sensor and light are not as designed, in place of what settings say of it. Frames
+        say of their planes what the stage says, and of the light its own wavelength.
     folder
         Where finished parts of a whole field are kept, so that a run which was cut off goes on
         (:func:`wavesim.camera.recording.drop_parts` removes them), and arrays that memory does not hold.
@@ -131,27 +140,30 @@ def image(
         If a setting is not usable, or samples or memory do not hold what is asked for.
     """
     settings = (settings or ImageSettings()).replaced(**changes)
-    if placement is not None and settings.pose != Pose():
-        raise SettingError("{placement} says how the lens is mounted: give no decenter, tilt or despace")
-    place = placed(settings.pose if placement is None else placement)
-    recording = _recording(lens, settings, place)
+    recording = _recording(lens, settings, placement)
+    place, planes = recording.bench.placement, recording.plane_distances_mm
     patch, light = _patch_and_light(lens, thing, settings)
-    planes = recording.plane_distances_mm
+    light = recording.bench.light.on(light)
     target = _target(lens, patch, thing, settings)
     pixels = lens.sensor.pixels if settings.pixels == "all" else settings.pixels
     sensor = sensor_window(lens, patch, planes, pixels, place)
     check_footprint(lens, patch, sensor, planes, place)
-    windows = [light_window(lens, patch, sensor, plane, place) for plane in planes]
+    windows = [
+        light_window(lens, patch, sensor, plane, recording.bench.at_plane(number))
+        for number, plane in enumerate(planes)
+    ]
     behind = light_on(light.with_values(light.values * target.transmission.values), place)
     del light
     limit = memory_limit(settings.memory_gb)
     with tiles_in(settings.cluster) as take:
 
         def make(scene: Scene) -> Engine:
-            return take(imaging_engine(scene, settings, runs=1, memory_gb=1e-9 * limit))
+            engine = imaging_engine(scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind))
+            return take(WithGhost(engine, settings.ghost) if settings.ghost else engine)
 
         engine = make(recorded_scene(lens, patch, windows[0], recording))
-        memory = Memory(imaging_need(engine, sensor, windows, recording), limit)
+        memory = Memory(need_of(imaging_arrays(engine, sensor, windows, recording)), limit)
+        predicted_error = engine.predicted_error(Light(behind))
         scratch = scratch_in(folder, memory.room_for_arrays("this picture"))
         if before is not None:
             before(memory)
@@ -166,7 +178,9 @@ def image(
             where = f"the same command goes on from what is kept in {folder}/{PARTS}"
             raise KeyboardInterrupt(f"interrupted; {where if kept else 'nothing is kept'}") from None
     told = diversity(lens, patch, planes)
-    return Imaged(settings, patch, target, sensor, recording, engine, frames, share, told, memory)
+    return Imaged(
+        settings, patch, target, sensor, recording, engine, frames, share, told, memory, predicted_error
+    )
 
 
 def _patch_and_light(lens: Lens, thing: str | Field, settings: ImageSettings) -> tuple[Patch, Field]:
@@ -194,12 +208,32 @@ def _target(lens: Lens, patch: Patch, thing: str | Field, settings: ImageSetting
     )
 
 
-def _recording(lens: Lens, settings: ImageSettings, placement: Placement) -> Recording:
-    """Planes, electronics, noise and errors of the stage."""
+def _bench(
+    lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None, planes: int
+) -> Bench:
+    if placement is None:
+        return settings.bench(lens, settings.pose, planes)
+    if settings.pose != Pose() or settings.differs:
+        raise SettingError(
+            "{placement} says how the lens is mounted, and how light and sensor are: give no decenter, tilt "
+            "or despace, and no errors of light, lens or sensor"
+        )
+    return placement if isinstance(placement, Bench) else Bench(placed(placement))
+
+
+def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None) -> Recording:
+    """Planes, electronics, noise and errors of bench and pixels."""
     planes, errors = settings.planes_mm or lens.sensor.plane_distances_mm, settings.stage_error_mm
     if len(errors) not in (1, len(planes)):
         said = ",".join(f"{error:g}" for error in errors)
         raise SettingError(f"{{stage_error_mm}} = {said!r}: must be 1 or {len(planes)} numbers")
+    exposures, longer = settings.exposures, settings.exposure_error
+    if len(longer) not in (1, len(exposures)):
+        said = ",".join(f"{error:g}" for error in longer)
+        raise SettingError(f"{{exposure_error}} = {said!r}: must be 1 or {len(exposures)} numbers")
+    pixels = PixelErrors(
+        settings.prnu, settings.dsnu_electrons, settings.hot_pixels, settings.dead_pixels, settings.seed
+    )
     electronics = {
         "full_well_electrons": settings.full_well_electrons,
         "read_noise_electrons": settings.read_noise_electrons,
@@ -215,6 +249,8 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement) -> Rec
         settings.brightest_share,
         errors * len(planes) if len(errors) == 1 else errors,
         settings.shift_um,
-        settings.exposures,
-        placement,
+        exposures,
+        _bench(lens, settings, placement, len(planes)),
+        pixels,
+        longer * len(exposures) if len(longer) == 1 else longer,
     )

@@ -20,6 +20,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
+from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import placed_object
 
@@ -74,18 +75,36 @@ def read_mounting(path: str | os.PathLike[str]) -> Placement:
     return Placement(Pose(**table), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distances_mm=planes)
 
 
-def light_on(nominal: Field, mounting: Placement) -> Field:
+def light_on(nominal: Field, bench: Placement | Bench) -> Field:
     """The light on the object where it is; the object takes its light with it."""
+    mounting = bench.placement if isinstance(bench, Bench) else bench
+    if isinstance(bench, Bench):
+        nominal = bench.light.on(nominal)
     wavelength = mounting.wavelength_um or nominal.wavelength_um
     return Field(placed_object(nominal.grid, mounting), nominal.values, wavelength, nominal.index)
 
 
-def planes_at(nominal: Sequence[Recorded], mounting: Placement) -> list[Recorded]:
-    """The recorded planes where they are."""
-    return [
-        replace(plane, distance_mm=plane.distance_mm + mounting.plane_distance_mm(n))
-        for n, plane in enumerate(nominal)
-    ]
+def planes_at(nominal: Sequence[Recorded], bench: Placement | Bench) -> list[Recorded]:
+    """The recorded planes where they are, with what is on them beside the object's light."""
+    if isinstance(bench, Placement):
+        bench = Bench(bench)
+    return [_plane_at(plane, bench, number) for number, plane in enumerate(nominal)]
+
+
+def _plane_at(plane: Recorded, bench: Bench, number: int) -> Recorded:
+    share = bench.background(number)
+    behind = None
+    if share:
+        mean = np.mean(np.square(plane.amplitude), dtype=float)
+        behind = np.full_like(plane.amplitude, share * mean)
+    distance_mm = plane.distance_mm + bench.placement.plane_distance_mm(number)
+    return replace(
+        plane,
+        distance_mm=distance_mm,
+        shift_mm=bench.shift_mm(number),
+        tilt_deg=bench.placement.sensor_tilt_deg,
+        background=behind,
+    )
 
 
 def values_of(mounting: Placement, parameters: Sequence[str]) -> NDArray[np.float64]:

@@ -59,4 +59,11 @@ def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *told: str 
     pictures = [
         part for frame in frames for part in (digest_of(frame.counts), frame.settings.model_dump_json())
     ]
-    return key_of(lens.model_dump_json(), digest_of(light.values), *told, *pictures)
+    maps = [
+        digest_of(own)
+        for frame in frames
+        if frame.maps is not None
+        for own in (frame.maps.gain, frame.maps.dark_electrons, frame.maps.bad)
+        if own is not None
+    ]
+    return key_of(lens.model_dump_json(), digest_of(light.values), *told, *pictures, *maps)

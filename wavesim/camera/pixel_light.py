@@ -7,6 +7,7 @@ them. On a frame of the 1/32 twin the two differ by 0.05 %.
 
 from __future__ import annotations
 
+from enum import Flag, auto
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,16 @@ from numpy.typing import DTypeLike, NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Sensor
+from wavesim.runtime.inventory import Listed
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
+
+
+class Phase(Flag):
+    """What imaging does at one time: make the light, or carry it through the lens and record it."""
+
+    LIGHTING = auto()
+    CARRYING = auto()
 
 
 class PixelLight:
@@ -54,9 +63,9 @@ class PixelLight:
         self._oversampling, self._active_width = oversampling, active_width
         across, down = sensor.pixels
         self._shape = (down, across)
-        self._kept = np.float32 if np.dtype(dtype) == np.complex64 else np.float64
-        room = scratch or Scratch()
-        self._across = room.array((down * oversampling, across), self._kept, "light on rows of pixels")
+        light = light_across(sensor, dtype, oversampling)
+        self._kept = light.dtype
+        self._across = (scratch or Scratch()).make(light)
         self.caught = 0.0
 
     def add(self, rows: slice, values: NDArray[np.complexfloating[Any, Any]]) -> None:
@@ -83,6 +92,13 @@ class PixelLight:
             means[:, columns] = means_over_pixels(lines, self._oversampling, self._active_width).T
         # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
         return np.maximum(means, 0.0, out=means)
+
+
+def light_across(sensor: Sensor, dtype: DTypeLike, oversampling: int) -> Listed:
+    """Light of a field of a type, summed along rows alone."""
+    (across, down), single = sensor.pixels, np.dtype(dtype) == np.complex64
+    shape, kept = (down * oversampling, across), np.float32 if single else np.float64
+    return Listed("light on rows of pixels", shape, kept, Phase.CARRYING, lies="scratch")
 
 
 def means_over_pixels(fine: Array, oversampling: int, active_width: float) -> Array:

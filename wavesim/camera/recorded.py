@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
+from wavesim.runtime.threads import row_blocks
 
 Array = NDArray[np.floating[Any]]
 
@@ -35,11 +36,20 @@ class Recorded:
     sigma : ndarray, optional
         Standard deviation of each amplitude, in its units; infinite in pixels of which nothing is known, such
         as saturated or dead ones. Left out: all pixels are alike.
+    shift_mm : (x, y)
+        How far the sensor's middle is from where it should be.
+    background : ndarray, optional
+        Intensity on each pixel that is none of the object's light, in units of the squared amplitude.
+    tilt_deg : (x, y)
+        Of the sensor about its middle, as of :class:`wavesim.scene.Placement`.
     """
 
     distance_mm: float
     amplitude: Array
     sigma: Array | None = None
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    background: Array | None = None
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
 
     @property
     def known(self) -> NDArray[np.bool_] | None:
@@ -109,7 +119,12 @@ def in_unit(recorded: Sequence[Recorded], unit: float) -> list[Recorded]:
     if unit == 1.0:
         return list(recorded)
     return [
-        Recorded(p.distance_mm, p.amplitude / unit, None if p.sigma is None else p.sigma / unit)
+        replace(
+            p,
+            amplitude=p.amplitude / unit,
+            sigma=None if p.sigma is None else p.sigma / unit,
+            background=None if p.background is None else p.background / unit**2,
+        )
         for p in recorded
     ]
 
@@ -126,6 +141,25 @@ def full_weight_sigma(recorded: Sequence[Recorded]) -> float:
             brightest = np.argmax(np.where(np.isfinite(plane.sigma), plane.amplitude, -1.0))
             at_brightest.append(float(plane.sigma.flat[int(brightest)]))
     return min(at_brightest, default=1.0)
+
+
+def noise_misfit(recorded: Sequence[Recorded]) -> float | None:
+    """Misfit that the stated noise alone would leave; None where a plane has no standard deviations.
+
+    The misfit is the weighted relative L2 difference of all planes' amplitudes and the recorded ones.
+    """
+    full = full_weight_sigma(recorded)
+    missed = size = 0.0
+    for plane in recorded:
+        if plane.sigma is None:
+            return None
+        for rows in row_blocks(len(plane.sigma)):
+            known = np.isfinite(plane.sigma[rows])
+            stated = plane.sigma[rows][known].astype(float)
+            weight = np.minimum(full / stated, 1.0) ** 2
+            missed += float(weight @ stated**2)
+            size += float(weight @ plane.amplitude[rows][known].astype(float) ** 2)
+    return math.sqrt(missed / size)
 
 
 def weights_of(recorded: Sequence[Recorded]) -> list[Array | None]:

@@ -23,7 +23,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from wavesim.camera.exposures import Electronics, Seed, plane_seeds
 from wavesim.camera.frames import Frame
+from wavesim.camera.incoherent import added_modes, of_mode
 from wavesim.camera.pixel_light import PixelLight
+from wavesim.camera.pixels.errors import ALIKE, PixelErrors
 from wavesim.camera.sensor import (
     frames_of_light,
     light_on_pixels,
@@ -36,25 +38,13 @@ from wavesim.engines.whole_field.kept import KeptTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 from wavesim.fields.spectrum import BlockSpectrum, spectrum_support
-from wavesim.objects.patch import LIGHT_BYTES, Patch
+from wavesim.objects.patch import Patch
 from wavesim.runtime.checkpoint import digest_of, key_of
-from wavesim.runtime.memory import (
-    COMPLEX64,
-    COMPLEX128,
-    FLOAT32,
-    FLOAT64,
-    Need,
-    fixed,
-    in_files,
-    movable,
-)
 from wavesim.runtime.scratch import Scratch
+from wavesim.scene.bench import AS_DESIGNED, Bench
 from wavesim.scene.engine import Engine, Tiled
-from wavesim.scene.placement import NOMINAL, Placement
 from wavesim.scene.scene import Scene, placed_scene
-
-PROCESS_BYTES = 300_000_000
-"""Of the process itself while it images, its libraries and compiled loops."""
+from wavesim.scene.source import SourceMode
 
 BAND_ROWS = 1024
 """Of a plane's samples, made at one time."""
@@ -86,9 +76,13 @@ class Recording:
         By how much the sensor moves from one plane to the next.
     exposures : tuple of float
         Of the frames of each plane, in units of the one that puts `brightest_share` into the brightest pixel.
-    placement : Placement
-        How far the planes and the sensor's middle are from where they should be, beside all this, and the
-        sensor's tilt.
+    bench : Bench
+        How far the planes and the sensor's middle are from where they should be, beside all this, the
+        sensor's tilt, the light's source, and the backgrounds.
+    pixel_errors : PixelErrors
+        How unlike the pixels are.
+    exposure_errors : tuple of float
+        How much longer each exposure is than frames say, as a share; none if left out.
     """
 
     plane_distances_mm: tuple[float, ...]
@@ -98,16 +92,18 @@ class Recording:
     stage_errors_mm: tuple[float, ...] = ()
     shift_um: tuple[float, float] = (0.0, 0.0)
     exposures: tuple[float, ...] = (1.0,)
-    placement: Placement = NOMINAL
+    bench: Bench = AS_DESIGNED
+    pixel_errors: PixelErrors = ALIKE
+    exposure_errors: tuple[float, ...] = ()
 
     def error_mm(self, number: int) -> float:
         """How much farther from the lens a plane is than stated."""
         of_stage = self.stage_errors_mm[number] if self.stage_errors_mm else 0.0
-        return of_stage + self.placement.plane_distance_mm(number)
+        return of_stage + self.bench.placement.plane_distance_mm(number)
 
     def place_um(self, number: int) -> tuple[float, float]:
         """Where the sensor's middle is on a plane (x, y)."""
-        x_mm, y_mm, _ = self.placement.sensor_shift_mm
+        x_mm, y_mm = self.bench.shift_mm(number)
         return number * self.shift_um[0] + 1e3 * x_mm, number * self.shift_um[1] + 1e3 * y_mm
 
 
@@ -161,22 +157,27 @@ def image_patch(
     """
     if isinstance(engine, Tiled) and make is None:
         raise InputError(f"make: engine {engine.name} needs one for each plane")
-    if isinstance(engine, Tiled) and any(recording.placement.sensor_tilt_deg):
+    if isinstance(engine, Tiled) and any(recording.bench.placement.sensor_tilt_deg):
         raise InputError(f"sensor_tilt_deg: engine {engine.name} records on upright planes alone")
     tell = progress or (lambda what, done, count: None)
-    if isinstance(engine, Tiled):
+
+    def through(mode: SourceMode, prefix: str) -> Iterator[tuple[Array, float]]:
+        own, lit = of_mode(engine, behind_object, mode, make)
+        if not isinstance(own, Tiled):
+            return _light_through_free_space(own, lit, sensor, windows, recording, tell)
         assert make is not None
-        light = _light_of_tiles(
-            engine, behind_object, sensor, windows, recording, make, tell, folder=folder, scratch=scratch
-        )
-    else:
-        light = _light_through_free_space(engine, behind_object, sensor, windows, recording, tell)
+        kept = None if folder is None else folder / PARTS / prefix
+        return _light_of_tiles(own, lit, sensor, windows, recording, make, tell, folder=kept, scratch=scratch)
+
+    modes = recording.bench.source.modes(behind_object.wavelength_um)
+    light = through(modes[0], "") if len(modes) == 1 else added_modes(modes, through)
     frames, share = list[Frame](), 0.0
     seeds = plane_seeds(recording.seed, len(windows))
+    pattern = recording.pixel_errors.pattern(sensor.pixels[::-1], recording.electronics.full_well_electrons)
     for number, (seed, (intensity, beyond)) in enumerate(zip(seeds, light, strict=True)):
         share = beyond if number == 0 else share
         frames += frames_of_light(
-            intensity,
+            _with_background(intensity, recording.bench.background(number)),
             sensor,
             recording.plane_distances_mm[number],
             behind_object.wavelength_um,
@@ -184,8 +185,17 @@ def image_patch(
             seed,
             recording.exposures,
             recording.brightest_share,
+            pattern=pattern,
+            exposure_errors=recording.exposure_errors,
         )
     return tuple(frames), share
+
+
+def _with_background(intensity: Array, share: float) -> Array:
+    """Intensity with even light that is a share of the whole."""
+    if not share:
+        return intensity
+    return np.asarray(intensity + float(intensity.mean()) * share / (1.0 - share))
 
 
 def _light_through_free_space(
@@ -252,7 +262,7 @@ def _plane_grid(lens: Lens, window: Sensor, number: int, recording: Recording) -
 def recorded_scene(lens: Lens, patch: Patch, window: Sensor, recording: Recording) -> Scene:
     """The scene between a patch and a window on the first plane, all where they truly are."""
     nominal = Scene(lens, patch.grid, _plane_grid(lens, window, 0, recording), patch.wavelength_um)
-    return placed_scene(nominal, recording.placement)
+    return placed_scene(nominal, recording.bench.placement)
 
 
 def fields_on_sensor(
@@ -280,7 +290,7 @@ def fields_on_sensor(
     first = engine.forward(behind_object)
     for number, window in enumerate(windows):
         grid = _plane_grid(engine.scene.lens, window, number, recording)
-        tilt_deg = recording.placement.sensor_tilt_deg
+        tilt_deg = recording.bench.placement.sensor_tilt_deg
         yield on_sensor(first if grid == first.grid else propagate(first, grid), tilt_deg)
 
 
@@ -324,7 +334,7 @@ def _parts(
     if folder is None:
         return {}
     lit = digest_of(field.values)
-    kept = KeptTiles(folder / PARTS / f"plane_{number + 1}", key_of(engine.key(), lit))
+    kept = KeptTiles(folder / f"plane_{number + 1}", key_of(engine.key(), lit))
     try:
         kept.refuse_no_room(engine.sums_bytes)
     except InputError:
@@ -332,29 +342,3 @@ def _parts(
             kept.drop()
         raise
     return kept
-
-
-def imaging_need(engine: Engine, sensor: Sensor, windows: Sequence[Sensor], recording: Recording) -> Need:
-    """What :func:`image_patch` and the writing of its frames and object take.
-
-    Parameters
-    ----------
-    engine
-        For the first plane.
-    sensor, windows, recording
-        As of :func:`image_patch`.
-    """
-    across, down = sensor.pixels
-    pixels, object_samples = across * down, engine.scene.object_grid.size
-    # Transmission, what lies behind the object, and a picture of it.
-    carrying = fixed(24 * object_samples + engine.cost().peak_bytes)
-    counts = fixed(2 * pixels * len(windows) * len(recording.exposures))
-    always = fixed(PROCESS_BYTES) + (carrying | fixed(LIGHT_BYTES * object_samples)) + counts
-    if not isinstance(engine, Tiled):
-        widest = max(window.pixels[0] * window.pixels[1] for window in windows) * OVERSAMPLING**2
-        # The first plane's field, another one's, and free space between them.
-        return always + fixed(COMPLEX128 * widest * (1 if len(windows) == 1 else 4))
-    row = max(window.pixels[0] for window in windows) * OVERSAMPLING
-    band = fixed(4 * COMPLEX64 * min(BAND_ROWS, down * OVERSAMPLING) * row)
-    light = movable(FLOAT32 * pixels * OVERSAMPLING) + fixed(FLOAT64 * pixels)
-    return always + band + light + in_files(engine.sums_bytes * len(windows))

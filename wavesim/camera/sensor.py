@@ -28,6 +28,7 @@ from wavesim.camera.exposures import (
 )
 from wavesim.camera.frames import Frame, FrameSettings
 from wavesim.camera.pixel_light import PixelLight
+from wavesim.camera.pixels.errors import PixelPattern
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 
@@ -146,6 +147,19 @@ def light_on_pixels(
     return light.means()
 
 
+def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, active_width: float = 1.0) -> Any:
+    """Mean of conj(direct) other on each pixel's photosensitive square, shape (ny, nx), complex.
+
+    By the light of their sums, as :func:`light_on_pixels` has it, whose errors are those raised.
+    """
+
+    def light(factor: complex) -> Array:
+        total = direct.with_values(direct.values + factor * other.values)
+        return light_on_pixels(total, sensor, active_width=active_width)
+
+    return 0.25 * (light(1.0) - light(-1.0) + 1j * (light(-1j) - light(1j)))
+
+
 def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) -> Array:
     """Modulation transfer of a pixel along one axis: sinc(frequency * active width)."""
     return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * active_width))
@@ -241,6 +255,9 @@ def frames_of_light(
     seed: Seed | None,
     times: Sequence[float],
     brightest_share: float = 0.8,
+    *,
+    pattern: PixelPattern | None = None,
+    exposure_errors: Sequence[float] = (),
 ) -> tuple[Frame, ...]:
     """Record light several times, each time with another exposure.
 
@@ -254,6 +271,10 @@ def frames_of_light(
         Of the light, in vacuum.
     times
         Exposures, as multiples of the one that puts `brightest_share` into the brightest pixel.
+    pattern
+        Of pixels that are not alike.
+    exposure_errors
+        How much longer each exposure is than its frame says, as a share; left out, they are what frames say.
 
     Raises
     ------
@@ -269,13 +290,15 @@ def frames_of_light(
         raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
     least = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
     frames = []
-    for time, own in zip(times, exposure_seeds(seed, len(times)), strict=True):
+    errors = exposure_errors or [0.0] * len(times)
+    for time, error, own in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):
         exposure = time * least
         settings = _settings(sensor, plane_distance_mm, wavelength_um, electronics, exposure)
         with warnings.catch_warnings():
             if time > 1.0:
                 warnings.simplefilter("ignore", SaturationWarning)
-            frames.append(Frame(expose(intensity, exposure, electronics, own), settings))
+            counts = expose(intensity, (1.0 + error) * exposure, electronics, own, pattern)
+            frames.append(Frame(counts, settings))
     return tuple(frames)
 
 

@@ -20,6 +20,7 @@ from wavesim.engines.registry import AUTO, settings_of
 from wavesim.engines.surfaces.grids import LARGEST_BYTES
 from wavesim.objects.patch import Patch
 from wavesim.scene.engine import Engine
+from wavesim.scene.light import Light
 from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import EngineSettings
@@ -33,9 +34,8 @@ LARGEST_CUT = 0.2
 LEAST_DIVERSITY = 10.0
 """Below which planes tell too little of the phase; see :func:`diversity`."""
 
-DEFAULT_ERROR, TILE_ERROR = 0.6, 0.05
-"""Relative error that an engine may be predicted to have, for all light that the lens takes; and what tiles
-may leave of it. Most of the first is light at the aperture's edge, of which an object sends little."""
+TILE_ERROR = 0.05
+"""Relative error that tiles of an engine named may leave, if nothing else is said."""
 
 
 class DiversityWarning(UserWarning):
@@ -43,7 +43,12 @@ class DiversityWarning(UserWarning):
 
 
 def imaging_engine(
-    scene: Scene, settings: EngineSettings, *, runs: int, memory_gb: float = 1e-9 * LARGEST_BYTES
+    scene: Scene,
+    settings: EngineSettings,
+    *,
+    runs: int,
+    light: Light,
+    memory_gb: float = 1e-9 * LARGEST_BYTES,
 ) -> Engine:
     """The engine that settings ask for; where they allow no error, with the one that does for imaging.
 
@@ -53,7 +58,7 @@ def imaging_engine(
         What is to be carried where.
     settings
         Engine, error, and details.
-    runs, memory_gb
+    runs, light, memory_gb
         As of :func:`wavesim.engine_for`.
 
     Raises
@@ -62,11 +67,11 @@ def imaging_engine(
         As :func:`wavesim.engine_for`.
     """
     name, error = settings.engine, settings.error
-    if error is None and name == AUTO:
-        error = DEFAULT_ERROR
-    elif error is None and "error" in settings_of(name):
+    if error is None and name != AUTO and "error" in settings_of(name):
         error = TILE_ERROR
-    return engine_for(scene, name, error=error, memory_gb=memory_gb, runs=runs, **settings.details())
+    return engine_for(
+        scene, name, error=error, memory_gb=memory_gb, runs=runs, light=light, **settings.details()
+    )
 
 
 def footprint_mm(

@@ -70,8 +70,9 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
         },
         "illumination": settings.illumination,
         "wavelength_um": patch.wavelength_um,
-        "engine": engine_summary(imaged.engine),
+        "engine": engine_summary(imaged.engine, imaged.predicted_error),
         "pose": vars(settings.pose),
+        "errors": settings.errors(),
         "sensor": {
             "pixel_pitch_um": imaged.sensor.pixel_pitch_um,
             "pixels": list(imaged.sensor.pixels),
@@ -143,7 +144,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
-    said = "not known" if error is None else f"at most {error:.2g} for light of all directions"
+    said = "not known" if error is None else f"at most {error:.2g} for the light of this object"
     print(visible(str(summary["design"])))
     print(
         f"object {thing['name']}, field stop {thing['field_stop_mm']:g} mm, "

@@ -1,4 +1,6 @@
+from .bench import Bench, LightErrors
 from .engine import Cost, Engine, Neglected, Tiled
+from .light import Light
 from .patches import patch_scene
 from .placement import Placement
 from .scene import Scene, placed_scene
@@ -11,11 +13,14 @@ from .settings import (
 )
 
 __all__ = [
+    "Bench",
     "CalibrationSettings",
     "Cost",
     "Engine",
     "FrameSetSettings",
     "ImageSettings",
+    "Light",
+    "LightErrors",
     "Neglected",
     "Placement",
     "ReconstructionSettings",

@@ -56,14 +56,19 @@ def patch_scene(
     Raises
     ------
     InputError
-        If the patch is wider than the field, or lies outside, or no light arrives.
+        If the patch is wider than the field, finer than two samples, or lies outside, or no light arrives.
     """
     wavelength = wavelength_of(lens, wavelength_um)
     _refuse(lens, patch_mm, field_mm)
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
     pitch = 1e-3 * object_pitch_um
-    count = scipy.fft.next_fast_len(max(1, math.ceil(patch_mm / pitch)))
+    if not patch_mm >= 2.0 * pitch:
+        raise InputError(
+            f"patch_mm = {patch_mm:g}: finer than 2 samples of the object's {object_pitch_um:g} um: give "
+            f"{2.0 * pitch:g} or more"
+        )
+    count = scipy.fft.next_fast_len(math.ceil(patch_mm / pitch))
     dimensions = 1 if meridional else 2
     return Scene(
         lens,

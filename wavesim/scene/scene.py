@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -75,6 +76,11 @@ class Scene:
     def system(self) -> CompiledSystem:
         """The lens as arrays, in place."""
         return compile_system(self.lens, self.wavelength_um, self.pose, self.surface_perturbations)
+
+    @property
+    def steepest_sine(self) -> float:
+        """Of the angle to the axis behind the lens, beyond which light is left out."""
+        return math.inf
 
     @property
     def wavenumber_per_mm(self) -> float:

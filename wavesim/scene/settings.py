@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
@@ -16,12 +17,16 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Validat
 from lensdesign.common.section import Section, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
+from wavesim.scene.bench_settings import BenchSettings
 
 STARTS = {"paper": ("model", "uniform", "random"), "object": ("even", "amplitude")}
 """Of each way of reconstruction; the first is the one that is taken."""
 
-ITERATIONS = {"paper": 500, "object": 30}
+ITERATIONS = {"paper": 500, "object": 80}
 PAPER_REFOCUS_MM = (-0.01, 0.01)
+
+DEFAULT_ERROR = 0.05
+"""Relative L2 error of the exit field that the cheapest engine may have, where nothing else is said."""
 
 
 class SettingError(InputError):
@@ -58,6 +63,7 @@ Points = Annotated[
     Field(description="usaf: x,y of fine groups beside those in the middle; may be given again."),
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
+Kind = Literal["complex", "amplitude"]
 
 
 def _pixels(value: Any) -> Any:
@@ -136,7 +142,7 @@ class EngineSettings(EngineDetails):
     """Which engine carries light, and how exactly."""
 
     engine: str = Field("auto", description="Engine, or auto: the cheapest that holds.")
-    error: float | None = Field(None, description="Relative error that the engine may have.")
+    error: float | None = Field(None, description="Relative error that the engine may have; left out: 0.05.")
 
 
 class MachineSettings(Section):
@@ -188,14 +194,35 @@ class CameraSettings(Section):
         return tuple(sorted(exposures))
 
 
-class ImageSettings(PoseSettings, MachineSettings, EngineSettings, CameraSettings, PatchSettings):
-    """All settings of :func:`wavesim.image`."""
+class ObjectSettings(Section):
+    """An object on the patch, and the wavelength of its light."""
 
     wavelength_um: float | None = Field(None, description="Left out: the design's first.")
     ground: Literal["bright", "dark"] = Field("bright", description="usaf, star: bright or dark.")
     chart_at_mm: Points = ()
+    ghost: float = Field(
+        0.0, ge=0.0, le=1.0, description="Of the light, what both outer surfaces reflect: the lens's ghost."
+    )
     picture_pixel_um: Size | None = Field(None, description="FILE: side of its pixels; left out, it fits.")
     picture_width_mm: Size | None = Field(None, description="FILE: its width; left out, it fits the stop.")
+
+
+class ImageSettings(
+    PoseSettings,
+    MachineSettings,
+    EngineSettings,
+    BenchSettings,
+    CameraSettings,
+    PatchSettings,
+    ObjectSettings,
+):
+    """All settings of :func:`wavesim.image`."""
+
+
+class ChoiceSettings(PatchSettings, ObjectSettings):
+    """The object whose light `wavesim choose` predicts engines' errors of."""
+
+    patch_mm: float = Field(0.1, description="Side of the object patch.")
 
 
 class FrameSetSettings(Section):
@@ -209,12 +236,15 @@ class FrameSetSettings(Section):
     offset_counts: float | None = Field(None, description="Count of a dark pixel.")
     gain_electrons_per_count: float | None = Field(None, description="Of the sensor.")
     read_noise_electrons: float | None = Field(None, description="Of the sensor.")
+    flat: Path | None = Field(None, description="FILE of even light, in counts: TIFF, PNG or .npy.")
+    dark: Path | None = Field(None, description="FILE without light, in counts: TIFF, PNG or .npy.")
+    bad_pixels: Path | None = Field(None, description="FILE in which pixels that tell nothing are not 0.")
 
 
 class FramedSettings(EngineSettings, PatchSettings):
     """What a reconstruction and a calibration have in common."""
 
-    kind: Literal["complex", "amplitude"] = Field("complex", description="object: complex or amplitude.")
+    kind: Kind = Field("complex", description="object: complex or amplitude.")
     scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
     active_width: float = Field(1.0, description="Of a pixel, as a share of the pitch.")
 
@@ -223,7 +253,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
     """All settings of :func:`wavesim.reconstruct_frames`."""
 
     method: Literal["paper", "object"] = Field("object", description="paper (Appendix A) or object.")
-    iterations: int | None = Field(None, ge=1, description="Left out: object 30, paper 500.")
+    iterations: int | None = Field(None, ge=1, description="At most; left out: object 80, paper 500.")
     tv_weight: float | Literal["auto"] = Field(
         "auto", description="object: total variation, or auto: by the noise."
     )
@@ -233,6 +263,11 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         None, description="The object is a USAF chart: bright or dark."
     )
     chart_at_mm: Points = ()
+    hold_out_plane: int | None = Field(
+        None, description="object: number of a plane that is not used, but compared with the result."
+    )
+    starts: int = Field(1, ge=1, description="object: how many starts must come to one object.")
+    source_deg: float = Field(0.0, description="object: diameter of the light's source: partial coherence.")
     region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
         None, description="x,y,width,height: the part of the object that is judged and written."
     )
@@ -245,12 +280,28 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
             raise ValueError(f"allowed for {method}: {', '.join(STARTS[method])}")
         return start
 
+    @field_validator("hold_out_plane", "starts")
+    @classmethod
+    def _of_object(cls, value: int | None, info: ValidationInfo) -> int | None:
+        if value not in (None, 1) and info.data.get("method") == "paper":
+            raise SettingError(f"{{{info.field_name}}}: means nothing with {{method}} paper")
+        return value
+
     @field_validator("chart_at_mm")
     @classmethod
     def _of_a_chart(cls, points: tuple[Pair, ...], info: ValidationInfo) -> tuple[Pair, ...]:
         if points and info.data.get("usaf") is None:
             raise SettingError("{chart_at_mm}: means nothing without {usaf}")
         return points
+
+    @field_validator("source_deg")
+    @classmethod
+    def _of_objects(cls, width_deg: float, info: ValidationInfo) -> float:
+        if not 0.0 <= width_deg < 90.0:
+            raise ValueError("must be from 0 to below 90")
+        if width_deg and info.data.get("method") == "paper":
+            raise SettingError("{source_deg}: means nothing with {method} paper, whose light is coherent")
+        return width_deg
 
     @property
     def most_iterations(self) -> int:
@@ -268,14 +319,69 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         return self.refocus_mm or (PAPER_REFOCUS_MM if self.method == "paper" else None)
 
 
+class FreeSpaceSettings(Section):
+    """Frames that no lens stands before, and what is written of planes that have none."""
+
+    free_space: bool = Field(False, description="No lens: the object on z = 0, with the frames' pitch.")
+    calibrate: bool = Field(
+        False,
+        description="Find the bench from the frames first; in free space distances, drift and exposures.",
+    )
+    numerical_aperture: Size | None = Field(
+        None, description="free space: of the light; left out, found from the frames' spectra."
+    )
+    predict_mm: Numbers | None = Field(None, description="free space: planes to predict, Z1,Z2,...")
+
+    @field_validator("numerical_aperture", "predict_mm")
+    @classmethod
+    def _in_free_space(cls, value: Any, info: ValidationInfo) -> Any:
+        if value not in (None, False) and not info.data.get("free_space"):
+            raise SettingError(f"{{{info.field_name}}}: means nothing without {{free_space}}")
+        return value
+
+
+class PlanSettings(Section):
+    """All settings of :func:`wavesim.calibration.plan_frames`."""
+
+    model_config = ConfigDict(loc_by_alias=False)
+
+    kind: Literal["complex", "amplitude"] = Field("complex", description="Of the object.")
+    patch_mm: Size | None = Field(None, description="Side of the object patch; left out, the whole field.")
+    wavelength_um: Size | None = Field(None, description="Left out: the design's first.")
+    planes_mm: Pair | None = Field(None, description="Nearest, farthest; left out: the design's.")
+    most_planes: int = Field(4, ge=1, le=8, description="That are tried, evenly spread.")
+    exposures: Numbers = Field(
+        (1.0, 30.0, 1000.0), description="A bracket, to be compared with its first alone."
+    )
+    correlation: float = Field(0.99, gt=0.0, lt=1.0, description="That is asked of the object.")
+    full_well_electrons: Size = Field(10_000.0, alias="full_well", description="Electrons.")
+    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, description="Electrons.")
+    bits: int = Field(12, description="Of a count.")
+    seed: int = Field(0, ge=0, description="Of object and noise.")
+
+    @field_validator("planes_mm")
+    @classmethod
+    def _apart(cls, planes: Pair | None) -> Pair | None:
+        if planes is not None and not 0.0 < planes[0] < planes[1]:
+            raise ValueError("must be two numbers, increasing and greater than 0")
+        return planes
+
+    @field_validator("exposures")
+    @classmethod
+    def _lit(cls, exposures: tuple[float, ...]) -> tuple[float, ...]:
+        if not exposures or min(exposures) <= 0.0:
+            raise ValueError("must be greater than 0")
+        return tuple(sorted(exposures))
+
+
 class CalibrationSettings(FramedSettings):
     """All settings of :func:`wavesim.calibrate_frames`."""
 
-    kind: Literal["complex", "amplitude"] = Field(
-        "amplitude", description="Of an unknown object: complex or amplitude."
-    )
+    kind: Kind = Field("amplitude", description="Of an unknown object: complex or amplitude.")
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that holds.")
     iterations: int = Field(8, ge=1, description="Of each reconstruction on the way.")
-    most_mountings: int = Field(80, description="That are tried.")
-    parameters: str = Field("rigid", description="What is unknown: rigid, all, or names separated by commas.")
+    most_mountings: int = Field(80, ge=1, description="Benches that are tried.")
+    parameters: str = Field(
+        "all", description="What is unknown: all, light, lens, mounting, camera, rigid, or names, by commas."
+    )
     pivot_z_mm: float = Field(0.0, description="Centre of rotation, from the front vertex.")

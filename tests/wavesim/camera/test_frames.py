@@ -159,8 +159,10 @@ def foreign(path: Path, kind: str) -> None:
         grey.save(path, save_all=True, append_images=[grey])
     elif kind == "negative":
         grey.save(path, tiffinfo={262: 0})
-    elif kind == "png":
-        grey.save(path, format="PNG")
+    elif kind == "jpeg":
+        Image.new("L", (4, 4)).save(path, format="JPEG")
+    elif kind == "colour png":
+        Image.new("RGB", (4, 4)).save(path, format="PNG")
     else:
         path.write_bytes(b"" if kind == "empty" else b"no picture at all")
 
@@ -173,9 +175,10 @@ def foreign(path: Path, kind: str) -> None:
         ("signed", "kind 'I': must be grey"),
         ("stack", "holds 2 pictures"),
         ("negative", "white is zero"),
-        ("png", "no TIFF picture"),
-        ("empty", "no TIFF picture"),
-        ("text", "no TIFF picture"),
+        ("jpeg", "no TIFF or PNG picture"),
+        ("empty", "no TIFF or PNG picture"),
+        ("text", "no TIFF or PNG picture"),
+        ("colour png", "a PNG of kind 'RGB': must be grey"),
     ],
 )
 def test_foreign_files_are_refused_by_what_they_are(tmp_path: Path, kind: str, words: str) -> None:
@@ -183,6 +186,12 @@ def test_foreign_files_are_refused_by_what_they_are(tmp_path: Path, kind: str, w
     foreign(path, kind)
     with pytest.raises(InputError, match=rf"foreign\.tif: .*{words}"):
         read_frame(path, **GIVEN)
+
+
+def test_a_png_is_read_as_it_stands(tmp_path: Path) -> None:
+    Image.fromarray(COUNTS).save(tmp_path / "frame.png")
+    read = read_frame(tmp_path / "frame.png", **GIVEN)
+    np.testing.assert_array_equal(read.counts, COUNTS)
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:

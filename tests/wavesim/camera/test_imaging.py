@@ -12,7 +12,14 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose, SurfacePerturbation
 from wavesim.camera.exposures import estimate_intensity
 from wavesim.camera.imaging import Imaged, image
+from wavesim.camera.sensor import interference_on_pixels, light_on_pixels
+from wavesim.camera.windows import light_window
+from wavesim.engines.with_ghost import WithGhost
+from wavesim.evaluation.ghosts import GhostPlane, ghost_in_residuals
+from wavesim.objects.patch import lit
+from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.placement import Placement
+from wavesim.scene.source import Source
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
 SETTINGS: dict[str, Any] = {
@@ -74,6 +81,83 @@ def test_object_surface_light_and_tilt_change_the_frames(nominal: Imaged) -> Non
             assert np.linalg.norm(one - other) > 1e-3 * np.linalg.norm(other)
 
 
+def test_settings_of_a_bench_are_the_bench(nominal: Imaged) -> None:
+    """Light, lens, shifts of planes and backgrounds: the same frames from options and from a bench."""
+    changes = {
+        "light_error_deg": (0.2, 0.0),
+        "light_amplitude": "10:0.1",
+        "plane_shift_um": ((0, 0), (3.2, 0)),
+    }
+    options = seen(**changes, plane_background=(0.0, 0.05), working_distance_error_mm=0.002)
+    bench = Bench(
+        Placement(object_shift_mm=(0.0, 0.0, -0.002)),
+        LightErrors((0.2, 0.0), {(1, 0): 0.1}),
+        ((0.0, 0.0), (3.2, 0.0)),
+        (0.0, 0.05),
+    )
+    for one, other in zip(options.frames, seen(bench).frames, strict=True):
+        assert np.array_equal(one.counts, other.counts)
+    with pytest.raises(InputError, match="no errors of light, lens or sensor"):
+        seen(bench, light_amplitude="10:0.1")
+
+
+FINE: dict[str, Any] = {"bits": 16, "full_well_electrons": 1e7}
+"""Counts so fine that faint light is not lost in them."""
+
+
+def test_a_background_is_a_share_of_what_a_plane_records() -> None:
+    clear, lit = pictures(seen(**FINE)), pictures(seen(plane_background=(0.0, 0.2), **FINE))
+    assert np.array_equal(clear[0], lit[0])
+    extra = lit[1] - clear[1]
+    assert extra.mean() == pytest.approx(0.2 * lit[1].mean(), rel=0.02)
+    assert extra.std() < 0.1 * extra.mean()
+
+
+def test_a_wide_source_adds_intensities_of_tilted_light(nominal: Imaged) -> None:
+    """As much light as before, but neither the coherent picture nor that of one direction."""
+    wide = pictures(seen(source_deg=1.0))[1]
+    modes = Source(1.0).modes(LENS.wavelengths_um[0])
+    alone = [pictures(seen(Bench(light=LightErrors(mode.tilt_deg))))[1] for mode in modes[:2]]
+    coherent = pictures(nominal)[1]
+    assert np.linalg.norm(wide - coherent) > 0.02 * np.linalg.norm(coherent)
+    assert wide.sum() == pytest.approx(coherent.sum(), rel=0.01)
+    assert all(np.linalg.norm(wide - one) > 0.02 * np.linalg.norm(wide) for one in alone)
+
+
+def test_a_band_of_wavelengths_adds_their_intensities(nominal: Imaged) -> None:
+    coloured, single = pictures(seen(bandwidth_nm=100.0))[1], pictures(nominal)[1]
+    assert 0.003 < np.linalg.norm(coloured - single) / np.linalg.norm(single) < 0.6
+    assert coloured.sum() == pytest.approx(single.sum(), rel=0.02)
+
+
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
     with pytest.raises(InputError, match="sensor_tilt_deg: engine two-level"):
         seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="two-level")
+
+
+def test_a_ghost_is_found_in_what_frames_with_one_record(nominal: Imaged) -> None:
+    """Its share, and its phase as rays have it, from the first plane's light less the modelled one."""
+    share = 0.0018
+    ghosted = seen(ghost=share)
+    engine = ghosted.engine
+    assert isinstance(engine, WithGhost)
+    transmission = ghosted.target.transmission
+    light = lit(ghosted.patch, ghosted.settings)
+    behind = light.with_values(light.values * transmission.values)
+    direct, ghost = engine.straight.forward(behind), engine.ghost.forward(behind)
+    window = light_window(LENS, ghosted.patch, ghosted.sensor, LENS.sensor.plane_distances_mm[0])
+    model, with_it = (light_on_pixels(field, window) for field in (direct, engine.forward(behind)))
+    amplitude = np.sqrt(model)
+    sigma = np.full(model.shape, 1e-4 * amplitude.max())
+    product = interference_on_pixels(direct, ghost, window)
+    found = ghost_in_residuals([GhostPlane(np.sqrt(with_it) - amplitude, sigma, amplitude, product)])
+    assert found.amplitude == pytest.approx(np.sqrt(share), rel=0.1)
+    assert found.significance > 5.0
+    for shown, without in zip(pictures(ghosted), pictures(nominal), strict=True):
+        changed = np.linalg.norm(shown - without) / np.linalg.norm(without)
+        assert 2e-3 < changed < 2.0 * np.sqrt(share)
+
+
+def test_a_ghost_that_an_engine_cannot_carry() -> None:
+    with pytest.raises(InputError, match="engine two-level carries none"):
+        seen(ghost=0.01, engine="two-level")

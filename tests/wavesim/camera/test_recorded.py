@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded, recorded_intensity, weights_of
+from wavesim.camera.recorded import Recorded, noise_misfit, recorded_intensity, weights_of
 
 
 def test_amplitudes_of_an_estimated_intensity() -> None:
@@ -38,6 +38,16 @@ def test_weights_are_relative_to_the_brightest_pixel_and_none_exceeds_1() -> Non
     assert third is None
     np.testing.assert_allclose(first, [0.0, 1.0, 0.25, 1.0])
     np.testing.assert_allclose(second, [0.0625, 0.0])
+
+
+def test_the_misfit_of_noise_is_what_noise_leaves() -> None:
+    rng = np.random.default_rng(0)
+    amplitude = rng.uniform(1.0, 2.0, (200, 200))
+    sigma = np.full(amplitude.shape, 0.05)
+    noisy = amplitude + sigma * rng.standard_normal(amplitude.shape)
+    left = np.linalg.norm(noisy - amplitude) / np.linalg.norm(noisy)
+    assert noise_misfit([Recorded(0.0, noisy, sigma)]) == pytest.approx(left, rel=0.02)
+    assert noise_misfit([Recorded(0.0, noisy)]) is None
 
 
 def test_an_intensity_without_a_usable_variance_is_refused() -> None:

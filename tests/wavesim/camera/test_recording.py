@@ -18,13 +18,15 @@ from lensdesign.lens.poses import Pose
 from wavesim.camera import recording as image_recording
 from wavesim.camera.exposures import Electronics, estimate_intensity
 from wavesim.camera.frames import Frame, read_frame
-from wavesim.camera.recording import PARTS, Recording, drop_parts, image_patch, imaging_need
+from wavesim.camera.memory import imaging_arrays
+from wavesim.camera.recording import PARTS, Recording, drop_parts, image_patch
 from wavesim.camera.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import kept as kept_tiles
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.fields.field import relative_error
 from wavesim.objects.patch import make_illumination, make_target, object_patch
+from wavesim.runtime.inventory import need_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 
@@ -94,20 +96,20 @@ def test_a_run_that_was_cut_off_goes_on(
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
     whole, _ = scenery.imaged("two-level", recording)
-    carry, carried = TwoLevelTiles.carry, list[int]()
+    carry, carried = WholeFieldEngine.carry, list[int]()
 
-    def counted(self: TwoLevelTiles, way: Any, number: int, values: Any) -> Any:
+    def counted(self: WholeFieldEngine, way: Any, number: int, values: Any) -> Any:
         if len(carried) == 3:
             raise KeyboardInterrupt
         carried.append(number)
         return carry(self, way, number, values)
 
-    monkeypatch.setattr(TwoLevelTiles, "carry", counted)
+    monkeypatch.setattr(WholeFieldEngine, "carry", counted)
     with pytest.raises(KeyboardInterrupt):
         scenery.imaged("two-level", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
-    monkeypatch.setattr(TwoLevelTiles, "carry", carry)
+    monkeypatch.setattr(WholeFieldEngine, "carry", carry)
     told: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
         "two-level", recording, folder=tmp_path, progress=lambda *what: told.append(what)
@@ -161,13 +163,15 @@ MEASURE = """
 import sys
 sys.path[:0] = ["tests/support", "tests/wavesim/camera"]
 from test_recording import CAMERA, PLANES_MM, Scenery
-from wavesim.camera.recording import Recording, image_patch, imaging_need
+from wavesim.camera.memory import imaging_arrays
+from wavesim.camera.recording import Recording, image_patch
+from wavesim.runtime.inventory import need_of
 from pathlib import Path
 import tempfile
 scenery = Scenery()
 recording = Recording(PLANES_MM, CAMERA, 1)
 engine = scenery.engine("two-level", scenery.scene)
-need = imaging_need(engine, scenery.sensor, scenery.windows, recording)
+need = need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
 with tempfile.TemporaryDirectory() as folder:
     make = lambda scene: scenery.engine("two-level", scene)
     image_patch(engine, scenery.behind, scenery.sensor, scenery.windows, recording, make, folder=Path(folder))
@@ -214,9 +218,10 @@ def test_frames_from_a_cluster_are_those_made_here(
 
 def test_the_need_grows_with_what_is_recorded(scenery: Scenery) -> None:
     engine = scenery.engine("two-level", scenery.scene)
+    recordings = (Recording(PLANES_MM, CAMERA, exposures=times) for times in ((1.0,), (1.0, 30.0, 1000.0)))
     needs = [
-        imaging_need(engine, scenery.sensor, scenery.windows, Recording(PLANES_MM, CAMERA, exposures=times))
-        for times in ((1.0,), (1.0, 30.0, 1000.0))
+        need_of(imaging_arrays(engine, scenery.sensor, scenery.windows, recording))
+        for recording in recordings
     ]
     pixels = scenery.sensor.pixels[0] * scenery.sensor.pixels[1]
     assert needs[1].most_bytes - needs[0].most_bytes == 2 * 2 * 2 * pixels

@@ -1,0 +1,62 @@
+"""How much light goes to the rim, as frames tell it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lensdesign import Lens, scaled
+from wavesim.camera.imaging import image
+from wavesim.camera.light_of_frames import light_of_frames
+from wavesim.camera.windows import exit_scene
+from wavesim.evaluation.comparison import random_field
+from wavesim.fields.field import Field
+from wavesim.objects.patch import lit_patch
+from wavesim.scene.light import Light
+from wavesim.scene.settings import PatchSettings
+
+WIDTH_MM = 0.06
+
+
+def told(lens: Lens, thing: str | Field, **settings: Any) -> tuple[float, float]:
+    """Share of scattered light that frames tell, and what would be as much of it at the rim in truth."""
+    patch, light = lit_patch(lens, PatchSettings(patch_mm=WIDTH_MM))
+    of_object: dict[str, Any] = {} if isinstance(thing, Field) else {"patch_mm": WIDTH_MM}
+    made = image(lens, thing, engine="eikonal", error=0.2, **of_object, **settings)
+    scene = exit_scene(lens, patch, made.sensor, made.recording.plane_distances_mm[0])
+    found = light_of_frames(scene, made.frames, light)
+    assert found.field is light
+    behind = light.with_values(light.values * made.target.transmission.values)
+    return found.even, made.engine.rim_light(Light(behind.with_values(behind.values))) ** 2
+
+
+@pytest.fixture(scope="module")
+def twin(paper_lens: Lens) -> Lens:
+    return scaled(paper_lens, 1 / 32)
+
+
+@pytest.mark.parametrize("ground", ["bright", "dark"])
+def test_charts_scatter_little(twin: Lens, ground: str) -> None:
+    even, true = told(twin, "usaf", ground=ground, exposures=(1.0, 30.0, 1000.0))
+    assert 0.3 * true < even < 4.0 * true
+    assert even < 0.1
+
+
+def test_speckle_is_even_light(twin: Lens) -> None:
+    patch, _ = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    speckle = random_field(patch.grid, patch.wavelength_um, twin.object.numerical_aperture)
+    even, true = told(twin, speckle.with_values(speckle.values / np.abs(speckle.values).max()))
+    assert even == pytest.approx(true, rel=0.4)
+    assert even > 0.6
+
+
+def test_where_no_pixel_sees_the_border_all_light_may_be_scattered(twin: Lens) -> None:
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2)
+    few = slice(0, 8)
+    narrow = made.sensor.replaced(pixels=(8, 8))
+    scene = exit_scene(twin, patch, narrow, made.recording.plane_distances_mm[0])
+    frames = [type(frame)(frame.counts[few, few], frame.settings) for frame in made.frames]
+    assert light_of_frames(scene, frames, light).even == 1.0

@@ -1,0 +1,39 @@
+"""A source as directions and wavelengths: their shares and what they average."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import j1
+
+from lensdesign.errors import InputError
+from wavesim.scene.source import POINT, Source
+
+
+def test_a_point_is_one_direction() -> None:
+    assert POINT.modes(0.5) == [(1.0, (0.0, 0.0), 0.5)]
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.5, 3.0])
+def test_a_disc_has_the_coherence_of_its_closed_form(distance: float) -> None:
+    """Van Cittert and Zernike: 2 J1(x) / x between two points; x is the phase across half the source."""
+    modes = Source(width_deg=2.0).modes(0.5)
+    assert sum(mode.share for mode in modes) == pytest.approx(1.0)
+    found = sum(mode.share * np.exp(1j * distance * mode.tilt_deg[0]) for mode in modes)
+    assert found == pytest.approx(2.0 * j1(distance) / distance, abs=2e-3)
+
+
+def test_a_band_has_the_coherence_of_its_closed_form() -> None:
+    modes = Source(bandwidth_nm=20.0).modes(0.5)
+    for waves in (10.0, 30.0):  # of delay
+        found = sum(m.share * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
+        assert found == pytest.approx(math.sin(0.04 * np.pi * waves) / (0.04 * np.pi * waves), abs=1e-3)
+
+
+def test_sources_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="width_deg"):
+        Source(width_deg=math.nan)
+    with pytest.raises(InputError, match="below 0"):
+        Source(bandwidth_nm=1200.0).modes(0.5)

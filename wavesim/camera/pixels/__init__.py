@@ -1,0 +1,1 @@
+"""Pixels that are not alike: simulated, measured, and found."""

@@ -1,0 +1,203 @@
+"""What of a bench may be other than it should be, as settings: each is an option of `wavesim image`."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, field_validator
+
+from lensdesign.common.section import Section, tuples
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError
+from lensdesign.lens.figure import figure_from_zernike
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
+from lensdesign.lens.shapes.registry import parameters
+from wavesim.scene.bench import Bench, LightErrors, Orders
+from wavesim.scene.placement import Placement
+from wavesim.scene.source import Source
+
+Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
+Pair = Annotated[tuple[float, float], BeforeValidator(tuples)]
+
+ZERNIKE = re.compile(r"zernike_(\d+)_um")
+"""Of a surface's figure: root mean square of a polynomial of the sag, over the clear semi-diameter."""
+
+
+OF_PIXELS = {"prnu", "dsnu_electrons", "hot_pixels", "dead_pixels", "exposure_error"}
+"""Settings of pixels and exposures, which no bench tells."""
+
+
+class BenchSettings(Section):
+    """How light, lens and camera differ from what frames say of them."""
+
+    light_error_deg: Pair = Field((0.0, 0.0), description="x,y: the light comes from elsewhere by this.")
+    light_amplitude: str | None = Field(
+        None, description="Legendre modes, order in x and in y: 10:-0.04,02:0.05; shares of the amplitude."
+    )
+    light_phase_waves: str | None = Field(None, description="The same of the phase: 20:0.03,11:-0.02.")
+    source_deg: float = Field(0.0, description="Diameter of the light's source: partial coherence.")
+    bandwidth_nm: float = Field(0.0, description="Of the light, an even band.")
+    perturb: str | None = Field(
+        None, description="The lens as made: 'surface 1: radius_mm=0.01, index=0.001; surface 2: conic=0.02'."
+    )
+    working_distance_error_mm: float = Field(0.0, description="How much farther the object is.")
+    sensor_tilt_deg: Pair = Field((0.0, 0.0), description="Of the sensor about x,y.")
+    plane_shift_um: Annotated[tuple[Pair, ...], BeforeValidator(tuples)] = Field(
+        (), description="x,y of the sensor on the first plane; given again, on the next ones."
+    )
+    plane_background: Numbers = Field(
+        (0.0,), description="Even light of all planes, or of each, as a share of what they record."
+    )
+    prnu: float = Field(0.0, description="Standard deviation of the pixels' gain (EMVA 1288), a share.")
+    dsnu_electrons: float = Field(0.0, description="Of the pixels' dark signal (EMVA 1288).")
+    hot_pixels: float = Field(0.0, description="Share of the pixels that shine without light.")
+    dead_pixels: float = Field(0.0, description="Share of the pixels that see nothing.")
+    exposure_error: Numbers = Field(
+        (0.0,), description="How much longer all exposures are than stated, or each, a share."
+    )
+
+    @field_validator("light_amplitude", "light_phase_waves")
+    @classmethod
+    def _modes(cls, text: str | None) -> str | None:
+        modes_of(text)
+        return text
+
+    @field_validator("perturb")
+    @classmethod
+    def _perturbed(cls, text: str | None) -> str | None:
+        perturbed_surfaces(text)
+        return text
+
+    @field_validator("exposure_error")
+    @classmethod
+    def _above_0(cls, errors: tuple[float, ...]) -> tuple[float, ...]:
+        if not errors or not all(-1.0 < error < math.inf for error in errors):
+            raise ValueError("must be finite, and above -1")
+        return errors
+
+    def bench(self, lens: Lens, pose: Pose, planes: int) -> Bench:
+        """The bench of so many planes on which a lens stands.
+
+        Raises
+        ------
+        InputError
+            If a value is not usable, or the lens has no such surface.
+        """
+        backgrounds, shifts = self.plane_background, self.plane_shift_um
+        if len(backgrounds) not in (1, planes):
+            said = ",".join(f"{share:g}" for share in backgrounds)
+            raise InputError(f"plane_background = {said!r}: must be 1 or {planes} numbers")
+        if len(shifts) > planes:
+            raise InputError(f"plane_shift_um: is given {len(shifts)} times, and there are {planes} planes")
+        placement = Placement(
+            pose,
+            surface_perturbations(lens, self.perturb),
+            object_shift_mm=(0.0, 0.0, 0.0 - self.working_distance_error_mm),
+            sensor_tilt_deg=self.sensor_tilt_deg,
+        )
+        light = LightErrors(
+            self.light_error_deg, modes_of(self.light_amplitude), modes_of(self.light_phase_waves)
+        )
+        shares = backgrounds * planes if len(backgrounds) == 1 else backgrounds
+        return Bench(placement, light, shifts, shares, Source(self.source_deg, self.bandwidth_nm))
+
+    def errors(self) -> dict[str, Any]:
+        """What is set otherwise than it should be, by name."""
+        own = {name: getattr(self, name) for name in BenchSettings.model_fields}
+        return {
+            name: value for name, value in own.items() if value != BenchSettings.model_fields[name].default
+        }
+
+    @property
+    def differs(self) -> bool:
+        """Whether light, lens or sensor is not as it should be; pixels and exposures aside."""
+        return bool(self.errors().keys() - OF_PIXELS)
+
+
+def modes_of(text: str | None) -> dict[Orders, float]:
+    """Sizes of modes of the light by their orders, from text such as "10:-0.04,02:0.05".
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    found: dict[Orders, float] = {}
+    for part in (text or "").split(",") if text is not None else ():
+        match = re.fullmatch(r"\s*(\d)(\d)\s*:\s*(\S+)\s*", part)
+        size = _number(match[3]) if match else math.nan
+        if match is None or not math.isfinite(size) or match[1] == match[2] == "0":
+            raise ValueError(
+                f"{part!r}: must be orders in x and y, a colon and a size, such as 10:-0.04 or 02:0.05"
+            )
+        found[int(match[1]), int(match[2])] = size
+    return found
+
+
+def perturbed_surfaces(text: str | None) -> dict[int, dict[str, float]]:
+    """Deltas by their names, by the number of the surface from 1, from text.
+
+    Raises
+    ------
+    ValueError
+        If a name or a number is none.
+    """
+    allowed = (*SURFACE_DELTAS, *(name for name in parameters() if name not in SURFACE_DELTAS))
+    found: dict[int, dict[str, float]] = {}
+    for part in text.split(";") if text is not None else ():
+        match = re.fullmatch(r"\s*surface\s+([1-9]\d*)\s*:(.+)", part)
+        if match is None:
+            raise ValueError(f"{part.strip()!r}: must be 'surface 1: radius_mm=0.01, index=0.001'")
+        for one in match[2].split(","):
+            name, _, value = (word.strip() for word in one.partition("="))
+            if name not in allowed and not ZERNIKE.fullmatch(name):
+                raise ValueError(
+                    f"{name!r}: allowed: {', '.join(allowed)}, zernike_5_um and so on"
+                    f"{did_you_mean(name, allowed)}"
+                )
+            if not math.isfinite(_number(value)):
+                raise ValueError(f"{one.strip()!r}: must be a name, '=' and a finite number")
+            found.setdefault(int(match[1]), {})[name] = _number(value)
+    return found
+
+
+def surface_perturbations(lens: Lens, text: str | None) -> dict[int, SurfacePerturbation]:
+    """Of a lens, by the number of the surface from 0.
+
+    Raises
+    ------
+    InputError
+        If the lens has no such surface, or the surface no clear semi-diameter for a figure.
+    """
+    found = {}
+    for number, deltas in perturbed_surfaces(text).items():
+        if number > len(lens.surfaces):
+            raise InputError(f"perturb: surface {number}: the lens has {len(lens.surfaces)}")
+        found[number - 1] = _perturbation(deltas, lens.surfaces[number - 1].semi_diameter_mm, number)
+    return found
+
+
+def _perturbation(
+    deltas: Mapping[str, float], semi_diameter_mm: float | None, number: int
+) -> SurfacePerturbation:
+    plain = {name: value for name, value in deltas.items() if name in SURFACE_DELTAS}
+    zernike = {int(match[1]): deltas[name] for name in deltas if (match := ZERNIKE.fullmatch(name))}
+    shape = {n: v for n, v in deltas.items() if n not in plain and not ZERNIKE.fullmatch(n)}
+    made: SurfacePerturbation = replace(SurfacePerturbation(shape=shape), **plain)  # type: ignore[arg-type]
+    if not zernike:
+        return made
+    if semi_diameter_mm is None:
+        raise InputError(f"perturb: surface {number}: has no semi_diameter_mm, over which a figure is given")
+    return replace(made, figure=figure_from_zernike(zernike, semi_diameter_mm))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
