@@ -1,0 +1,121 @@
+"""Frames of free space: the field, the drift, the scale of distances and the exposures behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from places import GOLDEN
+
+from lensdesign.errors import InputError
+from wavesim.calibration.free_space import descent
+from wavesim.calibration.free_space.field import (
+    PLAIN,
+    FreeSpaceField,
+    NotExplainedWarning,
+    reconstruct_free_space,
+)
+from wavesim.camera.frames import AssumedWarning, Frame, FrameSettings, read_frame
+
+PITCH_UM, WAVELENGTH_UM, PIXELS, WIDE = 0.4, 0.5, 96, 192
+SCALE, DRIFT = 1.04, (0.01, -0.006)
+PLANES_UM, GAINS = (10.0, 25.0, 45.0, 70.0), (1.0, 0.9, 1.1, 0.95)
+
+
+def object_field() -> np.ndarray:
+    """Grains of phase and amplitude, no finer than the light carries."""
+    random = np.random.default_rng(3)
+    cycles = np.fft.fftfreq(WIDE)
+    soft = np.exp(-((np.hypot(cycles[:, None], cycles) / 0.1) ** 2))
+    grains = [np.fft.ifft2(np.fft.fft2(random.standard_normal((WIDE, WIDE))) * soft).real for _ in range(2)]
+    phase, absorbed = (part / part.std() for part in grains)
+    return np.exp(0.5j * phase - 0.1 * absorbed)
+
+
+def recorded_amplitude(z_um: float) -> np.ndarray:
+    """On the stage's plane, by plane waves one after the other, on twice the frames' width."""
+    cycles = np.fft.fftfreq(WIDE, PITCH_UM)
+    x, y = cycles[None, :], cycles[:, None]
+    along = 2 * np.pi * SCALE * z_um * np.sqrt(WAVELENGTH_UM**-2 - x**2 - y**2)
+    beside = 2 * np.pi * z_um * (x * DRIFT[0] + y * DRIFT[1])
+    field = np.fft.ifft2(np.fft.fft2(object_field()) * np.exp(1j * (along + beside)))
+    middle = slice((WIDE - PIXELS) // 2, (WIDE + PIXELS) // 2)
+    return np.abs(field)[middle, middle]
+
+
+def frame(z_um: float, gain: float = 1.0) -> Frame:
+    electrons = 4000.0 * (gain * recorded_amplitude(z_um)) ** 2
+    counts = np.random.default_rng(int(z_um)).poisson(electrons).astype(np.uint16)
+    settings = {"pixel_pitch_um": PITCH_UM, "wavelength_um": WAVELENGTH_UM, "plane_distance_mm": 1e-3 * z_um}
+    return Frame(counts, FrameSettings(**settings, **PLAIN))
+
+
+def alike(found: FreeSpaceField, z_um: float) -> float:
+    """Correlation of a predicted amplitude and the true one, away from the border."""
+    inner = slice(16, -16)
+    modelled, true = found.amplitude(1e-3 * z_um)[inner, inner], recorded_amplitude(z_um)[inner, inner]
+    return float(np.corrcoef(modelled.flat, true.flat)[0, 1])
+
+
+@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.field.NotExplainedWarning")
+def test_a_stack_tells_its_drift_its_scale_and_its_exposures_and_predicts_other_planes() -> None:
+    frames = [frame(z, 1.0 / gain) for z, gain in zip(PLANES_UM, GAINS, strict=True)]
+    found = reconstruct_free_space(frames, calibrates=True, iterations=60)
+    assert found.distance_scale == pytest.approx(SCALE, abs=0.01)
+    np.testing.assert_allclose(found.drift, DRIFT, atol=1e-3)
+    np.testing.assert_allclose(found.gains / np.mean(found.gains), GAINS / np.mean(GAINS), atol=0.01)
+    assert found.misfit[-1] < 1.1 * found.stack.noise
+    assert alike(found, 35.0) > 0.998
+    assert alike(found, 0.0) > 0.98
+
+    as_stated = reconstruct_free_space(frames, iterations=60)
+    assert as_stated.distance_scale == pytest.approx(1.0)
+    assert as_stated.drift == pytest.approx((0.0, 0.0))
+    assert alike(as_stated, 35.0) < 0.99
+
+
+def real_frames(*planes_um: int) -> list[Frame]:
+    folder = GOLDEN / "through_focus"
+    given = {"pixel_pitch_um": 0.32, "wavelength_um": 0.532, **PLAIN}
+    return [read_frame(folder / f"z_{z:+04d}_um.png", plane_distance_mm=1e-3 * z, **given) for z in planes_um]
+
+
+@pytest.mark.filterwarnings("ignore::wavesim.calibration.free_space.field.NotExplainedWarning")
+def test_a_real_series_predicts_a_plane_that_it_was_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(descent, "SCALES", (0.94, 1.07))
+    found = reconstruct_free_space(real_frames(10, 30, 80), calibrates=True, iterations=100)
+    assert found.distance_scale == pytest.approx(1.0, abs=0.03)
+    assert found.drift == pytest.approx((0.003, -0.006), abs=0.002)
+    predicted = found.amplitude(0.05)[32:-32, 32:-32]
+    told = np.sqrt(real_frames(50)[0].counts.astype(float))[32:-32, 32:-32]
+    assert np.corrcoef(predicted.flat, told.flat)[0, 1] > 0.84
+
+
+def test_frames_of_one_plane_are_refused() -> None:
+    with pytest.raises(InputError, match="two planes or more"):
+        reconstruct_free_space([frame(10.0)])
+
+
+def test_frames_of_another_wavelength_are_told_not_to_be_explained() -> None:
+    frames = [frame(z) for z in PLANES_UM]
+    wrong = [Frame(one.counts, one.settings.model_copy(update={"wavelength_um": 0.9})) for one in frames]
+    with pytest.warns(NotExplainedWarning, match="not explained within their noise"):
+        reconstruct_free_space(wrong, iterations=40)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [({"iterations": 0}, "iterations = 0"), ({"aperture": 1.5}, "numerical_aperture = 1.5")],
+)
+def test_values_of_no_use_are_refused(values: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        reconstruct_free_space([frame(10.0), frame(25.0)], **values)  # type: ignore[arg-type]
+
+
+def test_a_png_says_nothing_of_its_counts(tmp_path: Path) -> None:
+    Image.fromarray(frame(10.0).counts).save(tmp_path / "frame.png")
+    given = {"pixel_pitch_um": 0.4, "wavelength_um": 0.5, "plane_distance_mm": 0.01}
+    with pytest.warns(AssumedWarning, match="exposure = 1"):
+        assert read_frame(tmp_path / "frame.png", PLAIN, **given).settings.bits == 16

@@ -1,0 +1,1 @@
+"""Frames that no lens stands before: their stack, the descent, and the field that it finds."""

@@ -1,0 +1,131 @@
+"""`wavesim reconstruct --free-space`: the field behind frames that no lens stands before."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lensdesign.common.console import print_json
+from wavesim.cli.options import print_warnings
+from wavesim.cli.runs import print_table, progress, versions
+from wavesim.scene.settings import FrameSetSettings, FreeSpaceSettings, ReconstructionSettings, SettingError
+
+if TYPE_CHECKING:
+    from wavesim.calibration.free_space.field import FreeSpaceField
+
+FILE = "calibration.json"
+OF_LENSES = ("design", "calibration", "truth")
+
+
+def in_free_space(
+    frames: list[Path],
+    output: Path,
+    settings: ReconstructionSettings,
+    of_frames: FrameSetSettings,
+    free: FreeSpaceSettings,
+    of_lenses: Sequence[Path | None],
+    as_json: bool,
+) -> None:
+    """Find the field on z = 0 and write it, with the planes that are asked for."""
+    from wavesim.calibration.free_space.field import ITERATIONS, PLAIN, reconstruct_free_space
+    from wavesim.camera.frame_sets import read_frames
+    from wavesim.camera.frames import AssumedWarning
+
+    _refuse_of_lenses(settings, of_lenses)
+    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warnings.simplefilter("ignore", AssumedWarning)
+        found = reconstruct_free_space(
+            read_frames(frames, of_frames, assumed=PLAIN),
+            calibrates=free.calibrate,
+            iterations=settings.iterations or ITERATIONS,
+            aperture=free.numerical_aperture,
+            progress=tell,
+        )
+    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    print_warnings(messages)
+    summary = {
+        "frames": [str(path) for path in frames],
+        "calibrated": free.calibrate,
+        **found.figures(),
+        "predicted_mm": list(free.predict_mm or ()),
+        "warnings": messages,
+        "versions": versions(),
+    }
+    summary["files"] = [str(output / name) for name in _write(found, summary, output)]
+    if as_json:
+        print_json(summary)
+    else:
+        _print(found, summary, output)
+
+
+def _refuse_of_lenses(settings: ReconstructionSettings, paths: Sequence[Path | None]) -> None:
+    """Refuse options that mean something where there is a lens alone."""
+    named = [name for name, path in zip(OF_LENSES, paths, strict=True) if path is not None]
+    for name, field in type(settings).model_fields.items():
+        if name != "iterations" and getattr(settings, name) != field.get_default():
+            named.append(name)
+    if named:
+        raise SettingError(f"{{{named[0]}}}: means nothing with {{free_space}}, which has no lens")
+
+
+def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list[str]:
+    """Write all files together, and return their names."""
+    import numpy as np
+
+    from wavesim.fields.files import write_field
+    from wavesim.pictures.frames import save
+    from wavesim.pictures.objects import object_figure
+    from wavesim.pictures.pyramid import write_pyramid
+    from wavesim.pictures.result_files import new_results, write_csv, write_json
+
+    pitch_um = 1e3 * found.field.grid.pitch_mm
+    with new_results(output) as folder:
+        write_field(found.field, folder / "reconstruction.npz", centre_x_mm=0.0, centre_y_mm=0.0)
+        for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+            write_pyramid(found.field.values, folder / f"{name}.tif", pitch_um, (quantity,))
+        everywhere = np.ones(found.field.grid.shape, bool)
+        save(object_figure(found.field, everywhere, "free space, z = 0"), folder / "reconstruction.png")
+        write_csv(
+            [{"iteration": n, "misfit": value} for n, value in enumerate(found.misfit, 1)],
+            folder / "convergence.csv",
+        )
+        if summary["predicted_mm"]:
+            amplitudes = [found.amplitude(distance) for distance in summary["predicted_mm"]]
+            for distance, amplitude in zip(summary["predicted_mm"], amplitudes, strict=True):
+                write_pyramid(amplitude, folder / f"predicted_{distance:g}_mm.tif", pitch_um, ("amplitude",))
+            np.savez_compressed(
+                folder / "predicted.npz",
+                amplitude=np.array(amplitudes),
+                plane_distance_mm=summary["predicted_mm"],
+                pitch_um=pitch_um,
+                wavelength_um=found.field.wavelength_um,
+            )
+        write_json(summary, folder / FILE)
+        names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
+        write_json(summary | {"files": names}, folder / "reconstruction.json")
+    return names
+
+
+def _print(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> None:
+    rows = []
+    for plane in summary["planes"]:
+        x, y = plane["shift_um"]
+        rows.append(
+            (
+                f"{plane['plane_distance_mm']:g}",
+                f"{plane['found_distance_mm']:.5g}",
+                f"{x:.3f}, {y:.3f}",
+                f"{plane['gain']:.4f}",
+                f"{plane['correlation']:.4f}",
+            )
+        )
+    print(f"free space, numerical aperture {found.stack.aperture:.3g}: {len(found.misfit)} iterations")
+    print()
+    print_table((), ("plane (mm)", "found (mm)", "shift x, y (um)", "gain", "correlation"), rows)
+    print()
+    print(f"distances are {found.distance_scale:.4f} times those stated")
+    print(f"misfit {summary['misfit']:.4f}; {summary['misfit_of_noise']:.4f} would be noise alone")
+    print(f"wrote {len(summary['files'])} files to {output}")
