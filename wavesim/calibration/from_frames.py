@@ -1,4 +1,4 @@
-"""How a lens is mounted, from frames and a design, in one call."""
+"""What a bench is like, from frames and a design, in one call."""
 
 from __future__ import annotations
 
@@ -6,24 +6,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.estimation import RIGID, Calibrated, calibrate
+from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.estimation import RIGID, calibrate
+from wavesim.calibration.joint_search import JointSearch, Stand
+from wavesim.calibration.parameters import Parameter, Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.frame_sets import recorded_planes
 from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import (
-    parameter_names,
-    refuse_parameters,
-    values_of,
-    with_values,
-)
-from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
+from wavesim.camera.light_of_frames import light_of_frames
+from wavesim.camera.mounting import parameter_names, refuse_parameters
+from wavesim.camera.patch_of_frames import Framed, framed_patch, key_of_frames
+from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
 from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
@@ -46,10 +49,10 @@ def calibrate_frames(
     progress: Progress | None = None,
     **changes: Any,
 ) -> Calibrated:
-    """Find how the lens is mounted: decenter, tilt, working distance, distances of the planes.
+    """Find what the bench is like: light, lens, mounting and camera.
 
-    The mounting is the one with which frames and reconstruction agree best;
-    :func:`wavesim.reconstruct_frames` takes it.
+    It is the one with which frames and reconstruction agree best; :func:`wavesim.reconstruct_frames` takes
+    it. Frames of a known object tell the mounting alone.
 
     Parameters
     ----------
@@ -77,73 +80,134 @@ def calibrate_frames(
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
     framed = framed_patch(lens, frames, settings)
-    names = _named(settings.parameters, parameter_names(len(framed.planes_mm)))
-    if isinstance(known, Path):
-        known = read_object(known, framed.patch)
-    told = settings.model_dump_json(exclude=NOT_TELLING)
-    values = b"" if known is None else known.values.tobytes()
-    key = key_of_frames(lens, framed.frames, framed.light, told, values)
-    checkpoint = None if folder is None else Checkpoint(folder / CHECKPOINT, key)
-    search = _Search(settings, names, checkpoint, progress)
+    tell = progress or (lambda what, done, count: None)
+    nominal = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
+    behind = light_of_frames(nominal, framed.frames, framed.light)
+    made: dict[str, Engine] = {}
 
     def make(scene: Scene) -> Engine:
-        return imaging_engine(scene, settings, runs=2 * settings.iterations)
+        """The same scene is asked for more than once in a row."""
+        key = repr(scene)
+        if key not in made:
+            made.clear()
+            made[key] = imaging_engine(scene, settings, runs=2 * settings.iterations, light=behind.on(scene))
+        return made[key]
 
-    try:
+    if known is not None:
+        known = read_object(known, framed.patch) if isinstance(known, Path) else known
         return calibrate(
-            exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0]),
+            nominal,
             framed.light,
             recorded_planes(frames),
-            parameters=names,
             known=known,
-            kind=settings.kind,
-            iterations=settings.iterations,
+            parameters=_named(settings.parameters, parameter_names(len(framed.planes_mm))),
             scale=settings.scale,
             active_width=settings.active_width,
-            start=search.start,
+            start=Placement(Pose(pivot_z_mm=settings.pivot_z_mm)),
             make=make,
             most_mountings=settings.most_mountings,
-            tried=search.tried,
-            progress=search.show,
+            progress=lambda name, number, _, misfit: tell(
+                f"{name} search: misfit {misfit:.4f}", number, settings.most_mountings
+            ),
         )
+    told = settings.model_dump_json(exclude=NOT_TELLING)
+    key = key_of_frames(lens, framed.frames, framed.light, told)
+    checkpoint = None if folder is None else Checkpoint(folder / CHECKPOINT, key)
+    run = _Run(lens, settings, _parameters(lens, framed, settings), checkpoint)
+    tell("the frames as designed", 0, settings.most_mountings)
+    recorded = recorded_planes(frames)
+    noise = noise_misfit(recorded)
+    search = JointSearch(
+        nominal,
+        framed.light.with_values(framed.light.values.astype(np.complex64)),
+        recorded,
+        settings.kind,
+        settings.scale,
+        settings.active_width,
+        run.parameters,
+        settings.iterations,
+        make,
+        settings.most_mountings,
+        noise,
+        lambda number, _, misfit: tell(_misfit_told(misfit, noise), number, settings.most_mountings),
+        run.keep,
+    )
+    try:
+        found = search.run(run.begun())
     except KeyboardInterrupt:
-        told = "the same command goes on from there" if search.trail else "nothing was written"
-        raise KeyboardInterrupt(f"interrupted after {len(search.trail)} mountings; {told}") from None
+        told = "the same command goes on from there" if run.kept else "nothing was written"
+        raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
+    names = run.names
+    return Calibrated(
+        bench=found.unknowns.bench,
+        parameters=names,
+        values=tuple(found.unknowns.of(names).tolist()),
+        deviations=tuple(found.deviations.tolist()),
+        typical=tuple(p.typical for p in run.parameters),
+        misfit_before=found.trail[0][1],
+        misfit=found.misfit,
+        trail=tuple((tuple(u.of(names).tolist()), misfit) for u, misfit in found.trail),
+        at_reach=(),
+        stopped_because=found.stopped_because,
+        misfit_of_noise=noise,
+    )
 
 
-class _Search:
-    """Tells how far a search is, and keeps what it has tried."""
+def _misfit_told(misfit: float, noise: float | None) -> str:
+    return f"misfit {misfit:.4f}" if noise is None else f"misfit {misfit / noise:.2f} times the noise"
+
+
+def _parameters(lens: Lens, framed: Framed, settings: CalibrationSettings) -> tuple[Parameter, ...]:
+    patch = framed.patch
+    side_mm = patch.grid.shape[0] * patch.grid.pitch_mm
+    allowed = bench_parameters(
+        lens, len(framed.planes_mm), side_mm, patch.wavelength_um, light=settings.kind == "amplitude"
+    )
+    try:
+        return chosen_parameters(settings.parameters, allowed)
+    except InputError as error:
+        raise SettingError(f"{{parameters}} = {settings.parameters!r}: {error}") from None
+
+
+class _Run:
+    """What a search has come to, and its file."""
 
     def __init__(
         self,
+        lens: Lens,
         settings: CalibrationSettings,
-        names: tuple[str, ...],
+        parameters: tuple[Parameter, ...],
         checkpoint: Checkpoint | None,
-        progress: Progress | None,
     ) -> None:
-        self._names, self._checkpoint, self._most = names, checkpoint, settings.most_mountings
-        self._progress = progress or (lambda what, done, count: None)
-        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
-        self.trail: list[tuple[Placement, float]] = []
-        self.tried = self._kept()
-        self._progress("the light without an object", 0, self._most)
+        self._start = Unknowns(lens, Bench(Placement(Pose(pivot_z_mm=settings.pivot_z_mm))))
+        self.parameters, self._checkpoint = parameters, checkpoint
+        self.names = tuple(p.name for p in parameters)
+        self.kept = 0
 
-    def _kept(self) -> list[tuple[Placement, float]]:
-        """Mountings that an earlier run has tried, and their misfits."""
+    def begun(self) -> Stand:
+        """Where an earlier run was cut off, or the start."""
         kept = None if self._checkpoint is None else self._checkpoint.load()
         if kept is None:
-            return []
+            return Stand(self._start)
+        self.kept = len(kept["misfits"])
         rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
-        return [(with_values(self.start, self._names, values), misfit) for values, misfit in rows]
+        trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
+        here = self._start.changed(self.names, kept["here"].tolist())
+        return Stand(here, int(kept["stage"]), int(kept["steps"]), float(kept["stretch"]), trail)
 
-    def show(self, search: str, number: int, mounting: Placement, misfit: float) -> None:
-        self._progress(f"{search} search: misfit {misfit:.4f}", number, self._most)
-        if search != "fine":
+    def keep(self, stand: Stand) -> None:
+        """After each step."""
+        self.kept = len(stand.trail)
+        if self._checkpoint is None:
             return
-        self.trail.append((mounting, misfit))
-        if self._checkpoint is not None and len(self.trail) > len(self.tried):
-            values = [values_of(mounting, self._names) for mounting, _ in self.trail]
-            self._checkpoint.keep(values=values, misfits=[size for _, size in self.trail])
+        self._checkpoint.keep(
+            here=stand.unknowns.of(self.names),
+            values=[unknowns.of(self.names) for unknowns, _ in stand.trail],
+            misfits=[misfit for _, misfit in stand.trail],
+            stage=stand.stage,
+            steps=stand.steps,
+            stretch=stand.stretch,
+        )
 
 
 def _named(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,7 +1,6 @@
-"""Two searches for a few parameters of an expensive model, both nlopt's within bounds.
+"""The search for a few parameters of an expensive model with derivatives: Gauss-Newton, within bounds.
 
-Gauss-Newton where the model's derivatives are known; interpolation of the squared residual (BOBYQA) where
-they are not. Both go along directions in which the linear model's residual changes alike.
+It goes along directions in which the linear model's residual changes alike.
 """
 
 from __future__ import annotations
@@ -26,13 +25,6 @@ TOLERANCE = 1e-6
 
 STIFFEST = 1e3
 """Ratio of curvatures beyond which a direction is not stretched further."""
-
-FIRST_SHARE, LAST_SHARE = 0.1, 0.01
-"""Interpolation: change of the linear model's residual in the stiffest direction by the first step, and the
-last step as a share of it."""
-
-RUNAWAY = 4.0
-"""Stands for the residual where the model fails."""
 
 
 @dataclass(frozen=True)
@@ -191,62 +183,3 @@ class GaussNewton:
 
 def _squared(values: RealArray) -> float:
     return float(np.sum(values * values, dtype=float))
-
-
-def interpolated_minimum(
-    size: Callable[[Array], float], start: Array, reach: Array, slopes: RealArray, most: int
-) -> Minimum:
-    """Make the length of a residual small where derivatives of the whole model are not known.
-
-    Quadratic interpolation (M. J. D. Powell's BOBYQA) of the squared length. Other unknowns may follow each
-    point and take most of its effect where it is small: first steps are longer, the less stiff a direction
-    is, in proportion to the curvature and not to its root.
-
-    Parameters
-    ----------
-    size
-        Length of the residual at a point.
-    start, reach : ndarray, shape (n,)
-        Where the search begins; it looks from -reach to reach.
-    slopes : ndarray, shape (n, m)
-        At the start, the change of the model for a unit of each parameter, all else as it is.
-    most
-        Evaluations.
-
-    Raises
-    ------
-    TransferLensError
-        What the model raised at the start. Points at which it raises later are avoided.
-    """
-    import nlopt
-
-    directions, curvatures = stiff_directions(slopes, reach)
-    stretch = FIRST_SHARE * directions * np.sqrt(curvatures[-1]) / curvatures
-    lowest: list[tuple[float, Array]] = []
-
-    def squared(y: Array, _gradient: Array) -> float:
-        point = np.clip(start + stretch @ y, -reach, reach)
-        try:
-            found = size(point)
-        except TransferLensError:
-            if not lowest:
-                raise
-            found = RUNAWAY
-        if not lowest or found < lowest[0][0]:
-            lowest[:] = [(found, point)]
-        return float(found**2)
-
-    opt = nlopt.opt(nlopt.LN_BOBYQA, len(start))
-    opt.set_min_objective(squared)
-    farthest = np.min(2.0 * reach[:, None] / np.maximum(np.abs(stretch), np.finfo(float).tiny), axis=0)
-    opt.set_lower_bounds(-farthest)
-    opt.set_upper_bounds(farthest)
-    opt.set_initial_step(np.minimum(1.0, 0.5 * farthest))
-    opt.set_xtol_abs(LAST_SHARE)
-    opt.set_maxeval(most)
-    reason = "converged"
-    with suppress(nlopt.RoundoffLimited):
-        opt.optimize(np.zeros(len(start)))
-        if opt.last_optimize_result() == nlopt.MAXEVAL_REACHED:
-            reason = "mountings used up"
-    return Minimum(lowest[0][1], lowest[0][0], opt.get_numevals(), reason)

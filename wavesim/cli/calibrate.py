@@ -1,8 +1,9 @@
-"""The command `wavesim calibrate`: how the lens is mounted, from frames."""
+"""The command `wavesim calibrate`: what a bench is like, from frames."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,13 +11,13 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.files.design import load_design
-from wavesim.camera.mounting import mounting_table, values_of
 from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
-    from wavesim.calibration.estimation import Calibrated
+    from wavesim.calibration.calibrated import Calibrated
+    from wavesim.camera.frames import Frame
 
 FILE = "calibration.json"
 
@@ -32,13 +33,14 @@ def calibrate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find how the lens is mounted: decenter, tilt, working distance, distances of the planes.
+    """Find what the bench is like: light, lens, mounting and camera.
 
-    The mounting is the one with which frames and reconstruction agree best. The file that is written serves
-    `wavesim reconstruct --calibration`. An interrupted run goes on with the same command.
+    The bench is the one with which frames and reconstruction agree best. The file that is written serves
+    `wavesim reconstruct --calibration`. The exit status is 0 if the frames are explained within their noise,
+    and 1 if they are not. An interrupted run goes on with the same command.
     """
     from wavesim.calibration.from_frames import CHECKPOINT, calibrate_frames
-    from wavesim.camera.frame_sets import planes_of_frames, read_frames
+    from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
 
     refuse_no_folder(output)
@@ -50,50 +52,55 @@ def calibrate(
     (output / CHECKPOINT).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
-    summary = {
-        "frames": [str(path) for path in frames],
-        "planes_mm": [plane.distance_mm for plane in planes_of_frames(pictures)],
-        "mounting": mounting_table(found.mounting),
-        "parameters": list(found.parameters),
-        "misfit_before": found.misfit_before,
-        "misfit": found.misfit,
-        "misfit_of_noise": found.misfit_of_noise,
-        "mountings_tried": len(found.trail),
-        "at_reach": list(found.at_reach),
-        "stopped_because": found.stopped_because,
-        "object": "known" if known else settings.kind,
-        "warnings": messages,
-        "versions": versions(),
-    }
-    _write(found, summary, output)
+    told = {"object": "known" if known else settings.kind, "warnings": messages}
+    summary = write_calibration(found, frames, pictures, told, output)
     if as_json:
         print_json(summary)
     else:
-        _print(found, summary, output)
+        print_calibration(found, summary, output)
+    raise typer.Exit(0 if found.explained else 1)
 
 
-def _write(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
+def write_calibration(
+    found: Calibrated, paths: Sequence[Path], frames: Sequence[Frame], told: dict[str, Any], output: Path
+) -> dict[str, Any]:
+    """Write table and picture of a calibration together; gives the table."""
+    from wavesim.camera.frame_sets import planes_of_frames
     from wavesim.pictures.calibrations import calibration_figure
     from wavesim.pictures.frames import save
     from wavesim.pictures.result_files import new_results, write_json
 
+    summary = {
+        "frames": [str(path) for path in paths],
+        "planes_mm": [plane.distance_mm for plane in planes_of_frames(frames)],
+        **found.table(),
+        **told,
+        "versions": versions(),
+    }
     with new_results(output) as folder:
         save(calibration_figure(found, found.misfit_of_noise), folder / "calibration.png")
         write_json(summary, folder / FILE)
+    return summary
 
 
-def _print(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
+def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
+    """What was found, and how sure it is."""
     rows = []
-    for name, value in zip(found.parameters, values_of(found.mounting, found.parameters), strict=True):
+    deviations = found.deviations or (None,) * len(found.parameters)
+    for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
         border = "  (at the border of the search)" if name in found.at_reach else ""
-        rows.append((name, f"{value:.5f}{border}"))
-    print_table(("lens as mounted, from the design",), ("found",), rows)
+        told = "" if deviation is None else f"{deviation:.2g}"
+        if name in found.not_told:
+            told = "not told by these frames"
+        rows.append((name, f"{value:.5f}{border}", told))
+    print_table(("bench as it is, from the design",), ("found", "standard deviation"), rows)
     noise = summary["misfit_of_noise"]
     print(
-        f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as mounted"
+        f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as it is"
         + ("" if noise is None else f"; {noise:.4f} would be noise alone")
+        + ("" if found.explained else ": NOT EXPLAINED, something else differs")
     )
     print(
-        f"{summary['mountings_tried']} mountings tried; {summary['stopped_because']}; wrote {FILE} and "
+        f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE} and "
         f"calibration.png to {output}"
     )

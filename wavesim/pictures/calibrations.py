@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wavesim.calibration.estimation import Calibrated
-from wavesim.camera.mounting import TILTS, values_of
+from wavesim.calibration.calibrated import Calibrated
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LINE, BEST, NOISE = "#1f5fa8", "#b3202c", "#666666"
@@ -27,34 +27,80 @@ def calibration_figure(found: Calibrated, noise: float | None = None) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    values = np.array([values_of(mounting, found.parameters) for mounting, _ in found.trail])
-    misfits = np.array([misfit for _, misfit in found.trail])
-    final = values_of(found.mounting, found.parameters)
-    steps = np.arange(1, len(misfits) + 1)
+    if found.deviations is not None and found.typical is not None:
+        figure = Figure(figsize=(8.0, 2.8 + 0.26 * len(found.parameters)), layout="constrained")
+        above, below = figure.subplots(2, height_ratios=[1.0, 0.12 * len(found.parameters) + 0.2])
+        _draw_misfits(above, found, noise)
+        _draw_values(below, found)
+        return figure
     rows = 1 + (len(found.parameters) + 1) // 2
     figure = Figure(figsize=(8.0, 2.0 * rows), layout="constrained")
     places = figure.add_gridspec(rows, 2)
-    axes = [figure.add_subplot(places[0, :])]
-    for number in range(len(found.parameters)):
-        axes.append(figure.add_subplot(places[1 + number // 2, number % 2], sharex=axes[0]))
-    axes[0].plot(steps, misfits, ".-", color=LINE, lw=0.8)
-    if misfits.max() > 5.0 * misfits.min():
-        axes[0].set_yscale("log")
-    axes[0].set_ylabel("misfit of amplitudes")
+    above = figure.add_subplot(places[0, :])
+    _draw_misfits(above, found, noise)
+    steps = np.arange(1, len(found.trail) + 1)
+    for number, name in enumerate(found.parameters):
+        place = figure.add_subplot(places[1 + number // 2, number % 2], sharex=above)
+        what, unit, factor = _told(name)
+        place.plot(steps, [factor * values[number] for values, _ in found.trail], ".-", color=LINE, lw=0.8)
+        value = factor * found.values[number]
+        place.axhline(value, color=BEST, lw=0.8)
+        place.set_ylabel(f"{what} ({unit})" if unit else what)
+        place.set_title(f"found: {value:.3f} {unit}".rstrip(), fontsize=9, color=BEST)
+        place.grid(alpha=0.25)
+        place.set_xlabel("bench tried" if number >= len(found.parameters) - 2 else "")
+    return figure
+
+
+def _draw_misfits(axes: Axes, found: Calibrated, noise: float | None) -> None:
+    misfits = np.array([misfit for _, misfit in found.trail])
+    axes.plot(np.arange(1, len(misfits) + 1), misfits, ".-", color=LINE, lw=0.8)
+    axes.set_yscale("log" if misfits.max() > 5.0 * misfits.min() else "linear")
+    axes.set_ylabel("misfit of amplitudes")
+    axes.set_xlabel("bench tried")
+    axes.grid(alpha=0.25)
     if noise is not None:
-        axes[0].axhline(noise, color=NOISE, lw=0.8, ls="--")
-        axes[0].annotate(
+        axes.axhline(noise, color=NOISE, lw=0.8, ls="--")
+        axes.annotate(
             "noise alone", (1.0, noise), xycoords=("axes fraction", "data"), xytext=(-4, 3),
             textcoords="offset points", ha="right", color=NOISE, fontsize=8,
         )  # fmt: skip
-    for place, name, column, value in zip(axes[1:], found.parameters, values.T, final, strict=False):
-        unit, factor = ("deg", 1.0) if name in TILTS else ("µm", 1e3)
-        place.plot(steps, factor * column, ".-", color=LINE, lw=0.8)
-        place.axhline(factor * value, color=BEST, lw=0.8)
-        place.set_ylabel(f"{name.rsplit('_', 1)[0].replace('_', ' ')} ({unit})")
-        place.set_title(f"found: {factor * value:.3f} {unit}", fontsize=9, color=BEST)
-    for place in axes:
-        place.grid(alpha=0.25)
-    for place in axes[-min(2, len(found.parameters)) :]:
-        place.set_xlabel("mounting tried")
-    return figure
+
+
+def _draw_values(axes: Axes, found: Calibrated) -> None:
+    """Each parameter over what was expected of it, with its standard deviation; grey: not told."""
+    assert found.deviations is not None
+    assert found.typical is not None
+    rows = np.arange(len(found.parameters))[::-1]
+    typical = np.array(found.typical)
+    for row, name, value, deviation, usual in zip(
+        rows, found.parameters, found.values, found.deviations, typical, strict=True
+    ):
+        color = NOISE if name in found.not_told else BEST
+        axes.errorbar(
+            value / usual, row, xerr=deviation / usual, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color
+        )
+        _, unit, factor = _told(name)
+        told = f"{factor * value:.3g} ± {factor * deviation:.2g} {unit}".rstrip()
+        axes.annotate(
+            told, (1.0, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=7.5, color=color, annotation_clip=False,
+        )  # fmt: skip
+    axes.set_yticks(rows, [_told(name)[0] for name in found.parameters], fontsize=7.5)
+    axes.set_ylim(-0.7, len(rows) - 0.3)
+    axes.axvline(0.0, color="black", lw=0.6)
+    axes.set_xlabel(
+        "found, over what is usual of it; bars are standard deviations, grey is not told by the frames"
+    )
+    axes.grid(alpha=0.25)
+
+
+UNITS = {"mm": ("µm", 1e3), "um": ("µm", 1.0), "deg": ("deg", 1.0), "waves": ("waves", 1.0)}
+
+
+def _told(name: str) -> tuple[str, str, float]:
+    """A parameter in words, its unit, and what values are multiplied by for that."""
+    head, _, tail = name.rpartition("_")
+    if tail in UNITS:
+        return head.replace("_", " "), *UNITS[tail]
+    return name.replace("_", " "), "", 1.0

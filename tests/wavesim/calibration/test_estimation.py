@@ -1,4 +1,4 @@
-"""Finding how a lens is mounted from frames."""
+"""Finding how a lens is mounted from frames of a known object."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.estimation import Calibrated, calibrate, noise_misfit
-from wavesim.camera.mounting import light_on, values_of, with_values
+from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.estimation import calibrate
+from wavesim.camera.mounting import light_on, values_of
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.pictures.calibrations import calibration_figure
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
@@ -81,46 +81,6 @@ def test_a_known_target_tells_decenter_and_tilt(bench: Bench) -> None:
     assert "at the border tilt_x_deg" in repr(replace(found, at_reach=("tilt_x_deg",)))
 
 
-def test_an_unknown_object_tells_them_too(bench: Bench) -> None:
-    """Two of the four, to be quick; the others are known."""
-    start = with_values(TRUE, ["decenter_x_mm", "tilt_y_deg"], [0.0, 0.0])
-    told: list[tuple[str, int, Placement, float]] = []
-    settings: dict[str, Any] = {
-        "parameters": ("decenter_x_mm", "tilt_y_deg"),
-        "scale": 1.0,
-        "start": start,
-        "iterations": 8,
-        "make": tiles,
-    }
-    found = calibrate(
-        bench.scene, bench.light, bench.recorded, progress=lambda *told_now: told.append(told_now), **settings
-    )
-    assert found_values(found) == pytest.approx(values_of(TRUE, RIGID), rel=0.1)
-    assert found.misfit < 0.2 * found.misfit_before
-    assert {name for name, *_ in told} == {"coarse", "fine"}
-    assert [(m, s) for name, _, m, s in told if name == "fine"] == list(found.trail)
-    figure = calibration_figure(found, noise=0.01)
-    assert len([axes for axes in figure.axes if axes.get_visible()]) == 3
-    goes_on_where_it_was_cut_off(bench, found, settings)
-
-
-def goes_on_where_it_was_cut_off(bench: Bench, whole: Calibrated, settings: dict[str, Any]) -> None:
-    made = []
-
-    def counted(scene: Scene) -> Any:
-        made.append(scene)
-        return tiles(scene)
-
-    cut = len(whole.trail) - 3
-    again = calibrate(
-        bench.scene, bench.light, bench.recorded, tried=whole.trail[:cut], **settings | {"make": counted}
-    )
-    assert again.mounting == whole.mounting
-    assert again.misfit == pytest.approx(whole.misfit, rel=1e-4)
-    # The first for its derivatives, what was cut off, and the start for the misfit before.
-    assert len(made) == 1 + 3 + 1
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -132,14 +92,4 @@ def goes_on_where_it_was_cut_off(bench: Bench, whole: Calibrated, settings: dict
 )
 def test_unusable_choices_are_refused(bench: Bench, changed: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        calibrate(bench.scene, bench.light, bench.recorded, **changed)
-
-
-def test_the_misfit_of_noise_is_what_noise_leaves() -> None:
-    rng = np.random.default_rng(0)
-    amplitude = rng.uniform(1.0, 2.0, (200, 200))
-    sigma = np.full(amplitude.shape, 0.05)
-    noisy = amplitude + sigma * rng.standard_normal(amplitude.shape)
-    left = np.linalg.norm(noisy - amplitude) / np.linalg.norm(noisy)
-    assert noise_misfit([Recorded(0.0, noisy, sigma)]) == pytest.approx(left, rel=0.02)
-    assert noise_misfit([Recorded(0.0, noisy)]) is None
+        calibrate(bench.scene, bench.light, bench.recorded, **{"known": bench.known, **changed})

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lensdesign.errors import InputError, SamplingError
-from wavesim.calibration.search import GaussNewton, interpolated_minimum, stiff_directions
+from lensdesign.errors import SamplingError
+from wavesim.calibration.search import GaussNewton, stiff_directions
 
 SEEDS = st.integers(0, 2**31)
 
@@ -66,50 +66,3 @@ def test_gauss_newton_goes_around_points_where_the_model_fails() -> None:
         return (truth - point) @ slopes, slopes
 
     assert GaussNewton(model, np.zeros(3), np.ones(3)).run(1e-12, 60).point == pytest.approx(truth, abs=1e-4)
-
-
-@given(SEEDS)
-@settings(max_examples=10, deadline=None)
-def test_interpolation_finds_the_floor_of_a_valley(seed: int) -> None:
-    """The residual of the whole model is a tenth of the linear one's, and least where that is softest."""
-    slopes, truth = valley(seed, stiffness=8.0)
-    left, values, _ = np.linalg.svd(slopes)
-    whole = (left * values**2 / values[0] * 0.1) @ np.eye(3)
-
-    def size(point: np.ndarray) -> float:
-        return float(np.hypot(np.linalg.norm((truth - point) @ whole), 0.01))
-
-    found = interpolated_minimum(size, np.zeros(3), np.ones(3), slopes, 200)
-    assert np.linalg.norm((truth - found.point) @ whole) < 0.02
-    assert found.size == size(found.point)
-    assert found.stopped_because == "converged"
-
-
-def test_interpolation_keeps_to_its_budget_and_tells_the_best_point() -> None:
-    slopes, truth = valley(7)
-    seen = []
-
-    def size(point: np.ndarray) -> float:
-        seen.append((float(np.linalg.norm((truth - point) @ slopes)), point))
-        return seen[-1][0]
-
-    found = interpolated_minimum(size, np.zeros(3), np.ones(3), slopes, 12)
-    assert len(seen) == 12 == found.evaluations
-    assert found.size == min(s for s, _ in seen)
-    assert found.stopped_because == "mountings used up"
-
-
-def test_what_fails_at_the_start_is_told() -> None:
-    def size(point: np.ndarray) -> float:
-        raise InputError("no light at all")
-
-    with pytest.raises(InputError, match="no light at all"):
-        interpolated_minimum(size, np.zeros(2), np.ones(2), np.eye(2), 20)
-
-
-def test_an_interrupt_comes_through() -> None:
-    def size(point: np.ndarray) -> float:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interpolated_minimum(size, np.zeros(2), np.ones(2), np.eye(2), 20)

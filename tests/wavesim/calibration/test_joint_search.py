@@ -1,0 +1,137 @@
+"""Light, lens, mounting and camera from frames of an object that nobody knows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.calibration.calibrated import read_calibration
+from wavesim.calibration.joint_search import JointSearch, Stand, Told
+from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
+from wavesim.camera.mounting import light_on, planes_at
+from wavesim.camera.recorded import Recorded, noise_misfit
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field, Grid
+from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene, placed_scene
+
+PITCH = 3.2e-3
+TRUE = {
+    "light_tilt_x_deg": 0.25,
+    "light_tilt_y_deg": -0.15,
+    "light_phase_20_waves": 0.04,
+    "plane_2_shift_x_um": 1.5,
+    "plane_distance_2_mm": 4e-3,
+    "surface_1_index": 1e-3,
+}
+BACKGROUND = 0.01
+
+
+def tiles(scene: Scene) -> Engine:
+    return engine_for(scene, "eikonal", error=0.3)
+
+
+@pytest.fixture(scope="module")
+def lens() -> Lens:
+    return scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+
+
+@pytest.fixture(scope="module")
+def search(lens: Lens) -> JointSearch:
+    """Bars on a small twin's bench, with noise; its light, lens and camera differ from the design."""
+    grid = Grid((144, 144), 4.2e-4, lens.object_z_mm)
+    exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
+    scene = Scene(lens, grid, exit_grid, 0.532)
+    y, x = grid.y_mm[:, None], grid.x_mm
+    light = Field(grid, (np.hypot(y, x) < 0.029).astype(np.complex64), 0.532)
+    rng = np.random.default_rng(7)
+    bars = np.ones(grid.shape)
+    for _ in range(12):
+        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
+        for bar in range(3):
+            bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
+    bench = Unknowns(lens, values=TRUE).bench
+    blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    model = RecordingModel(
+        tiles(placed_scene(scene, bench.placement)), light_on(light, bench), planes_at(blank, bench), 1.0, 1.0
+    )
+    recorded = []
+    for plane, seen in zip(blank, model.amplitudes(bars), strict=True):
+        if plane is blank[1]:
+            seen = np.sqrt(seen**2 + BACKGROUND * np.mean(seen**2))
+        # Half of the mean intensity's root: amplitudes of shot noise.
+        sigma = np.full(seen.shape, 0.02 * float(np.sqrt(np.mean(seen**2))), np.float32)
+        noisy = np.maximum(seen + sigma * rng.standard_normal(seen.shape), 0.0).astype(np.float32)
+        recorded.append(Recorded(plane.distance_mm, noisy, sigma))
+    allowed = bench_parameters(lens, 2, 0.06, 0.532)
+    return JointSearch(
+        scene,
+        light,
+        recorded,
+        "amplitude",
+        None,
+        1.0,
+        chosen_parameters(",".join([*TRUE, "plane_2_background"]), allowed),
+        8,
+        tiles,
+        40,
+        noise_misfit(recorded),
+    )
+
+
+@pytest.fixture(scope="module")
+def told(search: JointSearch, lens: Lens) -> Told:
+    return search.run(Stand(Unknowns(lens)))
+
+
+def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, told: Told) -> None:
+    assert told.misfit < 0.3 * told.trail[0][1]
+    assert search.noise_misfit is not None
+    assert told.misfit < 1.5 * search.noise_misfit
+    for parameter, deviation in zip(search.parameters, told.deviations, strict=True):
+        found, true = told.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
+        assert abs(found - true) < max(3.0 * deviation, 0.1 * abs(true)), (parameter.name, found, deviation)
+    assert all(0.0 < d <= p.typical for d, p in zip(told.deviations, search.parameters, strict=True))
+
+
+def test_a_file_of_values_is_the_bench_again(lens: Lens, told: Told, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"mounting": {}, "values": dict(told.unknowns.values)}))
+    bench = read_calibration(path, lens)
+    assert bench.light == told.unknowns.bench.light
+    assert bench.plane_shifts_um == told.unknowns.bench.plane_shifts_um
+    assert bench.placement.surface_perturbations[0].index == told.unknowns.values["surface_1_index"]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"surface_9_index": 0.1}, "no such parameter"),
+        ({"light_tilt_x_deg": "much"}, "finite number"),
+        ([1.0], "table of numbers"),
+    ],
+)
+def test_values_of_another_lens_are_refused(lens: Lens, tmp_path: Path, values: object, message: str) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"mounting": {}, "values": values}))
+    with pytest.raises(InputError, match=message):
+        read_calibration(path, lens)
+
+
+def test_parameters_are_asked_for_by_part_or_name(lens: Lens) -> None:
+    allowed = bench_parameters(lens, 2, 0.06, 0.532)
+    assert chosen_parameters("all", allowed) == allowed
+    assert {p.part for p in chosen_parameters("light,camera", allowed)} == {"light", "camera"}
+    assert [p.name for p in chosen_parameters("rigid", allowed)][:2] == ["decenter_x_mm", "decenter_y_mm"]
+    assert not any(p.part == "light" for p in bench_parameters(lens, 2, 0.06, 0.532, light=False))
+    with pytest.raises(InputError, match="each once"):
+        chosen_parameters("lens,surface_1_index", allowed)
+    with pytest.raises(InputError, match="did you mean light_tilt_"):
+        chosen_parameters("light_tilt_z_deg", allowed)

@@ -1,0 +1,82 @@
+"""Slopes of a recording's model, and the way back to the object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lensdesign import load_design, scaled
+from wavesim.calibration.linearised import Linearised
+from wavesim.camera.recorded import Recorded
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field, Grid
+from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.scene import Scene
+
+PITCH = 3.2e-3
+
+
+@pytest.fixture(scope="module")
+def parts() -> tuple:
+    """A model with two planes, and a transmission that is not the one that they recorded."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    grid = Grid((60, 60), 4.2e-4, lens.object_z_mm)
+    exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
+    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
+    rng = np.random.default_rng(1)
+    stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(complex)
+    lit = Field(grid, stop, 0.532)
+    truth, now = (0.7 + 0.2 * rng.standard_normal(grid.shape) for _ in range(2))
+    blank = [Recorded(d, np.ones(exit_grid.shape)) for d in (0.0, 0.6)]
+    seen = RecordingModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
+    planes = [
+        replace(p, amplitude=2.0 * a, sigma=1.0 + rng.random(a.shape), background=np.full(a.shape, 0.01))
+        for p, a in zip(blank, seen, strict=True)
+    ]
+    return engine, lit, planes, now.astype(complex)
+
+
+def linear(
+    parts: tuple,
+    *,
+    changed: dict | None = None,
+    transmission: np.ndarray | None = None,
+    tilt_deg: tuple[float, float] = (0.0, 0.0),
+) -> Linearised:
+    engine, lit, planes, now = parts
+    planes = [replace(p, tilt_deg=tilt_deg) for p in (planes[0], replace(planes[1], **(changed or {})))]
+    model = RecordingModel(engine, lit, planes, None, 1.0)
+    return Linearised(model, now if transmission is None else transmission, True)
+
+
+def test_the_way_back_is_the_adjoint(parts: tuple) -> None:
+    here, rng = linear(parts), np.random.default_rng(2)
+    change = rng.standard_normal(parts[3].shape) + 1j * rng.standard_normal(parts[3].shape)
+    left = rng.standard_normal(here.residual.shape)
+    there = float(np.vdot(here.of_object(change), left))
+    assert float(np.vdot(change, here.to_object(left)).real) == pytest.approx(there, rel=1e-5)
+
+
+def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
+    """The scale follows by itself, so that what it does is left out of the differences too."""
+    here, small = linear(parts), 1e-3
+    way = np.random.default_rng(3).standard_normal(parts[3].shape)
+    cases = {
+        "object": (here.of_object(way), linear(parts, transmission=parts[3] + 1e-4 * way), 1e-4),
+        "distance": (here.of_distance(1), linear(parts, changed={"distance_mm": 0.6 + small}), small),
+        "tilt": (here.of_sensor_tilt(1), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
+        "shift": (here.of_shift(1, 0), linear(parts, changed={"shift_mm": (1e-5, 0.0)}), 1e-2),
+    }
+    for name, (slope, there, step) in cases.items():
+        found = here.without_scale((here.residual - there.residual) / step)
+        assert np.linalg.norm(found - slope) < 0.05 * np.linalg.norm(slope), name
+
+
+def test_a_background_adds_its_share_of_the_mean(parts: tuple) -> None:
+    plane = parts[2][1]
+    mean = float(np.mean(plane.amplitude**2))
+    here, there = linear(parts), linear(parts, changed={"background": plane.background + 1e-3 * mean})
+    found = here.without_scale((here.residual - there.residual) / 1e-3)
+    assert np.linalg.norm(found - here.of_background(1)) < 0.05 * np.linalg.norm(found)

@@ -1,0 +1,158 @@
+"""A bench that explains frames, and its file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from lensdesign.common.input_files import TABLE_BYTES, read_input
+from lensdesign.common.notebook import html_table
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from wavesim.calibration.parameters import Unknowns, bench_parameters
+from wavesim.camera.mounting import mounting_table, read_mounting
+from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
+from wavesim.scene.bench import Bench
+from wavesim.scene.placement import Placement
+
+NOT_TOLD = 0.5
+"""Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
+
+MOST_PLANES = 99
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A bench that explains the frames, and how well it does.
+
+    Attributes
+    ----------
+    bench : Bench
+        With what was found.
+    parameters : tuple of str
+        Those that were sought.
+    values : tuple of float
+        What was found of each.
+    deviations : tuple of float or None
+        Standard deviation of each as far as the linear model tells, no more than what is expected of it
+        before; None where the object was known.
+    typical : tuple of float or None
+        What is expected of each.
+    misfit_before, misfit : float
+        Relative L2 difference of amplitudes at the start and with the bench found, each with the best
+        object.
+    trail : tuple of (tuple of float, float)
+        Values tried, and their misfits.
+    at_reach : tuple of str
+        Parameters that ended at the border of what was searched.
+    stopped_because : str
+        What ended the search.
+    misfit_of_noise : float or None
+        What the stated noise alone would leave (:func:`wavesim.camera.recorded.noise_misfit`).
+    """
+
+    bench: Bench
+    parameters: tuple[str, ...]
+    values: tuple[float, ...]
+    deviations: tuple[float, ...] | None
+    typical: tuple[float, ...] | None
+    misfit_before: float
+    misfit: float
+    trail: tuple[tuple[tuple[float, ...], float], ...]
+    at_reach: tuple[str, ...]
+    stopped_because: str
+    misfit_of_noise: float | None
+
+    @property
+    def mounting(self) -> Placement:
+        """The lens as mounted."""
+        return self.bench.placement
+
+    @property
+    def not_told(self) -> tuple[str, ...]:
+        """Parameters of which the frames say next to nothing."""
+        if self.deviations is None or self.typical is None:
+            return ()
+        told = zip(self.parameters, self.deviations, self.typical, strict=True)
+        return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
+
+    @property
+    def noise_ratio(self) -> float | None:
+        """Misfit over that of the stated noise."""
+        return None if self.misfit_of_noise is None else self.misfit / self.misfit_of_noise
+
+    @property
+    def explained(self) -> bool:
+        """Whether what is left is the noise, and what engine and pixels may err."""
+        noise = math.hypot(self.misfit_of_noise or 0.0, MODEL_ERROR)
+        return self.misfit <= LIMIT * noise
+
+    def table(self) -> dict[str, Any]:
+        """What :func:`read_calibration` reads, and all figures, ready for JSON."""
+        deviations = self.deviations or (None,) * len(self.parameters)
+        return {
+            "mounting": mounting_table(self.mounting),
+            "values": dict(zip(self.parameters, self.values, strict=True)),
+            "deviations": dict(zip(self.parameters, deviations, strict=True)),
+            "not_told": list(self.not_told),
+            "parameters": list(self.parameters),
+            "misfit_before": self.misfit_before,
+            "misfit": self.misfit,
+            "misfit_of_noise": self.misfit_of_noise,
+            "mountings_tried": len(self.trail),
+            "at_reach": list(self.at_reach),
+            "stopped_because": self.stopped_because,
+            "explained": self.explained,
+        }
+
+    def __repr__(self) -> str:
+        return f"Calibrated({', '.join(f'{name} {value}' for name, value in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Bench as it is", self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        noise = "" if self.misfit_of_noise is None else f", noise alone {self.misfit_of_noise:.4g}"
+        told = [(name, f"{value:.5g}") for name, value in zip(self.parameters, self.values, strict=True)]
+        told.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
+        told.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
+        return told + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
+
+
+def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
+    """The bench that `wavesim calibrate` has found.
+
+    Parameters
+    ----------
+    path
+        Its calibration.json; one that holds a mounting alone does too.
+    lens
+        The design that was calibrated.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no calibration, or one of another kind of lens.
+    """
+    mounting = read_mounting(path)
+    values = json.loads(read_input(path, TABLE_BYTES).decode("utf-8")).get("values")
+    if values is None:
+        return Bench(mounting)
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: values: must be a table of numbers")
+    allowed = [p.name for p in bench_parameters(lens, MOST_PLANES, 1.0, 1.0)]
+    mounted = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
+    for name, value in values.items():
+        if name not in allowed and name not in mounted:
+            raise InputError(
+                f"{path}: values: {name!r}: this lens has no such parameter{did_you_mean(name, allowed)}; "
+                "give the design that was calibrated"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{path}: values: {name} = {value!r}: must be a finite number")
+    kept = {name: float(value) for name, value in values.items() if name not in mounted}
+    return Unknowns(lens, Bench(mounting), kept).bench

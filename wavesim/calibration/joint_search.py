@@ -1,0 +1,342 @@
+"""Light, lens, mounting and camera from the frames alone, together with the object.
+
+A bench is judged by what a reconstruction from even light leaves after a few iterations. Each step of the
+search takes its direction from the normal equations of object and bench about that object, and its length
+from such reconstructions along it. Light's unevenness comes last: until the rest is right, anything explains
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import TransferLensError
+from wavesim.calibration.joint_step import JointStep
+from wavesim.calibration.lens_changes import Changed, lens_changes
+from wavesim.calibration.linearised import Linearised, RealArray
+from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
+from wavesim.calibration.turned_tiles import TurnedTiles
+from wavesim.camera.mounting import light_on, planes_at
+from wavesim.camera.recorded import Recorded
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.fields.field import Field
+from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.engine import Engine, Operator
+from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.settings import Kind
+
+ROUNDS = 6
+"""Of conjugate gradients for a step's direction."""
+
+FOLLOWED = 2
+"""Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
+
+LONGEST, SHORTEST = 64.0, 0.05
+"""Multiples of a step that are tried."""
+
+LEAST_GAINS = 0.05, 0.02
+"""A stage ends when a step lowers the squared misfit by less than this share; then the last one."""
+
+STEP_SHARE = 0.05
+"""Of what is typical of a parameter, over which its effect is taken as linear."""
+
+RUNAWAY = 4.0
+"""Stands for the misfit where the model fails."""
+
+Progress = Callable[[int, Unknowns, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a search stands: all that it needs to go on.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    stage, steps : int
+        Of the parameters that are sought one after the other; steps made in it.
+    stretch : float
+        Multiple of the last step that was best.
+    trail : tuple of (Unknowns, float)
+        Benches tried, and their misfits.
+    """
+
+    unknowns: Unknowns
+    stage: int = 0
+    steps: int = 0
+    stretch: float = 3.0
+    trail: tuple[tuple[Unknowns, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What frames tell of a bench.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    deviations : ndarray
+        Standard deviation of each parameter, at least.
+    misfit : float
+    trail : tuple of (Unknowns, float)
+    stopped_because : str
+    """
+
+    unknowns: Unknowns
+    deviations: Array
+    misfit: float
+    trail: tuple[tuple[Unknowns, float], ...]
+    stopped_because: str
+
+
+@dataclass(frozen=True, eq=False)
+class JointSearch:
+    """The frames, and what is known of how they came about.
+
+    Attributes
+    ----------
+    scene, illumination, recorded, kind, scale, active_width
+        As of :func:`wavesim.calibration.estimation.calibrate`.
+    parameters : tuple of Parameter
+        What is sought.
+    iterations : int
+        Of each reconstruction.
+    make : callable
+        Makes the engine of a scene.
+    most_benches : int
+        That are tried.
+    noise_misfit : float or None
+        What the stated noise alone would leave.
+    progress
+        Told of each bench tried: its number, itself, and its misfit.
+    keep
+        Given where the search stands after each step.
+    """
+
+    scene: Scene
+    illumination: Field
+    recorded: Sequence[Recorded]
+    kind: Kind
+    scale: float | None
+    active_width: float
+    parameters: tuple[Parameter, ...]
+    iterations: int
+    make: Callable[[Scene], Engine]
+    most_benches: int
+    noise_misfit: float | None
+    progress: Progress | None = None
+    keep: Callable[[Stand], None] | None = None
+
+    def run(self, stand: Stand) -> Told:
+        """Search, and see what the frames tell.
+
+        Raises
+        ------
+        TransferLensError
+            What the model raised at the start. Benches at which it raises later are avoided.
+        """
+        reason = "converged"
+        for stage, parameters in enumerate(self._stages()):
+            if stage < stand.stage:
+                continue
+            if stage > stand.stage:
+                stand = replace(stand, stage=stage, steps=0)
+            stand, reason = self._descended(stand, parameters)
+        names = [p.name for p in self.parameters]
+        model, transmission = self._reconstructed(stand.unknowns)
+        joint = self._joint(stand.unknowns, model, transmission, self.parameters)
+        # No better than where the search ends: where the squared misfit has risen by as little.
+        variance = LEAST_GAINS[-1] * joint.linear.misfit**2
+        left = joint.told_curvature(FOLLOWED)
+        deviations = np.sqrt(np.clip(np.diag(np.linalg.inv(left)), 0.0, None) * variance)
+        typical = np.array([p.typical for p in self.parameters])
+        values = stand.unknowns.of(names)
+        return Told(
+            stand.unknowns.changed(names, values.tolist()),
+            np.minimum(deviations, typical),
+            joint.linear.misfit,
+            stand.trail,
+            reason,
+        )
+
+    def _stages(self) -> list[tuple[Parameter, ...]]:
+        sure = tuple(p for p in self.parameters if not p.name.startswith("light_amplitude"))
+        stages = [sure, self.parameters] if len(sure) < len(self.parameters) else [self.parameters]
+        return [stage for stage in stages if stage]
+
+    def _descended(self, stand: Stand, parameters: tuple[Parameter, ...]) -> tuple[Stand, str]:
+        names = [p.name for p in parameters]
+        before: tuple[Unknowns, float] | None = None
+        while len(stand.trail) < self.most_benches:
+            model, transmission = self._reconstructed(stand.unknowns)
+            joint = self._joint(stand.unknowns, model, transmission, parameters)
+            misfit = joint.linear.misfit
+            stand = self._told(stand, stand.unknowns, misfit)
+            if before is not None and misfit > before[1]:
+                return replace(stand, unknowns=before[0]), "converged"
+            if (
+                before is not None
+                and 1.0 - (misfit / before[1]) ** 2 < LEAST_GAINS[parameters == self.parameters]
+            ):
+                return stand, "converged"
+            before = stand.unknowns, misfit
+            step = joint.solve(ROUNDS)
+            line = _Line(misfit)
+            while (length := line.next(stand.stretch)) is not None and len(stand.trail) < self.most_benches:
+                there = stand.unknowns.changed(names, (stand.unknowns.of(names) + length * step).tolist())
+                found = self._misfit(there, model.engine)
+                stand = self._told(stand, there, found)
+                line.add(length, found)
+            best, _ = line.best
+            if best == 0.0:
+                return stand, "converged"
+            here = stand.unknowns.of(names) + best * step
+            stand = replace(
+                stand,
+                unknowns=stand.unknowns.changed(names, here.tolist()),
+                stretch=float(np.clip(best, 1.0, 16.0)),
+                steps=stand.steps + 1,
+            )
+            if self.keep is not None:
+                self.keep(stand)
+        return stand, "benches used up"
+
+    def _told(self, stand: Stand, unknowns: Unknowns, misfit: float) -> Stand:
+        stand = replace(stand, trail=(*stand.trail, (unknowns, misfit)))
+        if self.progress is not None:
+            self.progress(len(stand.trail), unknowns, misfit)
+        return stand
+
+    def _misfit(self, unknowns: Unknowns, near: Operator) -> float:
+        """Of a bench not far from an engine's."""
+        try:
+            model, transmission = self._reconstructed(unknowns, near)
+            return Linearised(model, transmission, self.scale is None).misfit
+        except TransferLensError:
+            return RUNAWAY
+
+    def _reconstructed(
+        self, unknowns: Unknowns, near: Operator | None = None
+    ) -> tuple[RecordingModel, NDArray[Any]]:
+        model = self._model(unknowns, near)
+        found = reconstruct(
+            model.engine,
+            model.illumination,
+            model.recorded,
+            kind=self.kind,
+            tv_weight="auto" if self.noise_misfit is not None else 0.0,
+            iterations=self.iterations,
+            scale=self.scale,
+            active_width=self.active_width,
+        )
+        values = found.transmission.values
+        model.scale = found.scale
+        return model, values.real if self.kind == "amplitude" else values
+
+    def _model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
+        bench, scene = unknowns.bench, self._placed(unknowns)
+        return RecordingModel(
+            TurnedTiles(near, scene) if isinstance(near, EikonalTiles) else self.make(scene),
+            light_on(self.illumination, bench),
+            planes_at(self.recorded, bench),
+            self.scale,
+            self.active_width,
+        )
+
+    def _variance(self, misfit: float) -> float:
+        """Of a residual: what is left, were it noise."""
+        known = sum(
+            float(np.isfinite(p.sigma).sum()) if p.sigma is not None else p.amplitude.size
+            for p in self.recorded
+        )
+        return max(misfit, self.noise_misfit or 0.0) ** 2 / known
+
+    def _joint(
+        self,
+        unknowns: Unknowns,
+        model: RecordingModel,
+        transmission: NDArray[Any],
+        parameters: tuple[Parameter, ...],
+    ) -> JointStep:
+        linear = Linearised(model, transmission, self.scale is None)
+        columns = self._columns(unknowns, linear, parameters)
+        values = unknowns.of([p.name for p in parameters])
+        typical = np.array([p.typical for p in parameters])
+        return JointStep(linear, columns, values, typical, self._variance(linear.misfit), transmission)
+
+    def _columns(
+        self, unknowns: Unknowns, linear: Linearised, parameters: tuple[Parameter, ...]
+    ) -> RealArray:
+        engine = linear.model.engine
+        carried = [p for p in parameters if p.part in ("lens", "mounting")]
+        steps = [Changed(self._placed(_moved(unknowns, p)), STEP_SHARE * p.typical) for p in carried]
+        changes = iter(lens_changes(engine, linear.lit, steps, self.make) if steps else [])
+        result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
+        for n, parameter in enumerate(parameters):
+            if parameter.part in ("lens", "mounting"):
+                result[n] = linear.of_exit(next(changes))
+            elif parameter.part == "light":
+                result[n] = linear.of_light(self._light_change(unknowns, parameter))
+            else:
+                result[n] = _of_camera(linear, parameter.name)
+        return result
+
+    def _placed(self, unknowns: Unknowns) -> Scene:
+        return placed_scene(self.scene, unknowns.bench.placement)
+
+    def _light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
+        """Relative change of the illumination for a unit."""
+        even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
+        now = unknowns.bench.light.on(even).values
+        there = _moved(unknowns, parameter).bench.light.on(even).values
+        return np.asarray((there / now - 1.0) / (STEP_SHARE * parameter.typical))
+
+
+def _moved(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
+    here = unknowns.values.get(parameter.name, 0.0)
+    return unknowns.changed([parameter.name], [here + STEP_SHARE * parameter.typical])
+
+
+def _of_camera(linear: Linearised, name: str) -> RealArray:
+    words = name.split("_")
+    if name in SENSOR_TILTS:
+        return linear.of_sensor_tilt(SENSOR_TILTS.index(name))
+    if name.startswith("plane_distance"):
+        return linear.of_distance(int(words[2]) - 1)
+    plane = int(words[1]) - 1
+    if words[2] == "background":
+        return linear.of_background(plane)
+    return linear.of_shift(plane, "xy".index(words[3]))
+
+
+class _Line:
+    """Lengths of a step that are tried: doubled while that helps, else cut down until it does."""
+
+    def __init__(self, misfit: float) -> None:
+        self._tried: dict[float, float] = {0.0: misfit}
+
+    @property
+    def best(self) -> tuple[float, float]:
+        """Length and misfit."""
+        return min(self._tried.items(), key=lambda one: one[1])
+
+    def add(self, length: float, misfit: float) -> None:
+        """What was found at a length."""
+        self._tried[length] = misfit
+
+    def next(self, stretch: float) -> float | None:
+        """The length to be tried; None where the best is between others."""
+        tried = sorted(self._tried)
+        if len(tried) == 1:
+            return stretch
+        best, _ = self.best
+        if best == 0.0:
+            return tried[1] / 3.0 if tried[1] > 3.0 * SHORTEST else None
+        return 2.0 * best if best == tried[-1] and best < LONGEST else None

@@ -1,0 +1,113 @@
+"""A Gauss-Newton step of object and bench together.
+
+The object follows whatever the bench does, and takes most of its effect where it can: what is left for the
+bench comes from the normal equations of both, which conjugate gradients solve. An amplitude object that is
+at 0 or 1, and would go on, stays there.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from wavesim.calibration.linearised import Linearised, RealArray
+
+DAMPING = 0.03
+"""Of the squared misfit, what a step by what is typical of a parameter costs: farther, nothing is linear."""
+
+SOLVED = 1e-3
+"""Of the squared gradient, in the measure of the curvature, at which the solution ends."""
+
+
+class JointStep:
+    """The normal equations about one object on one bench.
+
+    Parameters
+    ----------
+    linear
+        The model there.
+    columns : ndarray, shape (parameters, planes, ny, nx)
+        Change of the modelled amplitudes with each parameter of the bench.
+    values, typical : ndarray, shape (parameters,)
+        Where they are, and how far from 0 they are expected to be.
+    variance
+        Of a residual, as far as the model has errors of its own.
+    transmission
+        Of the object; real where it is an amplitude.
+    """
+
+    def __init__(
+        self,
+        linear: Linearised,
+        columns: RealArray,
+        values: Array,
+        typical: Array,
+        variance: float,
+        transmission: NDArray[Any],
+    ) -> None:
+        self.linear, self.columns = linear, columns.reshape(len(columns), -1)
+        self.pull = variance / typical**2
+        self.is_real = not np.iscomplexobj(transmission)
+        left = linear.without_scale(linear.residual)
+        self.slope: Array = np.asarray(self.columns @ left.ravel(), float) - self.pull * values
+        self.damping = DAMPING * linear.misfit**2 / typical**2
+        self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
+        slope = self._object_part(linear.to_object(left))
+        self.free = linear.model.lit
+        if self.is_real:
+            stuck = ((transmission <= 0.0) & (slope < 0.0)) | ((transmission >= 1.0) & (slope > 0.0))
+            self.free = self.free & ~stuck
+        self.object_slope = slope * self.free
+
+    def solve(self, rounds: int) -> Array:
+        """The bench's part of the step."""
+        slope = self.object_slope
+        along = self.linear.of_object(slope)
+        energy = float(np.vdot(slope, slope).real)
+        stiffness = float(np.vdot(along, along)) / energy if energy > 0.0 else 1.0
+        inverse = np.linalg.inv(self.curvature + np.diag(self.damping))
+        left, left_bench = slope.copy(), self.slope.copy()
+        there = np.zeros(len(self.slope))
+        way, way_bench = left / np.float32(stiffness), inverse @ left_bench
+        size = first = float(np.vdot(left, way).real) + float(left_bench @ way_bench)
+        for _ in range(rounds):
+            if size <= SOLVED * first:
+                break
+            back, back_bench = self._times(way, way_bench)
+            length = size / (float(np.vdot(way, back).real) + float(way_bench @ back_bench))
+            there += length * way_bench
+            left -= np.float32(length) * back
+            left_bench -= length * back_bench
+            ahead, ahead_bench = left / np.float32(stiffness), inverse @ left_bench
+            before, size = size, float(np.vdot(left, ahead).real) + float(left_bench @ ahead_bench)
+            way = ahead + np.float32(size / before) * way
+            way_bench = ahead_bench + size / before * way_bench
+        return there
+
+    def told_curvature(self, rounds: int) -> Array:
+        """What of the curvature is left where the object follows, shape (parameters, parameters).
+
+        At most: the object follows along the slopes of what is left, some rounds of it. The prior is in it.
+        """
+        left, shape = self.columns.T.copy(), self.linear.residual.shape
+        for _ in range(rounds):
+            follows = np.empty_like(left)
+            for n, column in enumerate(left.T):
+                change = self._object_part(self.linear.to_object(column.reshape(shape))) * self.free
+                follows[:, n] = self.linear.of_object(change).ravel()
+            basis, _ = np.linalg.qr(follows)
+            left -= basis @ (basis.T @ left)
+        return np.asarray(left.T @ left, float) + np.diag(self.pull)
+
+    def _times(self, way: NDArray[Any], way_bench: Array) -> tuple[NDArray[Any], Array]:
+        bench = (way_bench.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
+        changes = self.linear.of_object(way) + bench
+        back = self._object_part(self.linear.to_object(changes)) * self.free
+        own = np.asarray(self.columns @ changes.ravel(), float) + (self.pull + self.damping) * way_bench
+        return back, own
+
+    def _object_part(self, values: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(values.real) if self.is_real else values

@@ -1,0 +1,92 @@
+"""What a small change of the lens does to the field behind it.
+
+A ray's path is stationary: to first order a change of the lens changes the path from an object point to a
+sensor point by what the changed lens's rays show there, and nothing else. A tile's field is multiplied by
+i k times that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.tiles.operator import Tile
+from wavesim.fields.field import Field, Grid
+from wavesim.rays.maps import RayMap, fit_map, sample_points
+from wavesim.rays.ray_bundles import trace_bundle
+from wavesim.scene.engine import Engine, Operator
+from wavesim.scene.scene import Scene
+
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+ORDER = 10
+"""Of the polynomials through changes of path, which are smooth."""
+
+
+class Changed(NamedTuple):
+    """A scene with a slightly changed lens or object, and by how much of its parameter."""
+
+    scene: Scene
+    step: float
+
+
+def lens_changes(
+    engine: Operator, lit: Field, changed: Sequence[Changed], make: Callable[[Scene], Engine]
+) -> list[ComplexArray]:
+    """Change of the field on the exit grid for a unit of each parameter.
+
+    Parameters
+    ----------
+    engine
+        Of the scene as it is.
+    lit
+        The light behind the object.
+    changed
+        The same scene with a small step of each parameter.
+    make
+        Makes engines, where rays do not tell.
+
+    Raises
+    ------
+    InputError
+        If the rays of a changed lens do not arrive.
+    """
+    if not isinstance(engine, EikonalTiles):
+        now = engine.forward(lit).values
+        return [(make(one.scene).forward(_at(lit, one.scene)).values - now) / one.step for one in changed]
+    grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
+    results = [np.zeros(grid.shape, lit.values.dtype) for _ in changed]
+    for tile, carrier, alone in engine.tile_fields(lit):
+        for one, result in zip(changed, results, strict=True):
+            path = path_change(one.scene, tile, carrier, grid)
+            turned = (1j * wavenumber / one.step * path).astype(result.dtype)
+            result += np.where(alone != 0.0, turned, 0.0) * alone
+    if engine.plane.beyond is None:
+        return list(results)
+    return [np.asarray(engine.plane.beyond.forward(one.astype(complex)), lit.values.dtype) for one in results]
+
+
+def path_change(scene: Scene, tile: Tile, carrier: RayMap, grid: Grid) -> Array:
+    """How much longer a scene's path is than that of a tile's rays, in mm on the samples of a plane.
+
+    Raises
+    ------
+    InputError
+        If no ray arrives.
+    """
+    rays = trace_bundle(scene, np.asarray(tile.centre_mm), sample_points(carrier.traced, ORDER), grid.z_mm)
+    if not np.any(rays.ok):
+        raise InputError("no ray of the changed lens arrives: the change is too large")
+    there = rays.sensor_mm[rays.ok]
+    change = (rays.path_mm[rays.ok] - carrier.maps.at(there)[0])[None]
+    return np.asarray(fit_map(there, change, ORDER).on_axes((grid.y_mm, grid.x_mm))[0])
+
+
+def _at(lit: Field, scene: Scene) -> Field:
+    return Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)

@@ -1,0 +1,256 @@
+"""What may be unknown of a bench: names, units, and how far each usually is from the design."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError
+from lensdesign.lens.figure import figure_from_zernike
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.poses import SurfacePerturbation
+from wavesim.camera.mounting import DECENTERS, PLANE_DISTANCE, TILTS, WORKING_DISTANCE, with_values
+from wavesim.scene.bench import AMPLITUDE_ORDERS, PHASE_ORDERS, Bench, Orders
+
+Part = Literal["light", "lens", "mounting", "camera"]
+
+FIGURES = (5, 6, 7, 8)
+"""Zernike terms of a surface's figure, by OSA/ANSI index: astigmatism twice, coma twice."""
+
+FIGURE_STEP_UM, FIGURE_TYPICAL_UM = 0.03, 0.05
+"""Root mean square of one term: 0.08 waves of a 633 nm interferometer are usual."""
+
+TYPICAL = {
+    "index": 2e-3,
+    "radius": 0.01,
+    "thickness": 0.01,
+    "decenter": 5e-3,
+    "tilt_deg": 0.3,
+    "distance": 0.01,
+}
+"""Of a lens whose object is 1 mm in front of it, as shares or in mm; deviations of an equal number of waves
+are smaller the larger a lens is."""
+
+LIGHT_WAVES, PHASE_WAVES, AMPLITUDE = 1.0, 0.15, 0.1
+"""Of the light over the patch: tilt and bend in waves, and unevenness as a share."""
+
+SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Values of what is sought, beside a bench that holds all else.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    fixed : Bench
+        What is not sought.
+    values : mapping
+        By name.
+    """
+
+    lens: Lens
+    fixed: Bench = field(default_factory=Bench)
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def changed(self, names: Sequence[str], values: Sequence[float]) -> Unknowns:
+        """The same but for some values."""
+        return replace(self, values={**self.values, **dict(zip(names, map(float, values), strict=True))})
+
+    def of(self, names: Sequence[str]) -> Array:
+        """Values by name; 0 for what has none."""
+        return np.array([self.values.get(name, 0.0) for name in names])
+
+    @property
+    def bench(self) -> Bench:
+        """With these values."""
+        result = self.fixed
+        for part in (_with_light, _with_camera, _with_lens, _with_mounting):
+            result = part(self, result)
+        return result
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Something that may be unknown.
+
+    Attributes
+    ----------
+    name : str
+        With its unit.
+    part : {"light", "lens", "mounting", "camera"}
+    typical : float
+        Standard deviation that is expected.
+    """
+
+    name: str
+    part: Part
+    typical: float
+
+
+def bench_parameters(
+    lens: Lens, planes: int, patch_mm: float, wavelength_um: float, *, light: bool = True
+) -> tuple[Parameter, ...]:
+    """All that may be sought of a bench, with what is expected of each.
+
+    The first plane is the reference of the others: its shift is the lens's decenter, its distance the lens's
+    despace.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    planes
+        How many were recorded.
+    patch_mm
+        Side of the object patch.
+    wavelength_um
+        Vacuum wavelength.
+    light
+        Whether light is told from the object: not from one that is complex itself.
+    """
+    found = list(_of_light(patch_mm, wavelength_um)) if light else []
+    pitch_um, size = lens.sensor.pixel_pitch_um, abs(lens.object_z_mm)
+    for n in range(1, planes + 1):
+        if n > 1:
+            found += [
+                Parameter(f"plane_{n}_shift_{axis}_um", "camera", SHIFT_PIXELS * pitch_um) for axis in "xy"
+            ]
+            found.append(Parameter(PLANE_DISTANCE.format(n), "camera", TYPICAL["distance"]))
+        found.append(Parameter(f"plane_{n}_background", "camera", BACKGROUND))
+    half_mm = 0.5e-3 * pitch_um * max(lens.sensor.pixels)
+    tilted = math.degrees(TYPICAL["distance"] / half_mm)
+    found += [Parameter(name, "camera", tilted) for name in SENSOR_TILTS]
+    # Errors of equal effect in waves are shares that fall as a lens grows.
+    share = min(1.0, 1.0 / size)
+    found += _of_lens(lens, share)
+    found += [Parameter(name, "mounting", TYPICAL["decenter"]) for name in DECENTERS]
+    found += [Parameter(name, "mounting", TYPICAL["tilt_deg"] * share) for name in TILTS]
+    found.append(Parameter(WORKING_DISTANCE, "mounting", TYPICAL["distance"]))
+    return tuple(found)
+
+
+def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Those asked for: all, parts (light, lens, mounting, camera), or names, separated by commas.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or stands twice.
+    """
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    parts = {parameter.part for parameter in allowed}
+    names = [parameter.name for parameter in allowed]
+    chosen: list[Parameter] = []
+    for word in words:
+        found = [
+            p for p in allowed if word in ("all", p.part, p.name) or (word == "rigid" and p.name in RIGID)
+        ]
+        if not found:
+            raise InputError(
+                f"parameter {word!r}: unknown; allowed: all, rigid, {', '.join(sorted(parts))}, or "
+                f"{', '.join(names)}{did_you_mean(word, names)}"
+            )
+        chosen += found
+    if not chosen or len({p.name for p in chosen}) < len(chosen):
+        raise InputError(f"parameters = {text!r}: must be one or more, each once")
+    return tuple(p for p in allowed if p in chosen)
+
+
+RIGID = (*DECENTERS, *TILTS)
+SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
+
+
+def _of_light(patch_mm: float, wavelength_um: float) -> list[Parameter]:
+    tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
+    return [
+        *(Parameter(f"light_tilt_{axis}_deg", "light", tilt_deg) for axis in "xy"),
+        *(Parameter(f"light_phase_{i}{j}_waves", "light", PHASE_WAVES) for i, j in PHASE_ORDERS),
+        *(Parameter(f"light_amplitude_{i}{j}", "light", AMPLITUDE) for i, j in AMPLITUDE_ORDERS),
+    ]
+
+
+def _of_lens(lens: Lens, share: float) -> list[Parameter]:
+    found = []
+    for number, surface in enumerate(lens.surfaces, start=1):
+        head = f"surface_{number}_"
+        if surface.material is not None:
+            found.append(Parameter(f"{head}index", "lens", TYPICAL["index"] * share))
+        if surface.radius_mm and math.isfinite(surface.radius_mm):
+            found.append(
+                Parameter(f"{head}radius_mm", "lens", TYPICAL["radius"] * share * abs(surface.radius_mm))
+            )
+        if number < len(lens.surfaces):
+            found.append(Parameter(f"{head}thickness_mm", "lens", TYPICAL["thickness"]))
+        if surface.semi_diameter_mm is not None:
+            found += [Parameter(f"{head}figure_{j}_um", "lens", FIGURE_TYPICAL_UM) for j in FIGURES]
+    return found
+
+
+def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
+    told, light = unknowns.values, bench.light
+    x, y = (told.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
+
+    def modes(own: Mapping[Orders, float], orders: Sequence[Orders], name: str) -> dict[Orders, float]:
+        given = {(i, j): told[name.format(i, j)] for i, j in orders if name.format(i, j) in told}
+        return {**own, **given}
+
+    amplitude = modes(light.amplitude, AMPLITUDE_ORDERS, "light_amplitude_{}{}")
+    phase = modes(light.phase_waves, PHASE_ORDERS, "light_phase_{}{}_waves")
+    return replace(bench, light=replace(light, tilt_deg=(x, y), amplitude=amplitude, phase_waves=phase))
+
+
+def _with_camera(unknowns: Unknowns, bench: Bench) -> Bench:
+    told = unknowns.values
+    planes = max(
+        (int(n.split("_")[1]) for n in told if n.startswith("plane_") and "_distance_" not in n), default=0
+    )
+    shifts = [*bench.plane_shifts_um, *((0.0, 0.0),) * planes]
+    backgrounds = [*bench.plane_backgrounds, *(0.0,) * planes]
+    for n in range(planes):
+        x, y = (told.get(f"plane_{n + 1}_shift_{a}_um", own) for a, own in zip("xy", shifts[n], strict=True))
+        shifts[n] = (x, y)
+        backgrounds[n] = max(told.get(f"plane_{n + 1}_background", backgrounds[n]), 0.0)
+    kept = max(planes, len(bench.plane_shifts_um)), max(planes, len(bench.plane_backgrounds))
+    return replace(
+        bench, plane_shifts_um=tuple(shifts[: kept[0]]), plane_backgrounds=tuple(backgrounds[: kept[1]])
+    )
+
+
+def _with_lens(unknowns: Unknowns, bench: Bench) -> Bench:
+    deltas = dict(bench.placement.surface_perturbations)
+    for n, surface in enumerate(unknowns.lens.surfaces):
+        head = f"surface_{n + 1}_"
+        mine = {name[len(head) :]: v for name, v in unknowns.values.items() if name.startswith(head) and v}
+        terms = {int(name.split("_")[1]): mine.pop(name) for name in list(mine) if name.startswith("figure_")}
+        given: dict[str, Any] = dict(mine)
+        if terms:
+            assert surface.semi_diameter_mm is not None
+            given["figure"] = figure_from_zernike(terms, surface.semi_diameter_mm)
+        if given:
+            deltas[n] = replace(deltas.get(n, SurfacePerturbation()), **given)
+    return replace(bench, placement=replace(bench.placement, surface_perturbations=deltas))
+
+
+def _with_mounting(unknowns: Unknowns, bench: Bench) -> Bench:
+    names = [
+        n
+        for n in unknowns.values
+        if n in (*RIGID, WORKING_DISTANCE) or n.startswith(PLANE_DISTANCE.split("{}")[0])
+    ]
+    placement = bench.placement
+    x, y = (
+        unknowns.values.get(n, own) for n, own in zip(SENSOR_TILTS, placement.sensor_tilt_deg, strict=True)
+    )
+    placement = replace(placement, sensor_tilt_deg=(x, y))
+    if names:
+        placement = with_values(placement, names, unknowns.of(names).tolist())
+    return replace(bench, placement=placement)
