@@ -1,0 +1,89 @@
+"""Which frames to take, as simulations tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.calibration.planning import SIDE, Plan, Plans, Twin, _twin, plan_frames
+from wavesim.camera.windows import diversity, footprint_mm
+from wavesim.objects.patch import object_patch
+from wavesim.scene.settings import PlanSettings
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+
+
+def test_more_planes_tell_more_of_a_complex_object() -> None:
+    told: list[tuple[str, int, int]] = []
+    found = plan_frames(
+        LENS,
+        patch_mm=0.02,
+        kind="complex",
+        most_planes=3,
+        exposures=(1.0,),
+        progress=lambda *what: told.append(what),
+    )
+    near, far = LENS.sensor.plane_distances_mm
+    assert [plan.planes_mm for plan in found.plans] == [(near,), (near, far), (near, (near + far) / 2, far)]
+    assert found.plans[2].error < found.plans[0].error
+    assert found.plans[2].iterations <= 80
+    assert [done for _, done, _ in told] == [0, 1, 2, 3]
+    assert found.twin.scale == 1.0
+    assert repr(found).startswith("Plans(plans 3, for an object of kind complex, planes ")
+
+
+def test_a_large_lens_is_tried_on_a_twin() -> None:
+    """Where field and samples leave room, of the same diversity: dz w^2 / (lambda f^2)."""
+    lens, settings = scaled(load_design("designs/paper_singlet.toml"), 1 / 4), PlanSettings()
+    patch = object_patch(lens, 0.12)
+    twin = _twin(lens, patch, settings, 5.5)
+    assert twin.scale < 0.5
+    assert twin.diversity == pytest.approx(diversity(lens, patch, (0.5, 5.5)), rel=0.03)
+    assert twin.read_noise_electrons == pytest.approx(2.0 * 0.12 / twin.patch_mm)
+    across = footprint_mm(scaled(lens, twin.scale), object_patch(lens, twin.patch_mm), 5.5 * twin.scale)
+    assert across / 3.2e-3 < 1.2 * SIDE
+
+
+def test_the_fewest_frames_that_are_enough_are_recommended() -> None:
+    plans = tuple(
+        Plan(tuple(float(n) for n in range(1, planes + 1)), exposures, correlation, 1.0, 20)
+        for planes, exposures, correlation in (
+            (1, (1.0,), 0.5),
+            (2, (1.0,), 0.97),
+            (1, (1.0, 30.0), 0.6),
+            (4, (1.0,), 0.992),
+            (2, (1.0, 30.0), 0.995),
+        )
+    )
+    found = Plans(PlanSettings(), Twin(1.0, 0.1, 2.0, 30.0), 30.0, plans)
+    assert found.recommended is plans[3]
+    assert found.recommended.frames == 4
+    assert found.enough
+    strict = replace(found, settings=PlanSettings(correlation=0.999))
+    assert strict.recommended is plans[4]
+    assert not strict.enough
+    assert plans[0].error == pytest.approx(0.75**0.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"planes_mm": (2.0, 1.0)}, "planes_mm: must be two numbers, increasing"),
+        ({"most_planes": 0}, "most_planes"),
+        ({"correlation": 1.0}, "correlation"),
+        ({"exposures": (0.0, 1.0)}, "exposures: must be greater than 0"),
+        ({"patch_mm": 9.0}, "patch"),
+    ],
+)
+def test_refused(changes: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        plan_frames(LENS, **changes)
+
+
+def test_a_design_of_one_plane_asks_for_two() -> None:
+    lens = LENS.replaced(sensor=LENS.sensor.replaced(plane_distances_mm=(0.1,)))
+    with pytest.raises(InputError, match=r"the design has one plane, at 0\.1 mm: give the nearest"):
+        plan_frames(lens, patch_mm=0.02)

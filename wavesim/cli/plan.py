@@ -1,0 +1,112 @@
+"""The command `wavesim plan`: which frames to take."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensdesign.common.console import print_json
+from lensdesign.common.text import visible
+from lensdesign.files.design import load_design
+from wavesim.cli.options import AsJson, Design, print_warnings, refuse_no_picture
+from wavesim.cli.runs import print_table, progress
+from wavesim.scene.settings import PlanSettings
+
+if TYPE_CHECKING:
+    from wavesim.calibration.planning import Plan, Plans
+
+
+def plan(
+    design: Design,
+    settings: PlanSettings,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Error against planes (png, svg, pdf).")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say how many planes to record, where, and with which exposures, and what error to expect.
+
+    A random object of the kind is imaged with noise and reconstructed by the defaults, for each plan, on a
+    small twin of the lens. The plan of the fewest frames that reach --correlation is recommended.
+    """
+    from wavesim.calibration.planning import plan_frames
+    from wavesim.pictures.frames import save
+    from wavesim.pictures.plans import plans_figure
+
+    refuse_no_picture(output)
+    lens = load_design(design)
+    with progress() as tell, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = plan_frames(lens, settings, progress=tell)
+    messages = list(dict.fromkeys(str(warning.message) for warning in caught))
+    print_warnings(messages)
+    title = lens.title or design.stem
+    if output is not None:
+        save(plans_figure(found, f"{title}\n{settings.kind} object, {_twin(found)}"), output, dpi=120)
+    if as_json:
+        print_json(_summary(found, title, messages))
+        return
+    print(visible(title))
+    _print(found)
+    if output is not None:
+        typer.echo(f"wrote {output}")
+
+
+def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
+    return {
+        "design": title,
+        "kind": found.settings.kind,
+        "correlation_asked": found.settings.correlation,
+        "enough": found.enough,
+        "diversity": found.diversity,
+        "twin": found.twin._asdict(),
+        "plans": [_figures(plan) | {"recommended": plan is found.recommended} for plan in found.plans],
+        "warnings": messages,
+    }
+
+
+def _figures(plan: Plan) -> dict[str, Any]:
+    return {
+        "planes_mm": list(plan.planes_mm),
+        "exposures": list(plan.exposures),
+        "frames": plan.frames,
+        "correlation": plan.correlation,
+        "error": plan.error,
+        "misfit_over_noise": plan.misfit_over_noise,
+        "iterations": plan.iterations,
+    }
+
+
+def _twin(found: Plans) -> str:
+    twin = found.twin
+    lens = "the lens itself" if twin.scale == 1.0 else f"a twin of scale {twin.scale:.3g}"
+    return f"tried on {lens}, patch {twin.patch_mm:.3g} mm"
+
+
+def _print(found: Plans) -> None:
+    print(f"{found.settings.kind} object; {_twin(found)}")
+    rows = [
+        (
+            "*" if plan is found.recommended else "",
+            ", ".join(f"{z:.4g}" for z in plan.planes_mm),
+            ", ".join(f"{e:g}" for e in plan.exposures),
+            f"{plan.frames}",
+            f"{plan.correlation:.4f}",
+            f"{plan.error:.3f}",
+            f"{plan.misfit_over_noise:.2f}",
+        )
+        for plan in found.plans
+    ]
+    columns = ("frames", "correlation", "error", "misfit\nover noise")
+    print_table(("", "planes (mm)", "exposures"), columns, rows)
+    print(f"diversity of the planes {found.diversity:.3g}, of those tried {found.twin.diversity:.3g}")
+    asked = f"a correlation of {found.settings.correlation:g}"
+    if found.enough:
+        print(f"* the fewest frames that reach {asked}")
+    else:
+        print(
+            f"* the best; none reaches {asked}: take more planes, a wider range of them, or a smaller patch"
+        )
