@@ -1,4 +1,4 @@
-from .calibration.estimation import Calibrated
+from .calibration.calibrated import Calibrated
 from .calibration.from_frames import calibrate_frames
 from .camera.exposures import Electronics
 from .camera.frame_sets import read_frames

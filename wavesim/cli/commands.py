@@ -9,22 +9,24 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
-from lensdesign.common.text import visible
+from lensdesign.common.text import decimals_text, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.calibrate import calibrate
+from wavesim.cli.choose import choose
 from wavesim.cli.compare import compare
 from wavesim.cli.image import image
 from wavesim.cli.options import AsJson, Design, numbers, refuse_no_picture, with_settings
 from wavesim.cli.oracle import oracle
+from wavesim.cli.plan import plan
 from wavesim.cli.reconstruct import reconstruct
-from wavesim.cli.resolve import choose, resolve
+from wavesim.cli.resolve import resolve
 from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
 from wavesim.scene.settings import PoseSettings
 
 app = make_app("Waves through spatial information transfer lenses.")
-for command in (oracle, resolve, choose, compare, image, reconstruct, calibrate, view):
+for command in (oracle, resolve, choose, compare, plan, image, reconstruct, calibrate, view):
     app.command()(with_settings(command))
 
 MTF_SHARES_OF_CUT_OFF = (0.125, 0.25, 0.5, 0.75)
@@ -76,7 +78,7 @@ def pupil(
         "refocused": refocus,
     } | _figures(registered, widths)
     if output is not None:
-        save(pupil_figure(registered.pupil, widths, _title(summary)), output, dpi=110)
+        save(pupil_figure(registered.pupil, widths, _title(summary, "µm")), output, dpi=110)
         summary["picture"] = str(output)
     if as_json:
         print_json(summary)
@@ -120,11 +122,15 @@ def _figures(registered: Any, widths_um: list[float]) -> dict[str, Any]:
     }
 
 
-def _title(summary: dict[str, Any]) -> str:
+def _title(summary: dict[str, Any], um: str) -> str:
     x, y = summary["field_mm"]
-    focus = f"refocused by {_shown(summary['refocus_um'])} µm" if summary["refocused"] else "not refocused"
+    focus = (
+        f"refocused by {decimals_text(summary['refocus_um'])} {um}"
+        if summary["refocused"]
+        else "not refocused"
+    )
     moved = ", ".join(_moved(name, value) for name, value in summary["pose"].items() if value)
-    place = f"field ({x:g}, {y:g}) mm, {summary['wavelength_um']:g} µm"
+    place = f"field ({x:g}, {y:g}) mm, {summary['wavelength_um']:g} {um}"
     return f"{summary['design']}\nlens: {moved or 'as designed'}; {place}, {focus}"
 
 
@@ -134,17 +140,13 @@ def _moved(name: str, value: float) -> str:
     return f"{what.replace('_', ' ')} {value:g} {unit}"
 
 
-def _shown(value_um: float) -> str:
-    """Three decimals, and no minus sign before a zero."""
-    return f"{round(value_um, 3) + 0.0:.3f}"
-
-
 def _print_tables(summary: dict[str, Any]) -> None:
     x, y = summary["shift_um"]
-    for line in _title(summary).split("\n"):
+    for line in _title(summary, "um").split("\n"):
         print(visible(line))
     print(f"wavefront {summary['rms_waves']:.4f} waves rms, Strehl ratio {summary['strehl']:.4f}")
-    print(f"image shift x {_shown(x)} um, y {_shown(y)} um; throughput {summary['throughput']:.4f}")
+    shift = f"x {decimals_text(x)} um, y {decimals_text(y)} um"
+    print(f"image shift {shift}; throughput {summary['throughput']:.4f}")
     smallest = [summary[f"smallest_resolved_line_width_{axis}_um"] for axis in "xy"]
     pairs = [
         *(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,25 +12,41 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
+from wavesim.cli.free_space import in_free_space
+from wavesim.cli.options import AsJson, Frames, Output, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
-from wavesim.scene.settings import FrameSetSettings, ReconstructionSettings
+from wavesim.scene.settings import (
+    CalibrationSettings,
+    FramedSettings,
+    FrameSetSettings,
+    FreeSpaceSettings,
+    ReconstructionSettings,
+)
+
+CALIBRATED = "calibration"
+"""Folder within the results' of what --calibrate finds."""
 
 if TYPE_CHECKING:
+    from lensdesign.lens.lens import Lens
     from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
     from wavesim.runtime.memory import Memory
+    from wavesim.scene.bench import Bench
 
 
 def reconstruct(
     frames: Frames,
-    design: DesignOption,
     output: Output,
     settings: ReconstructionSettings,
     of_frames: FrameSetSettings,
+    free: FreeSpaceSettings,
+    design: Annotated[
+        Path | None, typer.Option(metavar="DESIGN", help="Design file (TOML); none with --free-space.")
+    ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Of `wavesim calibrate`: the lens as mounted.")
+        Path | None, typer.Option(help="Of `wavesim calibrate`: the bench as it is.")
     ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
@@ -39,15 +55,24 @@ def reconstruct(
 ) -> None:
     """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
 
-    An interrupted run goes on with the same command from the last iterations that it kept.
+    The exit status is 0 if the frames are explained within their noise, and 1 if they are not: then what most
+    likely differs is tried and named. An interrupted run goes on with the same command from the last
+    iterations that it kept.
     """
+    from wavesim.calibration.calibrated import read_calibration
     from wavesim.camera.frame_sets import read_frames
-    from wavesim.camera.mounting import read_mounting
     from wavesim.pictures.result_files import refuse_no_folder
     from wavesim.reconstruction.frames_case import CHECKPOINT
     from wavesim.reconstruction.from_frames import reconstruct_frames
 
     refuse_no_folder(output)
+    if free.free_space:
+        in_free_space(frames, output, settings, of_frames, free, (design, calibration, truth), as_json)
+        return
+    if design is None:
+        raise InputError("--design: must be given; frames that no lens stands before take --free-space")
+    if free.calibrate and calibration is not None:
+        raise InputError("--calibrate, --calibration: give one of them")
     tell_memory = memory_teller(output)
 
     def before(memory: Memory) -> None:
@@ -58,7 +83,9 @@ def reconstruct(
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        mounting = None if calibration is None else read_mounting(calibration)
+        bench = None if calibration is None else read_calibration(calibration, lens)
+        if free.calibrate:
+            bench = _calibrated(lens, frames, of_frames, settings, output, as_json)
         with progress() as tell:
             found = reconstruct_frames(
                 lens,
@@ -66,7 +93,7 @@ def reconstruct(
                 read_frames(frames, of_frames, lens=lens),
                 settings,
                 truth=truth,
-                calibration=mounting,
+                calibration=bench,
                 folder=output,
                 progress=tell,
                 before=before,
@@ -74,16 +101,50 @@ def reconstruct(
         summary = {"design": lens.title or design.stem} | found.figures()
     summary |= {
         "warnings": _messages(caught),
-        "engine": engine_summary(found.engine),
+        "engine": engine_summary(found.engine, found.predicted_error),
         "memory": found.memory.as_dict(),
         "versions": versions(),
     }
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    (output / CHECKPOINT).unlink(missing_ok=True)
+    for folder in (output, output / CALIBRATED):
+        (folder / CHECKPOINT).unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
         _print(summary, output)
+    raise typer.Exit(0 if found.verdict.explained else 1)
+
+
+def _calibrated(
+    lens: Lens,
+    frames: Sequence[Path],
+    of_frames: FrameSetSettings,
+    settings: ReconstructionSettings,
+    output: Path,
+    as_json: bool,
+) -> Bench:
+    """The bench as the frames tell it, written beside the results; goes on where it was cut off."""
+    from wavesim.calibration.from_frames import calibrate_frames
+    from wavesim.camera.frame_sets import read_frames
+    from wavesim.cli.calibrate import print_calibration, write_calibration
+
+    given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    pictures = read_frames(frames, of_frames, lens=lens)
+    folder = output / CALIBRATED
+    with progress() as tell:
+        found = calibrate_frames(
+            lens,
+            pictures,
+            CalibrationSettings(**given | {"kind": settings.kind}),
+            folder=folder,
+            progress=tell,
+        )
+    told: dict[str, Any] = {"object": settings.kind, "warnings": []}
+    summary = write_calibration(found, frames, pictures, told, folder)
+    if not as_json:
+        print_calibration(found, summary, folder)
+        print()
+    return found.bench
 
 
 def _messages(caught: list[warnings.WarningMessage]) -> list[str]:
@@ -161,19 +222,22 @@ def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
+    from wavesim.reconstruction.from_object import STOPPED
+
     engine = summary["engine"]
-    early = ", where the misfit fell no more" if summary.get("stopped_early") else ""
+    why = STOPPED[summary["stopped_because"]] if "stopped_because" in summary else ""
     print(visible(summary["design"]))
     print(
         f"method {summary['method']}, {summary['kind']} object, engine {engine['name']}: "
-        f"{summary['iterations']} iterations{early}"
+        f"{summary['iterations']} iterations{why}"
     )
     rows = [
         (
             f"{plane['plane_distance_mm']:g}",
-            f"{plane['residual']:.4f}",
-            "not known" if plane["noise"] is None else f"{plane['noise']:.4f}",
-            f"{plane['correlation']:.5f}",
+            *(
+                "not known" if plane[name] is None else f"{plane[name]:.{digits}f}"
+                for name, digits in (("residual", 4), ("noise", 4), ("correlation", 5))
+            ),
         )
         for plane in summary["planes"]
     ]
@@ -183,6 +247,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
     for line in _figures(summary):
         print(line)
     print(f"wrote {len(summary['files'])} files to {output}")
+    print(f"verdict: {summary['verdict']['words']}")
 
 
 def _figures(summary: dict[str, Any]) -> list[str]:

@@ -57,12 +57,12 @@ def memory_teller(folder: Path) -> Callable[[Memory], None]:
     return lambda memory: print(memory.line(folder), file=sys.stderr)
 
 
-def engine_summary(engine: Engine) -> dict[str, Any]:
-    """What an engine is and says of itself, ready for JSON."""
+def engine_summary(engine: Engine, predicted_error: float) -> dict[str, Any]:
+    """What an engine is, and what it says of its error, ready for JSON."""
     return {
         "name": engine.name,
         "settings": engine.settings(),
-        "predicted_error": finite_or_none(engine.predicted_error()),
+        "predicted_error": finite_or_none(predicted_error),
     }
 
 

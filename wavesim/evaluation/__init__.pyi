@@ -1,4 +1,5 @@
 from .accuracy import OracleResult, run_oracle
+from .ghosts import FoundGhost, GhostPlane, ghost_in_residuals
 from .metrics import (
     ElementContrast,
     as_passed,
@@ -8,11 +9,13 @@ from .metrics import (
     resolved_elements,
     smallest_resolved_element,
 )
-from .resolving import LineContrast, Resolved, bars_field, resolve
+from .resolving import LineContrast, Resolved, bars_field, resolve, resolving_seconds
 from .similarity import psnr_db, ssim
 
 __all__ = [
     "ElementContrast",
+    "FoundGhost",
+    "GhostPlane",
     "LineContrast",
     "OracleResult",
     "Resolved",
@@ -20,10 +23,12 @@ __all__ = [
     "bar_contrast",
     "bars_field",
     "element_contrasts",
+    "ghost_in_residuals",
     "object_correlation",
     "psnr_db",
     "resolve",
     "resolved_elements",
+    "resolving_seconds",
     "run_oracle",
     "smallest_resolved_element",
     "ssim",

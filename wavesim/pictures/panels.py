@@ -24,8 +24,25 @@ AS_SAMPLED: dict[str, Any] = {"origin": "lower", "interpolation": "antialiased"}
 
 
 def title_figure(figure: Figure, title: str, size: float = 13.0) -> None:
-    """A title whose lines stay lines, and whose other signs are seen."""
-    figure.suptitle("\n".join(visible(line) for line in title.split("\n")), fontsize=size, parse_math=False)
+    """A title whose lines stay lines, broken where the figure is too narrow; other signs are seen."""
+    room = figure.get_figwidth() - 0.3
+    lines = [part for line in title.split("\n") for part in _broken(visible(line), size, room)]
+    figure.suptitle("\n".join(lines), fontsize=size, parse_math=False)
+
+
+def _broken(line: str, size: float, room: float) -> list[str]:
+    """A line in as many as it takes between words to be no wider than so many inches."""
+    from lensdesign.pictures.charts import text_inches
+
+    first, *words = line.split(" ")
+    lines = [first]
+    for word in words:
+        longer = f"{lines[-1]} {word}"
+        if text_inches(longer, size)[0] <= room:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
 
 
 def panel_row(count: int, title: str, rows: int = 1) -> tuple[Figure, Any]:

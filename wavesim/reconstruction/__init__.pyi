@@ -1,9 +1,9 @@
 from .bootstrap import Uncertainty, UndeterminedError, uncertainty
 from .found import FoundObject
-from .from_field import Retrieved, agreement, retrieval_bytes, retrieve
+from .from_field import Retrieved, agreement, retrieve
 from .from_frames import reconstruct_frames
 from .from_object import Reconstructed, prox_tv, reconstruct
-from .memory import reconstruction_bytes
+from .memory import reconstruction_bytes, retrieval_bytes
 from .refocusing import Refocusing, refocus_field, svfg
 
 __all__ = [

@@ -26,9 +26,10 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, refuse_not_whole
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
+from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RealArray, RecordingModel
 from wavesim.scene.engine import Engine
+from wavesim.scene.settings import Kind
 
 ITERATIONS = 12
 """From the reconstruction on, of which each record differs by noise alone."""

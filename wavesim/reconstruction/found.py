@@ -12,6 +12,7 @@ from lensdesign.common.notebook import html_picture, html_table
 from wavesim.camera.frame_sets import PlaneFrames
 from wavesim.camera.recorded import Recorded
 from wavesim.evaluation.judgement import chart_metrics, plane_metrics
+from wavesim.evaluation.verdicts import Verdict
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch
 from wavesim.objects.usaf import UsafElement
@@ -52,6 +53,8 @@ class FoundObject:
         For each plane, amplitude of the result less the recorded one.
     curve : tuple of float
         For every iteration the misfit (object) or the correlation A6 (paper).
+    verdict : Verdict
+        Whether the planes are explained, and what may differ where they are not.
     focus : Focus, optional
         Where the object is sharpest, if that was asked for.
     of_method : dict
@@ -68,6 +71,9 @@ class FoundObject:
         From the object to the nearest plane.
     memory : Memory
         What was said to be taken.
+    predicted_error : float
+        Upper bound of the engine's relative L2 error on that plane, for light with as much at the aperture's
+        rim as the frames show there.
     """
 
     settings: ReconstructionSettings
@@ -78,6 +84,7 @@ class FoundObject:
     recorded: tuple[Recorded, ...]
     residual_maps: tuple[Array, ...]
     curve: tuple[float, ...]
+    verdict: Verdict
     focus: Focus | None
     of_method: dict[str, Any]
     true: Field | None
@@ -86,6 +93,7 @@ class FoundObject:
     diversity: float
     engine: Engine
     memory: Memory
+    predicted_error: float
 
     def figures(self) -> dict[str, Any]:
         """All figures, ready for JSON: of the planes, the focus, the true object and the charts."""
@@ -105,6 +113,7 @@ class FoundObject:
                 }
                 for told, plane, error in zip(self.planes, self.recorded, self.residual_maps, strict=True)
             ],
+            "verdict": self.verdict.as_dict(),
             "diversity": self.diversity,
             "field_stop_mm": self.patch.field_stop_mm,
             "object_pitch_um": 1e3 * pitch_mm,
@@ -139,6 +148,7 @@ class FoundObject:
             ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} um"),
             ("iterations", f"{len(self.curve)}, {ended} {self.curve[-1]:.5g}"),
         ]
+        told.append(("verdict", self.verdict.words))
         if self.focus is not None:
             told.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} um behind the object plane"))
         return told + [(name, f"{value:.4g}") for name, value in self.truth.items() if value is not None]

@@ -16,6 +16,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.camera.frames import Frame
+from wavesim.camera.light_of_frames import light_of_frames
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
 from wavesim.camera.recorded import Recorded
@@ -23,24 +24,42 @@ from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.engines.whole_field.on_cluster import refuse_no_tiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch, read_object, usaf_charts_of
-from wavesim.objects.region import region_grid, widened
+from wavesim.objects.region import cut_field, region_grid, widened
 from wavesim.objects.usaf import UsafElement
-from wavesim.reconstruction.memory import run_need
+from wavesim.reconstruction.doubts.held_out import HeldOut, hold_out, is_given
+from wavesim.reconstruction.memory import run_arrays
 from wavesim.runtime.checkpoint import Checkpoint
-from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, Need, memory_limit
+from wavesim.runtime.inventory import Inventory, need_of
+from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
+from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine
+from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.source import Source, SourceMode
 
 CHECKPOINT = "checkpoint.npz"
 """File in which a run keeps where it stands."""
 
+RINGS, ANGLES = 1, 6
+"""Of a wide source: the directions from which the model's light comes."""
+
 FOLDS = 2.0
 """Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
 
-TELLING = ("method", "kind", "iterations", "tv_weight", "start", "scale", "active_width")
+TELLING = (
+    "hold_out_plane",
+    "method",
+    "kind",
+    "iterations",
+    "tv_weight",
+    "start",
+    "scale",
+    "active_width",
+    "source_deg",
+)
 """Settings on which the iterations depend, beside the engine's."""
 
 
@@ -48,14 +67,16 @@ class FramesCase(NamedTuple):
     """What is reconstructed from what.
 
     `shown` is the part of the object that is judged and written, `inside` its samples within the field stop,
-    `carried` the part that is refocused, `engine_on` makes an engine from another part of the object to the
-    same plane.
+    `carried` the part that is refocused, `held` what the iterations are not given of the planes, `engine_on`
+    makes an engine from another part of the object to the same plane.
     """
 
     patch: Patch
     light: Field
+    modes: tuple[SourceMode, ...]
     planes: tuple[PlaneFrames, ...]
     recorded: tuple[Recorded, ...]
+    held: tuple[HeldOut, ...]
     engine: Engine
     truth: Field | None
     charts: tuple[tuple[UsafElement, ...], ...]
@@ -68,6 +89,12 @@ class FramesCase(NamedTuple):
     engine_on: Callable[[Grid], Engine]
     scratch: Scratch
     memory: Memory
+    predicted_error: float
+
+    @property
+    def given(self) -> list[Recorded]:
+        """The planes that the iterations are given: all but one that is held out altogether."""
+        return [plane for plane in self.recorded if is_given(plane)]
 
 
 def frames_case(
@@ -75,14 +102,15 @@ def frames_case(
     frames: Sequence[Frame],
     settings: ReconstructionSettings,
     truth: Field | Path | None,
-    mounting: Placement | None,
+    calibration: Placement | Bench | None,
     folder: Path | None,
 ) -> FramesCase:
     """Read all that a run needs, and refuse what cannot be done."""
     limit = memory_limit(settings.memory_gb)
-    if mounting is not None and settings.pose != Pose():
+    bench = Bench(calibration) if isinstance(calibration, Placement) else calibration
+    if bench is not None and settings.pose != Pose():
         raise SettingError("{calibration} says how the lens is mounted: give no decenter, tilt or despace")
-    pose = settings.pose if mounting is None else mounting.pose
+    pose = settings.pose if bench is None else bench.placement.pose
     framed = framed_patch(lens, frames, settings, pose)
     patch, light = framed.patch, framed.light
     if settings.method == "paper" and len(framed.planes_mm) < 2:
@@ -94,25 +122,31 @@ def frames_case(
     charts = usaf_charts_of(patch, settings.chart_at_mm) if settings.usaf else ()
     scene = exit_scene(lens, patch, framed.sensor, framed.planes_mm[0], pose)
     recorded = recorded_planes(frames)
-    if mounting is not None:
-        scene, light = placed_scene(scene, mounting), light_on(light, mounting)
-        recorded = planes_at(recorded, mounting)
-    engine = _engine(
-        scene, settings, 2 * settings.most_iterations if settings.method == "object" else 2, limit
-    )
+    if bench is not None:
+        scene, light = placed_scene(scene, bench.placement), light_on(light, bench)
+        recorded = planes_at(recorded, bench)
+    recorded, held = hold_out(recorded, settings.hold_out_plane)
+    behind = light_of_frames(scene, framed.frames, light)
+    modes = source_modes(settings.source_deg, light.wavelength_um)
+    runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
+    engine = _engine(scene, settings, runs, limit, behind)
     if settings.cluster is not None:
         refuse_no_tiles(engine)
     shown = shown.at(light.grid.z_mm)
     carried = _carried(scene, settings, shown)
-    need = _need(engine, frames, recorded, shown, carried, settings, true is not None)
-    memory = Memory(need, limit)
+    arrays = _arrays(engine, frames, recorded, shown, carried, settings, true is not None, len(modes))
+    memory = Memory(need_of(arrays), limit)
     scratch = scratch_in(folder, _room(memory, settings))
     key = _key(lens, framed.frames, settings, light, recorded, engine)
+    predicted_error, even = engine.predicted_error(behind), behind.even
+    lit = light.with_values(scratch.held(light.values, "the illumination"))
     return FramesCase(
         patch,
-        light.with_values(scratch.held(light.values, "the illumination")),
+        lit,
+        modes,
         planes_of_frames(frames),
         tuple(_held_plane(scratch, plane) for plane in recorded),
+        held,
         engine,
         true and true.with_values(scratch.held(true.values, "the true object")),
         charts,
@@ -122,10 +156,18 @@ def frames_case(
         inside,
         carried,
         1e-3 * patch.wavelength_um / lens.object.numerical_aperture**2,
-        lambda grid: _engine(replace(scene, object_grid=grid), settings, 6, limit),
+        lambda grid: _engine(
+            replace(scene, object_grid=grid), settings, 6, limit, Light(cut_field(lit, grid), even)
+        ),
         scratch,
         memory,
+        predicted_error,
     )
+
+
+def source_modes(width_deg: float, wavelength_um: float) -> tuple[SourceMode, ...]:
+    """Modes of the light by which a reconstruction adds up a wide source's."""
+    return tuple(Source(width_deg).modes(wavelength_um, RINGS, ANGLES))
 
 
 def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:
@@ -154,12 +196,13 @@ def _true(truth: Field | Path, patch: Patch) -> Field:
     return truth.with_values(truth.values.astype(np.complex64, copy=False))
 
 
-def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float) -> Engine:
+def _engine(scene: Scene, settings: ReconstructionSettings, runs: int, limit: float, light: Light) -> Engine:
     fields = 8 * (scene.object_grid.size + scene.exit_grid.size)
-    return imaging_engine(scene, settings, runs=runs, memory_gb=1e-9 * (limit - BASE_BYTES - fields))
+    left_gb = 1e-9 * (limit - BASE_BYTES - fields)
+    return imaging_engine(scene, settings, runs=runs, memory_gb=left_gb, light=light)
 
 
-def _need(
+def _arrays(
     engine: Engine,
     frames: Sequence[Frame],
     recorded: Sequence[Recorded],
@@ -167,17 +210,22 @@ def _need(
     carried: Grid,
     settings: ReconstructionSettings,
     truth: bool,
-) -> Need:
-    return run_need(
+    modes: int,
+) -> Inventory:
+    return run_arrays(
         engine,
-        [plane.distance_mm for plane in recorded],
+        # A plane that is shifted has a way to it, at whatever distance.
+        [math.hypot(plane.distance_mm, *plane.shift_mm) for plane in recorded],
         method=settings.method,
         kind=settings.kind,
         active_width=settings.active_width,
         frames_bytes=sum(frame.counts.nbytes for frame in frames),
-        shown=shown.size,
+        shown=shown.shape,
         carried=0 if settings.focus_mm is None else carried.size,
         truth=truth,
+        backgrounds=sum(plane.background is not None for plane in recorded),
+        modes=modes,
+        tilted=any(any(plane.tilt_deg) for plane in recorded),
     )
 
 
@@ -202,7 +250,10 @@ def _room(memory: Memory, settings: ReconstructionSettings) -> float:
 def _held_plane(scratch: Scratch, plane: Recorded) -> Recorded:
     amplitude = scratch.held(plane.amplitude, "the recorded amplitudes")
     sigma = plane.sigma if plane.sigma is None else scratch.held(plane.sigma, "the standard deviations")
-    return Recorded(plane.distance_mm, amplitude, sigma)
+    background = plane.background
+    if background is not None:
+        background = scratch.held(background, "the backgrounds")
+    return replace(plane, amplitude=amplitude, sigma=sigma, background=background)
 
 
 def _key(
@@ -214,5 +265,8 @@ def _key(
     engine: Engine,
 ) -> str:
     told = settings.model_dump_json(include=set(TELLING))
-    planes = [plane.distance_mm for plane in recorded]
+    planes = [
+        (p.distance_mm, p.shift_mm, p.tilt_deg, None if p.background is None else float(p.background.mean()))
+        for p in recorded
+    ]
     return key_of_frames(lens, frames, light, told, engine.key(), str((light.grid.z_mm, planes)))

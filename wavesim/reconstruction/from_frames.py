@@ -14,18 +14,26 @@ from wavesim.camera.frames import Frame
 from wavesim.camera.recording import Progress
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_metrics
+from wavesim.evaluation.verdicts import FEW, LIMIT, PlaneResidual, Verdict, verdict
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
+from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
+from wavesim.reconstruction.doubts.starts import agreement_of_starts
+from wavesim.reconstruction.doubts.trials import Doubts
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.runtime.memory import Memory
+from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
+
+NEAR = 1.4
+"""Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
 
 Take = Callable[[Engine], Engine]
 """Hands an engine's tiles to a cluster, if there is one, and returns it."""
@@ -39,7 +47,7 @@ def reconstruct_frames(
     settings: ReconstructionSettings | None = None,
     *,
     truth: Field | Path | None = None,
-    calibration: Placement | None = None,
+    calibration: Placement | Bench | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     before: Callable[[Memory], None] | None = None,
@@ -157,6 +165,7 @@ class _Found(NamedTuple):
     residual_maps: tuple[Array, ...]
     curve: tuple[float, ...]
     of_method: dict[str, Any]
+    agreement: float | None = None
 
 
 def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told) -> FoundObject:
@@ -165,8 +174,9 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         return _ready(case.engine if grid == own else case.engine_on(grid), take, told)
 
     found = (_paper if settings.method == "paper" else _object)(case, settings, engine_on, told)
-    transmission, behind, maps, curve, of_method = found
+    transmission, behind, maps, curve, of_method, agreement = found
     del found
+    judged = _verdict(case, settings, engine_on, maps, curve, agreement, told)
     focus = None
     if behind is not None and settings.focus_mm is not None:
         told.step("refocusing")
@@ -188,6 +198,7 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         case.recorded,
         maps,
         curve,
+        judged,
         focus,
         of_method,
         true,
@@ -196,7 +207,44 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         case.diversity,
         case.engine,
         case.memory,
+        case.predicted_error,
     )
+
+
+def _verdict(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    maps: tuple[Array, ...],
+    curve: tuple[float, ...],
+    agreement: float | None,
+    told: _Told,
+) -> Verdict:
+    """Whether the planes are explained; where they are not, what helps is tried, a whole field aside."""
+    planes = []
+    for plane, error, held, about in zip(case.recorded, maps, case.held, case.planes, strict=True):
+        assert plane.sigma is not None
+        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
+        planes.append(PlaneResidual(about.distance_mm, *left))
+    first = verdict(planes, curve=curve, agreement=agreement)
+    # Where little is amiss and the misfit falls, or there is no more than a few iterations, that is it.
+    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
+    if first.explained or early or settings.method == "paper" or isinstance(case.engine, Tiled):
+        return first
+    told.step("what may differ")
+    with engine_on(case.light.grid) as engine:
+        doubts = Doubts(
+            engine,
+            case.light,
+            case.given,
+            [error for error, plane in zip(maps, case.recorded, strict=True) if is_given(plane)],
+            settings.kind,
+            settings.tv_weight,
+            settings.scale,
+            settings.active_width,
+            case.modes,
+        )
+        return verdict(planes, doubts.trials(), curve, agreement)
 
 
 def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
@@ -204,10 +252,11 @@ def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: Engin
         found = reconstruct(
             engine,
             case.light,
-            case.recorded,
+            case.given,
             kind=settings.kind,
             tv_weight=settings.tv_weight,
             iterations=settings.most_iterations,
+            until_noise=True,
             scale=settings.scale,
             start="amplitude" if settings.first == "amplitude" else None,
             active_width=settings.active_width,
@@ -215,13 +264,20 @@ def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: Engin
             resume=progress_kept(case.checkpoint, case.scratch),
             keep=keeper(case.checkpoint),
             scratch=case.scratch,
+            modes=case.modes,
         )
-    said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_early": found.stopped_early}
+        agreement = agreement_of_starts(
+            engine, case.light, case.given, settings, found, told.step, case.modes
+        )
+        maps = found.residual_maps
+        if len(maps) < len(case.recorded):
+            maps = maps_of_all(engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_because": found.stopped_because}
     part = cut_field(found.transmission, case.carried)
     if settings.focus_mm is None:
-        return _Found(part, None, found.residual_maps, found.misfit, said)
+        return _Found(part, None, maps, found.misfit, said, agreement)
     behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
-    return _Found(None, behind, found.residual_maps, found.misfit, said)
+    return _Found(None, behind, maps, found.misfit, said, agreement)
 
 
 def _paper(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:

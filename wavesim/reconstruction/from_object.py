@@ -5,13 +5,15 @@ n. Steps
 
     t <- prox( t + mean over n of conj(u) A_n*( P_n(A_n(u t)) - A_n(u t) ) / max |u|^2 ),
 
-with P_n the replacement of the amplitude by the recorded one, go down the misfit of amplitudes; because the
-engine and free space are nearly unitary, the unit step is safe. The proximal map of the total variation keeps
-edges and takes noise out; steps are accelerated (FISTA). Where the illumination is dark, so is the object:
-a field stop is a support.
+with P_n the replacement of the amplitude by the recorded one, go down the misfit of amplitudes. Engine and
+free space are nearly unitary: the curvature is 1 at most, and steps with momentum are safe up to 4/3. The
+proximal map of the total variation keeps edges and takes noise out; steps are accelerated (FISTA), and
+momentum begins anew where it leads uphill. Where the illumination is dark, so is the object: a field stop is
+a support.
 
-Source: A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
-problems", SIAM J. Imaging Sci. 2, 183 (2009).
+Sources: A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
+problems", SIAM J. Imaging Sci. 2, 183 (2009); B. O'Donoghue and E. Candes, "Adaptive restart for accelerated
+gradient schemes", Found. Comput. Math. 15, 715 (2015).
 """
 
 from __future__ import annotations
@@ -26,16 +28,26 @@ from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
 from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
-from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit, power_of_two
+from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit, noise_misfit, power_of_two
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import refuse_planes
+from wavesim.reconstruction.memory import Sizes, step_array
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Engine
+from wavesim.scene.engine import Operator
+from wavesim.scene.settings import Kind
+from wavesim.scene.source import SourceMode
 
 Array = NDArray[np.inexact[Any]]
-Kind = Literal["complex", "amplitude"]
+Stop = Literal["noise", "rest", "iterations"]
+
+STOPPED: dict[Stop, str] = {
+    "noise": ", where the misfit came to the noise",
+    "rest": ", where the misfit fell no more",
+    "iterations": "",
+}
+"""Why iterations ended, in words."""
 
 SCALE_ITERATIONS = 4
 """In which an unknown scale is fitted; longer, it and the transmission would drift against each other."""
@@ -44,14 +56,20 @@ AMPLITUDE_START = 12
 """Iterations in which an amplitude object is sought where that is the start."""
 
 TV_PER_NOISE = 1.0
-"""Weight of the total variation over the standard deviation of the noise of a step."""
+"""Weight of the total variation over the standard deviation of the noise of a step. The noise is taken for as
+much larger than stated as the misfit is: what the model does not explain, or not yet, tells no detail."""
 
-LEAST_TV = {"amplitude": 0.01, "complex": 0.02}
-"""Smallest weight by the noise. Objects on a dark ground, to which the start is far, and complex ones, which
-have as many unknowns as two planes have amplitudes, need the total variation without noise too."""
+STEP, FRICTION = 1.3, 1.0
+"""Length of a step, and how soon momentum grows: after j steps it is j / (j + friction)."""
+
+FEW_ROWS = 8
+"""Of the object, compared at a time."""
+
+AT_NOISE = 1.01
+"""Misfit over that of noise alone, down to which the noise has been reached."""
 
 EARLY, EARLY_GAIN = 5, 1e-3
-"""Early stop: over so many iterations the misfit falls by less than this share."""
+"""At rest: over so many iterations the misfit changes by less than this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +86,16 @@ class Reconstructed:
         For each plane, amplitude of the result less the recorded one, in units of the recorded one.
     scale : float
         Recorded amplitude for a unit of the model's.
-    stopped_early : bool
-        Whether the misfit fell no more before the iterations were used up.
+    stopped_because : str
+        "noise" where the misfit came to what noise alone would leave, "rest" where it fell no more,
+        "iterations" where they were used up.
     """
 
     transmission: Field
     misfit: tuple[float, ...]
     residual_maps: tuple[NDArray[np.floating[Any]], ...]
     scale: float
-    stopped_early: bool
+    stopped_because: Stop
 
     def __repr__(self) -> str:
         return f"Reconstructed({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -85,10 +104,10 @@ class Reconstructed:
         return html_table("Reconstructed object", self._rows(), html_picture(self.transmission.values))
 
     def _rows(self) -> list[tuple[str, str]]:
-        grid, stopped = self.transmission.grid, ", stopped early" if self.stopped_early else ""
+        grid, why = self.transmission.grid, STOPPED[self.stopped_because]
         return [
             ("samples", f"{grid.shape[0]} x {grid.shape[1]} of {1e3 * grid.pitch_mm:.4g} um"),
-            ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{stopped}"),
+            ("iterations", f"{len(self.misfit)}, misfit {self.misfit[-1]:.5g}{why}"),
             ("planes", f"{len(self.residual_maps)}, scale {self.scale:.4g}"),
         ]
 
@@ -102,7 +121,7 @@ class Progressed:
     transmission, ahead : ndarray
         The last step, and the point from which the next one goes; real while an amplitude object is sought.
     momentum : float
-        Of the acceleration.
+        Steps since it began to grow.
     misfit : tuple of float
         Of every iteration so far.
     scale : float
@@ -121,13 +140,14 @@ class Progressed:
 
 
 def reconstruct(
-    engine: Engine,
+    engine: Operator,
     illumination: Field,
     recorded: Sequence[Recorded],
     *,
     kind: Kind = "complex",
     tv_weight: float | Literal["auto"] = 0.0,
-    iterations: int = 30,
+    iterations: int = 80,
+    until_noise: bool = False,
     scale: float | None = None,
     start: Field | Literal["amplitude"] | None = None,
     active_width: float = 0.0,
@@ -135,6 +155,7 @@ def reconstruct(
     resume: Progressed | None = None,
     keep: Callable[[Progressed], None] | None = None,
     scratch: Scratch | None = None,
+    modes: Sequence[SourceMode] = (),
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -151,9 +172,13 @@ def reconstruct(
         "complex", or "amplitude" for a transmission that is real and between 0 and 1.
     tv_weight
         Of the total variation, for transmissions of order 1; 0 leaves it out. "auto": `TV_PER_NOISE` times
-        the noise of a step, which all planes' `sigma` tell, or `LEAST_TV` if that is more.
+        the noise of a step, which all planes' `sigma` tell, and as much more as the misfit is more than noise
+        alone would leave.
     iterations
-        At most.
+        At most; fewer where the misfit rests.
+    until_noise
+        Whether they end, too, where the misfit has come to what noise alone would leave
+        (:func:`wavesim.camera.recorded.noise_misfit`).
     scale
         Recorded amplitude for a unit of the model's, where a picture without object has told it. Left out,
         it is fitted in the first iterations: then the transmission is known but for a factor.
@@ -172,18 +197,23 @@ def reconstruct(
     scratch
         Where arrays lie that are kept from one iteration to the next; in memory if left out. What the caller
         holds stays where it is: move illumination and recorded arrays by :meth:`wavesim.Scratch.moved`.
+    modes
+        Of the light, if its source is wide (:meth:`wavesim.scene.Source.modes`): each goes through the engine
+        of its own.
 
     Raises
     ------
     InputError
-        If a value or a shape is not usable, planes are in different units, or the disk that holds the scratch
-        files is full.
+        If a value or a shape is not usable, planes are in different units, modes are of other wavelengths
+        than the illumination, or the disk that holds the scratch files is full.
     """
     _refuse(engine, illumination, recorded, kind, tv_weight, iterations, scale)
     if not (start is None or start == "amplitude" or isinstance(start, Field)):
         raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
     if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
         raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
+    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
+        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")
     if not 0.0 <= active_width <= 1.0:
         raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
     scratch = scratch or Scratch()
@@ -194,10 +224,23 @@ def reconstruct(
         )
     recorded = in_unit(recorded, unit)
     model = RecordingModel(
-        engine, illumination, recorded, scale and scale * light_unit / unit, active_width, scratch
+        engine, illumination, recorded, scale and scale * light_unit / unit, active_width, scratch, modes
     )
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
-    descent = _Descent(model, weight, noise, scale is None, progress, keep, scratch)
+    distances = tuple(plane.distance_mm for plane in recorded)
+    sizes = Sizes(engine.scene.object_grid.shape, engine.scene.exit_grid.shape, distances, dtype=model.dtype)
+    descent = _Descent(
+        model,
+        weight,
+        noise,
+        noise_misfit(recorded),
+        until_noise,
+        scale is None,
+        progress,
+        keep,
+        sizes,
+        scratch,
+    )
     stages = [(kind, iterations)]
     if start == "amplitude":
         stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
@@ -205,7 +248,7 @@ def reconstruct(
     begun = [resume or _beginning(model, start, stages[0][0], scratch)]
     del resume
     state = descent.run(begun.pop(), stages)
-    now, misfits, stopped = state.transmission, state.misfit, _settled(state)
+    now, misfits, stopped = state.transmission, state.misfit, descent.stop(state) or "iterations"
     del state
     maps = tuple(model.amplitudes(now))
     for modelled, plane in zip(maps, recorded, strict=True):
@@ -220,9 +263,9 @@ def _beginning(model: RecordingModel, start: Any, kind: Kind, scratch: Scratch) 
     """Where no iteration has been made: at the start, or at 1."""
     is_field = isinstance(start, Field)
     dtype = model.dtype if is_field or kind == "complex" else model.real
-    now = scratch.array(model.lit.shape, dtype, "the start")
+    now = scratch.array(model.lit.shape, dtype, "a step")
     np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
-    return Progressed(now, now, 1.0, (), model.scale, 0, 0)
+    return Progressed(now, now, 0.0, (), model.scale, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,9 +275,12 @@ class _Descent:
     model: RecordingModel
     tv_weight: float
     noise_at_scale_1: float | None
+    misfit_of_noise: float | None
+    until_noise: bool
     fits_scale: bool
     progress: Callable[[int, float], None] | None
     keep: Callable[[Progressed], None] | None
+    sizes: Sizes
     scratch: Scratch
 
     def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
@@ -245,9 +291,9 @@ class _Descent:
                 continue
             if stage > state.stage:
                 now, misfit = state.transmission, state.misfit
-                state = Progressed(now, now, 1.0, misfit, self.model.scale, stage, len(misfit))
+                state = Progressed(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
                 del now
-            while len(state.misfit) < until and not _settled(state):
+            while len(state.misfit) < until and self.stop(state) is None:
                 state = self._stepped(state, kind)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
@@ -259,45 +305,60 @@ class _Descent:
         self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         point, misfit = self._farther(state.ahead, kind)
-        point = prox_tv(point, self._tv_weight(kind))
+        point = prox_tv(point, STEP * self._tv_weight(misfit))
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0, out=point)
-        after = self.scratch.array(point.shape, point.dtype, "a step")
+        step = step_array(self.sizes, kind)
+        after = self.scratch.make(step)
         np.multiply(point, self.model.lit, out=after)
         del point
-        momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * state.momentum**2))
-        ahead = self.scratch.array(after.shape, after.dtype, "a step")
+        steps = 0.0 if _uphill(now, state.ahead, after) else state.momentum
+        ahead = self.scratch.make(step)
         np.subtract(after, now, out=ahead)
-        ahead *= (state.momentum - 1.0) / momentum
+        ahead *= steps / (steps + FRICTION)
         ahead += after
         return Progressed(
-            after, ahead, momentum, (*state.misfit, misfit), self.model.scale, state.stage, state.began
+            after, ahead, steps + 1.0, (*state.misfit, misfit), self.model.scale, state.stage, state.began
         )
 
     def _farther(self, ahead: Array, kind: Kind) -> tuple[Array, float]:
         """Down the misfit from the point ahead, and the misfit there."""
         point, misfit = self.model.step(ahead)
+        point *= point.real.dtype.type(STEP)
         if kind == "amplitude":
             return point.real + ahead.real, misfit
         point += ahead
         return point, misfit
 
-    def _tv_weight(self, kind: Kind) -> float:
-        if self.noise_at_scale_1 is None:
+    def _tv_weight(self, misfit: float) -> float:
+        if self.noise_at_scale_1 is None or self.misfit_of_noise is None:
             return self.tv_weight
-        return max(TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale, LEAST_TV[kind])
+        weight = TV_PER_NOISE * self.noise_at_scale_1 / self.model.scale
+        return weight * max(misfit / self.misfit_of_noise, 1.0)
+
+    def stop(self, state: Progressed) -> Stop | None:
+        """Why no more iterations are to be made; None where some are."""
+        if len(state.misfit) - state.began == 0:
+            return None
+        misfit = state.misfit[-1]
+        noise = self.misfit_of_noise
+        if self.until_noise and noise is not None and misfit <= AT_NOISE * noise:
+            return "noise"
+        if len(state.misfit) - state.began <= EARLY:
+            return None
+        return "rest" if abs(state.misfit[-1 - EARLY] - misfit) < EARLY_GAIN * misfit else None
 
 
-def _settled(state: Progressed) -> bool:
-    """Whether the misfit has fallen by next to nothing over the last iterations."""
-    if len(state.misfit) - state.began <= EARLY:
-        return False
-    before, misfit = state.misfit[-1 - EARLY], state.misfit[-1]
-    return 0.0 <= before - misfit < EARLY_GAIN * misfit
+def _uphill(now: Array, ahead: Array, after: Array) -> bool:
+    """Whether the way from one step to the next leads against the one from the point ahead."""
+    # Few rows at a time: differences of whole fields would be the largest arrays of a step.
+    blocks = (slice(start, start + FEW_ROWS) for start in range(0, len(now), FEW_ROWS))
+    along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
+    return sum(float(one.real) for one in along) > 0.0
 
 
 def _refuse(
-    engine: Engine,
+    engine: Operator,
     illumination: Field,
     recorded: Sequence[Recorded],
     kind: str,

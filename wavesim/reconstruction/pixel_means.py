@@ -11,14 +11,17 @@ them. On a frame of the 1/32 twin they differ by 0.05 %.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
-from wavesim.fields.plane_waves import PlaneWay
+from wavesim.fields.plane_waves import PlaneWay, axial_wavenumbers, fft_frequencies
+from wavesim.fields.slight_tilts import TiltedWay, Way, band_wavenumbers
 from wavesim.reconstruction.recording_kernel import (
     add_columns,
     carried_columns,
@@ -51,17 +54,17 @@ class PixelMeans:
 
     Attributes
     ----------
-    shape : tuple of int
-        Of the grid.
+    grid : Grid
+        One sample in the middle of each pixel.
     taps : list of float
         Weights of the middle, and of samples on either side.
     """
 
     def __init__(self, grid: Grid, active_width: float) -> None:
-        self.shape = grid.shape
+        self.grid = grid
         self.taps = _taps(active_width)
 
-    def carried(self, spectrum: ComplexArray, way: PlaneWay, room: Rows | None = None) -> Rows:
+    def carried(self, spectrum: ComplexArray, way: Way, room: Rows | None = None) -> Rows:
         """A field on a plane behind a way, in rows through the pixels' middles and through their upper edges.
 
         Parameters
@@ -78,18 +81,17 @@ class PixelMeans:
         tuple of ndarray
             Spectra along each row, of the spectrum's shape.
         """
-        height, width = spectrum.shape
-        phase = _half_sample(height, spectrum.dtype)
-        middles, edges = room or (np.empty_like(spectrum), np.empty_like(spectrum))
-
-        def columns(start: int, stop: int) -> None:
-            even, odd = (np.empty((height, stop - start), spectrum.dtype) for _ in range(2))
-            carried_columns(spectrum, start, way.factor, way.rows, way.columns, phase, even, odd)
-            middles[:, start:stop] = scipy.fft.ifft(even, axis=0, overwrite_x=True)
-            edges[:, start:stop] = scipy.fft.ifft(odd, axis=0, overwrite_x=True)
-
-        for_blocks(columns, width, COLUMNS)
-        return middles, edges
+        room = room or (np.empty_like(spectrum), np.empty_like(spectrum))
+        if isinstance(way, PlaneWay):
+            return _carried(spectrum, way, room)
+        parallel: Rows = (np.empty_like(spectrum), np.empty_like(spectrum))
+        for number, one in enumerate(way.ways):
+            _carried(spectrum, one, parallel)
+            for farther, part, total in zip((0.0, 0.5), parallel, room, strict=True):
+                _add_weighted(part, way, number, farther, total)
+        for total in room:
+            _along_rows(scipy.fft.fft, total)
+        return room
 
     def intensity(self, rows: Rows) -> RealArray:
         """Each pixel's mean of the intensity, never negative, from what :meth:`carried` gives."""
@@ -125,7 +127,7 @@ class PixelMeans:
         self,
         rows: Rows,
         change: RealArray,
-        way: PlaneWay,
+        way: Way,
         total: ComplexArray,
     ) -> None:
         """Add the change of a field to a spectrum in front of the way: the adjoint of :meth:`carried`.
@@ -158,11 +160,136 @@ class PixelMeans:
 
             for_blocks(block, height, rows_in(part[0].nbytes))
 
-        def columns(start: int, stop: int) -> None:
-            even, odd = (scipy.fft.fft(part[:, start:stop], axis=0) for part in rows)
-            add_columns(even, odd, start, way.factor, way.rows, way.columns, along_y, half, total)
+        if isinstance(way, PlaneWay):
+            _add_back(rows, way, along_y, total)
+            return
+        parallel: Rows = (np.empty_like(total), np.empty_like(total))
+        for part in rows:
+            _along_rows(scipy.fft.ifft, part)
+        for number, one in enumerate(way.ways):
+            for farther, part, weighted in zip((0.0, 0.5), rows, parallel, strict=True):
+                _weight_back(part, way, number, farther, weighted)
+            _add_back(parallel, one, along_y, total)
 
-        for_blocks(columns, width, COLUMNS)
+
+def tilt_changes(
+    pixels: PixelMeans, spectrum: ComplexArray, way: Way, wavelength_um: float
+) -> tuple[Rows, Rows]:
+    """Changes of a field on a sensor with its tilt: for a degree about x, and for one about y.
+
+    What of them is a phase that all light has in common is left out. For an upright sensor they are y du/dz
+    and -x du/dz; a tilted one moves sideways, too.
+
+    Parameters
+    ----------
+    pixels
+        Of the sensor.
+    spectrum, way
+        As of :meth:`PixelMeans.carried`, whose results these are like.
+    wavelength_um
+        Vacuum wavelength.
+    """
+    grid = pixels.grid
+    down, across = fft_frequencies(grid.shape, grid.pitch_mm)
+    kz, _ = axial_wavenumbers([down, across], wavelength_um, 1.0)
+    waves = (2.0 * np.pi * across, 2.0 * np.pi * down, kz - band_wavenumbers(grid, wavelength_um)[0])
+    tilt = np.deg2rad(way.tilt_deg if isinstance(way, TiltedWay) else (0.0, 0.0))
+
+    def change(axis: int) -> Rows:
+        quarter = 0.5 * np.pi * np.eye(2)[axis]
+        # Of sines and cosines this is the derivative itself.
+        moved = 0.5 * (rotation_matrix(*(tilt + quarter)) - rotation_matrix(*(tilt - quarter)))
+        total: Rows = (np.zeros_like(spectrum), np.zeros_like(spectrum))
+        for column in (0, 1):
+            way_moved = moved[:, column] * (np.abs(moved[:, column]) > 1e-12)
+            if way_moved.any():
+                along = 1j * np.deg2rad(1.0) * sum(k * part for k, part in zip(waves, way_moved, strict=True))
+                rows = pixels.carried(spectrum * along.astype(spectrum.dtype), way)
+                _add_times_place(rows, grid, column, total)
+        return total
+
+    return change(0), change(1)
+
+
+def _add_times_place(rows: Rows, grid: Grid, column: int, total: Rows) -> None:
+    """Add rows times x (column 0) or y (1), in mm from the middle."""
+    count = grid.shape[1 - column]
+    place_mm = grid.pitch_mm * (np.arange(count) - 0.5 * (count - 1))
+    for half, (part, result) in enumerate(zip(rows, total, strict=True)):
+        if column == 1:
+            part *= (place_mm + 0.5 * half * grid.pitch_mm).astype(part.real.dtype)[:, None]
+        else:
+            _along_rows(scipy.fft.ifft, part)
+            part *= place_mm.astype(part.real.dtype)
+            _along_rows(scipy.fft.fft, part)
+        result += part
+
+
+def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
+    height, width = spectrum.shape
+    phase = _half_sample(height, spectrum.dtype)
+    middles, edges = room
+
+    def columns(start: int, stop: int) -> None:
+        even, odd = (np.empty((height, stop - start), spectrum.dtype) for _ in range(2))
+        carried_columns(
+            spectrum, start, way.factor, way.rows, way.columns, way.down, way.across, phase, even, odd
+        )
+        middles[:, start:stop] = scipy.fft.ifft(even, axis=0, overwrite_x=True)
+        edges[:, start:stop] = scipy.fft.ifft(odd, axis=0, overwrite_x=True)
+
+    for_blocks(columns, width, COLUMNS)
+    return room
+
+
+def _add_back(rows: Rows, way: PlaneWay, phase: ComplexArray, total: ComplexArray) -> None:
+    """The adjoint of `_carried`, with half its size, added to a spectrum."""
+    half = total.real.dtype.type(0.5)
+
+    def columns(start: int, stop: int) -> None:
+        even, odd = (scipy.fft.fft(part[:, start:stop], axis=0) for part in rows)
+        add_columns(
+            even, odd, start, way.factor, way.rows, way.columns, way.down, way.across, phase, half, total
+        )
+
+    for_blocks(columns, total.shape[1], COLUMNS)
+
+
+def _along_rows(transform: Callable[..., Any], values: ComplexArray) -> None:
+    """Transform each row, in place."""
+
+    def block(start: int, stop: int) -> None:
+        values[start:stop] = transform(values[start:stop], axis=1)
+
+    for_blocks(block, len(values), rows_in(values[0].nbytes))
+
+
+def _add_weighted(
+    spectra: ComplexArray, way: TiltedWay, number: int, farther: float, total: ComplexArray
+) -> None:
+    """Rows on one of a way's planes, times their weights, added to what planes before it gave."""
+
+    def block(start: int, stop: int) -> None:
+        values = scipy.fft.ifft(spectra[start:stop], axis=1)
+        values *= way.weights(number, slice(start, stop), farther)
+        if number == 0:
+            total[start:stop] = values
+        else:
+            total[start:stop] += values
+
+    for_blocks(block, len(spectra), rows_in(spectra[0].nbytes))
+
+
+def _weight_back(
+    values: ComplexArray, way: TiltedWay, number: int, farther: float, result: ComplexArray
+) -> None:
+    """The adjoint of `_add_weighted`, for one plane."""
+
+    def block(start: int, stop: int) -> None:
+        weighted = values[start:stop] * way.weights(number, slice(start, stop), farther).conj()
+        result[start:stop] = scipy.fft.fft(weighted, axis=1, overwrite_x=True)
+
+    for_blocks(block, len(values), rows_in(values[0].nbytes))
 
 
 def _samples(spectra: ComplexArray, phase: ComplexArray) -> Rows:

@@ -25,6 +25,8 @@ def carried_columns(
     factor: NDArray,
     rows: NDArray,
     columns: NDArray,
+    down: NDArray,
+    across: NDArray,
     phase: NDArray,
     even: NDArray,
     odd: NDArray,
@@ -33,7 +35,7 @@ def carried_columns(
     for i in range(even.shape[0]):
         row = factor[rows[i]]
         for j in range(even.shape[1]):
-            value = spectrum[i, first + j] * row[columns[first + j]]
+            value = spectrum[i, first + j] * row[columns[first + j]] * (down[i] * across[first + j])
             even[i, j] = value
             odd[i, j] = value * phase[i]
 
@@ -46,6 +48,8 @@ def add_columns(
     factor: NDArray,
     rows: NDArray,
     columns: NDArray,
+    down: NDArray,
+    across: NDArray,
     phase: NDArray,
     half: Any,
     total: NDArray,
@@ -55,7 +59,7 @@ def add_columns(
         row, back = factor[rows[i]], conj(phase[i])
         for j in range(even.shape[1]):
             value = half * (even[i, j] + back * odd[i, j])
-            total[i, first + j] += value * conj(row[columns[first + j]])
+            total[i, first + j] += value * conj(row[columns[first + j]] * (down[i] * across[first + j]))
 
 
 @_jit
@@ -139,14 +143,21 @@ def multiply_spread(
 
 @_jit
 def change_pixels(
-    intensity: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any, dark: Any
+    intensity: NDArray,
+    amplitude: NDArray,
+    sigma: NDArray,
+    least: Any,
+    scale: Any,
+    dark: Any,
+    background: NDArray,
 ) -> float:
     """Replace intensities by the weighted relative changes of amplitude that are wanted; gives the misfit.
 
     That is the weighted sum of squared differences from recorded amplitudes over the scale. Without `sigma`
-    (of size 0) all weights are 1.
+    (of size 0) all weights are 1. To the modelled intensity comes the background, where there is one (its
+    size is not 0).
     """
-    missed, weighted, one = 0.0, sigma.size > 0, least / least
+    missed, weighted, behind, one = 0.0, sigma.size > 0, background.size > 0, least / least
     share = one
     for i in range(intensity.shape[0]):
         row = 0.0
@@ -154,6 +165,8 @@ def change_pixels(
             if weighted:
                 share = min(least / sigma[i, j], one)
             wanted, seen = amplitude[i, j] / scale, intensity[i, j]
+            if behind:
+                seen += background[i, j] / (scale * scale)
             off = share * (wanted - sqrt(seen))
             row += off * off
             ratio = sqrt((wanted * wanted + dark) / (seen + dark))
@@ -163,12 +176,14 @@ def change_pixels(
 
 
 @_jit
-def change_samples(field: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any) -> float:
+def change_samples(
+    field: NDArray, amplitude: NDArray, sigma: NDArray, least: Any, scale: Any, background: NDArray
+) -> float:
     """Replace a field by the weighted change that gives it the amplitudes wanted; gives the misfit.
 
-    Where the field vanishes it takes the phase 0.
+    Where there is no light it takes the phase 0. The background is that of `change_pixels`.
     """
-    missed, weighted, one = 0.0, sigma.size > 0, least / least
+    missed, weighted, behind, one = 0.0, sigma.size > 0, background.size > 0, least / least
     share = one
     for i in range(field.shape[0]):
         row = 0.0
@@ -176,7 +191,10 @@ def change_samples(field: NDArray, amplitude: NDArray, sigma: NDArray, least: An
             if weighted:
                 share = min(least / sigma[i, j], one)
             wanted, value = amplitude[i, j] / scale, field[i, j]
-            seen = sqrt(value.real * value.real + value.imag * value.imag)
+            power = value.real * value.real + value.imag * value.imag
+            if behind:
+                power += background[i, j] / (scale * scale)
+            seen = sqrt(power)
             off = share * (wanted - seen)
             row += off * off
             if seen > 0:

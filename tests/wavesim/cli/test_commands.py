@@ -71,6 +71,7 @@ def test_table_and_picture(
         "lens: tilt x 0.05 deg; field (0, 1.5) mm",
     ):
         assert text in out
+    assert "µ" not in out
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert list(tmp_path.iterdir()) == [picture]
 

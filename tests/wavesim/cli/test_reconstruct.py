@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from wavesim_command import (
-    PLANES_MM,
-    frames_and_design,
-    run_wavesim,
-)
+from wavesim_command import ENDED, PLANES_MM, frames_and_design, run_wavesim
 
 from wavesim.camera.frames import Frame, read_frame, write_frame
 from wavesim.reconstruction import from_object as reconstruction
-from wavesim.reconstruction import recording_model, resumable, retrieval_steps
+from wavesim.reconstruction import recording_model, resumable
+from wavesim.reconstruction.retrieval import steps as retrieval_steps
 
 
 def run(
@@ -63,7 +60,7 @@ def test_the_paper_s_way_and_words_for_people(
         monkeypatch, capsys, *usual(data), "--method", "paper", "--iterations", 40, "--truth", data,
         "--refocus-mm=-0.004,0.004", "-o", tmp_path / "out",
     )  # fmt: skip
-    assert code == 0, err
+    assert code in ENDED, err
     assert "method paper, complex object, engine eikonal: 40 iterations" in out
     figures = json.loads((tmp_path / "out" / "reconstruction.json").read_text())
     assert figures["correlation_a6"] > 0.99
@@ -88,7 +85,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     options = (*usual(data), "--method", method, "--start", start, "--iterations", 7)
     options = (*options, "--refocus-mm=-0.002,0.002")
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "whole")
-    assert code == 0, err
+    assert code in ENDED, err
 
     step = {"object": recording_model.RecordingModel, "paper": retrieval_steps.Passes}[method], "step"
     call: Any = getattr(*step)
@@ -113,7 +110,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     taken.clear()
     monkeypatch.setattr(*step, counted)
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
-    assert code == 0, err
+    assert code in ENDED, err
     assert len(taken) == 4
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
@@ -226,7 +223,7 @@ def test_one_frame_does_for_an_amplitude_object_but_not_for_the_paper_s_way(
     code, _, err = run(
         monkeypatch, capsys, *one, "--kind", "amplitude", "--iterations", 4, "-o", tmp_path / "object"
     )
-    assert code == 0, err
+    assert code in ENDED, err
 
 
 def test_foreign_frames_and_little_diversity_are_told(
@@ -244,7 +241,7 @@ def test_foreign_frames_and_little_diversity_are_told(
         "--pixel-pitch-um", 3.2, "--wavelength-um", 0.532, "--bits", 16, "--offset-counts", 64,
         "--gain-electrons-per-count", 15.3, "--iterations", 1, "-o", tmp_path / "out",
     )  # fmt: skip
-    assert code == 0, err
+    assert code in ENDED, err
     assert "little diversity between planes 0.0625, 0.0635 mm: dz w^2 / (lambda f^2) =" in err.replace(
         "\n", " "
     )
@@ -271,11 +268,11 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
         8,
     )
     code, out, err = run(monkeypatch, capsys, *both, *usual, "-o", merged)
-    assert code == 0, err
+    assert code in ENDED, err
     assert re.fullmatch(r"memory: about 0\.4\d GB of [\d.]+ GB allowed", err.strip())
     assert "at 0.036, 0 mm resolved down to group 9, element 2" in out.replace("\n", " ")
     code, out, err = run(monkeypatch, capsys, both[0], *usual, "-o", alone, "--json")
-    assert code == 0
+    assert code in ENDED
     told = [json.loads((folder / "reconstruction.json").read_text()) for folder in (merged, alone)]
     assert [len(one["planes"][0]["exposures"]) for one in told] == [2, 1]
     assert told[0]["planes"][0]["noise"] < 0.7 * told[1]["planes"][0]["noise"]
@@ -285,3 +282,41 @@ def test_exposures_of_a_plane_are_merged_and_charts_beside_the_middle_told(
     code, _, err = run(monkeypatch, capsys, *both, *usual[:4], "--method", "paper", "-o", tmp_path / "paper")
     assert code == 2
     assert "--method paper: needs frames of two planes" in err
+
+
+def test_frames_of_swapped_planes_end_with_status_1_and_say_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    for number, distance in enumerate(reversed(PLANES_MM), start=1):
+        frame = read_frame(data / f"frame_{number}.tif")
+        swapped = Frame(frame.counts, frame.settings.replaced(plane_distance_mm=distance))
+        write_frame(swapped, tmp_path / f"frame_{number}.tif")
+    frames = tmp_path / "frame_1.tif", tmp_path / "frame_2.tif"
+    code, out, err = run(
+        monkeypatch, capsys, *frames, *usual(data)[2:], "--kind", "amplitude", "--iterations", 6,
+        "-o", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 1, err
+    said = " ".join(out.split())
+    assert "verdict: not explained" in said
+    assert "Most likely: planes swapped" in said
+    told = json.loads((tmp_path / "out" / "reconstruction.json").read_text())["verdict"]
+    assert (told["explained"], told["cause"]) == (False, "planes swapped")
+    assert told["over_noise"] > 2.0
+
+
+@pytest.mark.parametrize("option", ["flat", "dark", "bad-pixels"])
+def test_a_map_of_another_size_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    data: Path,
+    tmp_path: Path,
+    option: str,
+) -> None:
+    np.save(tmp_path / "map.npy", np.ones((3, 4)))
+    code, _, err = run(
+        monkeypatch, capsys, *usual(data), f"--{option}", tmp_path / "map.npy", "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "4 x 3 pixels; the frames have 219 x 219" in " ".join(err.split())
+    assert not (tmp_path / "out").exists()

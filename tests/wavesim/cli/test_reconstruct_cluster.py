@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dask_cluster import Cluster
-from wavesim_command import written
+from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.reconstruction import from_frames, resumable
@@ -22,14 +22,14 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -
     pytest.importorskip("distributed")
     options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
     code, _, err = run(*options, "-o", tmp_path / "here")
-    assert code == 0, err
+    assert code in ENDED, err
     cluster = Cluster(tmp_path)
     try:
         cluster.worker()
         code, _, err = run(*options, "--cluster", cluster.address, "-o", tmp_path / "away")
     finally:
         cluster.close()
-    assert code == 0, err
+    assert code in ENDED, err
     (_, here), (_, away) = written(tmp_path / "here"), written(tmp_path / "away")
     np.testing.assert_allclose(away["values"], here["values"], atol=1e-5)
 
@@ -66,7 +66,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
         assert "Traceback" not in err
     uses[0], most[0] = 0, 1000
     code, _, err = run(*options)
-    assert code == 0, err
+    assert code in ENDED, err
     assert uses[0] == 3  # the last iteration, and the amplitudes of the result
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wavesim_command import written
+from wavesim_command import ENDED, written
 
 from lensdesign.errors import InputError
 from wavesim.cli.view import _field
@@ -35,9 +35,9 @@ def part_like(whole: dict[str, Any], part: dict[str, Any]) -> Any:
 def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path: Path, data: Path) -> None:
     usual = ("--engine", "eikonal", "--kind", "amplitude", "--iterations", 12, "--truth", data)
     usual = (*usual, "--usaf", "bright")
-    assert run(*usual, "-o", tmp_path / "whole")[0] == 0
+    assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
     code, out, err = run(*usual, "--region-mm", REGION, "-o", tmp_path / "part")
-    assert code == 0, err
+    assert code in ENDED, err
     (_, whole), (told, part) = written(tmp_path / "whole"), written(tmp_path / "part")
     np.testing.assert_array_equal(part["values"], part_like(whole, part))
     assert min(part["values"].shape) < 45
@@ -52,7 +52,7 @@ def test_of_a_region_of_the_object_alone_is_told_and_written(run: Run, tmp_path:
     assert smaller.centre_um == pytest.approx((8.3, 8.5), abs=0.4)
     beside = ("--iterations", 1, "--usaf", "bright", "--region-mm=-0.01,0,0.008,0.01")
     code, out, _ = run(*usual[:4], *beside, "-o", tmp_path / "beside")
-    assert code == 0
+    assert code in ENDED
     assert "no element of the chart lies within the region" in out
 
 
@@ -73,9 +73,9 @@ def test_where_a_field_lies_must_be_told_in_numbers_and_truth_be_about_the_axis(
 
 def test_the_paper_s_way_carries_back_to_a_region_alone(run: Run, tmp_path: Path, data: Path) -> None:
     usual = ("--engine", "eikonal", "--method", "paper", "--iterations", 40, "--refocus-mm=-0.002,0.002")
-    assert run(*usual, "-o", tmp_path / "whole")[0] == 0
+    assert run(*usual, "-o", tmp_path / "whole")[0] in ENDED
     code, _, err = run(*usual, "--region-mm", REGION, "--truth", data, "-o", tmp_path / "part")
-    assert code == 0, err
+    assert code in ENDED, err
     (_, whole), (told, part) = written(tmp_path / "whole"), written(tmp_path / "part")
     one, other = part["values"].ravel(), part_like(whole, part).ravel()
     assert abs(np.vdot(one, other)) > 0.97 * np.linalg.norm(one) * np.linalg.norm(other)

@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,8 @@ from wavesim.objects.patch import (
     usaf_elements_of,
 )
 from wavesim.objects.usaf import chart_outline
-from wavesim.scene.settings import EngineSettings
+from wavesim.scene.light import Light
+from wavesim.scene.settings import DEFAULT_ERROR, EngineSettings
 
 PAPER = load_design("designs/paper_singlet.toml")
 TWIN = scaled(PAPER, 0.125)
@@ -235,15 +237,17 @@ def test_diversity_is_that_of_the_formula_and_told_where_it_is_low() -> None:
 def test_engines_of_choice() -> None:
     patch = object_patch(SMALL, 0.03)
     scene = exit_scene(SMALL, patch, SMALL.sensor.replaced(pixels=(200, 200)), 0.0625)
-    chosen = imaging_engine(scene, EngineSettings(), runs=10)
+    light = Light(make_illumination(patch))
+    asked = partial(imaging_engine, scene, runs=10, light=light)
+    chosen = asked(EngineSettings())
     assert chosen.name == "eikonal"
-    assert chosen.settings()["error"] <= TILE_ERROR
-    tiles = imaging_engine(scene, EngineSettings(engine="eikonal"), runs=10)
+    assert chosen.predicted_error(light) <= DEFAULT_ERROR < chosen.predicted_error()
+    tiles = asked(EngineSettings(engine="eikonal"))
     assert tiles.settings()["error"] == TILE_ERROR
-    coarser = imaging_engine(scene, EngineSettings(engine="eikonal", error=0.2), runs=10)
+    coarser = asked(EngineSettings(engine="eikonal", error=0.2))
     assert coarser.settings()["error"] == 0.2
-    assert imaging_engine(scene, EngineSettings(engine="slices", slices=7), runs=10).settings()["slices"] == 7
+    assert asked(EngineSettings(engine="slices", slices=7)).settings()["slices"] == 7
     with pytest.raises(InputError, match="auto: slices = 12: there is no such setting"):
-        imaging_engine(scene, EngineSettings(slices=12), runs=10)
+        asked(EngineSettings(slices=12))
     with pytest.raises(InputError, match=r"engine slices: error = 0\.1: there is no such setting"):
-        imaging_engine(scene, EngineSettings(engine="slices", error=0.1), runs=10)
+        asked(EngineSettings(engine="slices", error=0.1))

@@ -7,7 +7,7 @@ import pytest
 
 from wavesim.camera.frames import Frame, FrameSettings
 from wavesim.camera.recorded import Recorded
-from wavesim.pictures.frames import frames_figure, residual_figure
+from wavesim.pictures.frames import curves_figure, frames_figure, residual_figure
 from wavesim.pictures.panels import MOST_DRAWN
 
 
@@ -54,3 +54,12 @@ def test_residuals_without_a_stated_noise_are_shares_of_the_light() -> None:
     (axes, bar) = residual_figure([error], [Recorded(0.0, np.full((20, 20), 10.0))], [2.0], 3.2).axes
     assert bar.get_ylabel() == "over the recorded root mean square"
     assert axes.get_title().endswith("residual 5 %")
+
+
+def test_a_title_is_no_wider_than_its_figure() -> None:
+    title = f"a lens of a name that is as long as {'names ' * 9}are\nsecond line"
+    figure = curves_figure({"misfit": ([0, 1], [2.0, 1.0], "iteration")}, title)
+    figure.canvas.draw()
+    (extent,) = [text.get_window_extent() for text in figure.texts]
+    assert 0.0 <= extent.x0 < extent.x1 <= figure.bbox.width
+    assert figure.get_suptitle().split("\n")[-1] == "second line"

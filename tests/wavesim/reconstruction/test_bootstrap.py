@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.uncertainty import record as record_object
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded, recorded_intensity
+from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction.bootstrap import UndeterminedError, uncertainty
 from wavesim.reconstruction.from_object import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
@@ -46,18 +46,7 @@ def record(
         transmission = np.ones(light.grid.shape)
         transmission[20:44, 22:27] = 0.0
         transmission[20:44, 33:38] = 0.4
-    at_exit = engine.forward(light.with_values((transmission * light.values).astype(np.complex64)))
-    random = np.random.default_rng(seed)
-    planes = []
-    for distance in distances_mm:
-        way = transfer(fft_frequencies(at_exit.grid.shape, 3.2e-3), 0.532, 1.0, distance)
-        intensity = np.abs(np.fft.ifft2(np.fft.fft2(at_exit.values) * way)) ** 2
-        gain = electrons / intensity.max()
-        counts = random.poisson(gain * intensity)
-        made = recorded_intensity(distance, counts / gain, np.maximum(counts, 1.0) / gain**2)
-        amplitude, sigma = (np.asarray(v, np.float32) for v in (made.amplitude, made.sigma))
-        planes.append(replace(made, amplitude=amplitude, sigma=sigma))
-    return planes
+    return record_object(engine, light, transmission, distances_mm, seed, electrons)
 
 
 def found(lit: tuple[Engine, Field], recorded: list[Recorded]) -> Reconstructed:

@@ -62,6 +62,8 @@ def test_settings_that_do_not_go_are_refused_by_name(imaged: Imaged, tmp_path: P
         ({"waist_mm": 0.01}, "waist_mm: means nothing without illumination gaussian"),
         ({"region_mm": (0.0, 0.0, 0.01, -0.01)}, "region_mm = 0,0,0.01,-0.01: must be finite"),
         ({"method": "paper"}, "method paper: needs frames of two planes"),
+        ({"method": "paper", "source_deg": 0.1}, "source_deg: means nothing with method paper"),
+        ({"source_deg": 90.0}, "source_deg: must be from 0 to below 90"),
     ):
         with pytest.raises(InputError, match=message):
             reconstruct_frames(LENS, imaged.frames[:1], folder=tmp_path, **{"patch_mm": 0.05} | changes)

@@ -11,15 +11,16 @@ import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.camera.recorded import Recorded, recorded_intensity
+from wavesim.camera.recorded import Recorded, noise_misfit, recorded_intensity
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
-from wavesim.reconstruction.from_object import LEAST_TV, Kind, Progressed, reconstruct
+from wavesim.reconstruction.from_object import AT_NOISE, Progressed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
+from wavesim.scene.settings import Kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,8 @@ def test_progress_and_early_stop(case: Case) -> None:
         progress=lambda k, _: told.append(k),
     )
     assert told == list(range(len(found.misfit)))
-    assert found.stopped_early == (len(found.misfit) < 60)
+    assert found.stopped_because == "rest"
+    assert len(found.misfit) < 60
 
 
 def noisy(case: Case, electrons: float, seed: int = 4) -> list[Recorded]:
@@ -267,16 +269,37 @@ def test_the_weight_by_the_noise_is_told_in_the_models_scale(case: Case) -> None
     np.testing.assert_allclose(found[0].transmission.values, found[1].transmission.values, atol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["amplitude", "complex"])
-def test_without_noise_the_least_weight_remains(case: Case, kind: Kind) -> None:
-    quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-9, np.float32)) for p in case.recorded]
-    found = [
-        reconstruct(
-            case.engine, case.illumination, quiet, kind=kind, tv_weight=weight, iterations=3, scale=1.0
-        ).transmission.values
-        for weight in ("auto", LEAST_TV[kind])
-    ]
-    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+def test_what_is_not_explained_counts_as_noise(case: Case) -> None:
+    """At the first step, noise that is stated ten times too small gives the weight of the misfit."""
+    recorded = noisy(case, 1e6)
+    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 1, "scale": 1.0}
+    surer = [replace(p, sigma=0.1 * p.sigma) for p in recorded]
+    noise = RecordingModel(case.engine, case.illumination, recorded, 1.0).noise_of_step()
+    first = reconstruct(case.engine, case.illumination, recorded, **settings).misfit[0]
+    over = first / noise_misfit(recorded)
+    assert over > 2.0
+    expected = reconstruct(case.engine, case.illumination, recorded, tv_weight=over * noise, **settings)
+    for planes in (recorded, surer):
+        found = reconstruct(case.engine, case.illumination, planes, tv_weight="auto", **settings)
+        np.testing.assert_allclose(found.transmission.values, expected.transmission.values, atol=1e-4)
+
+
+def test_it_ends_at_the_noise(case: Case) -> None:
+    """Where noise alone would leave the misfit, on request; what is left is not fitted."""
+    recorded = noisy(case, 1e5)
+    settings: dict[str, Any] = {"kind": "amplitude", "tv_weight": "auto", "iterations": 40, "scale": 1.0}
+    found, whole = (
+        reconstruct(case.engine, case.illumination, recorded, until_noise=until, **settings)
+        for until in (True, False)
+    )
+    noise = noise_misfit(recorded)
+    assert noise is not None
+    assert found.stopped_because == "noise"
+    assert found.misfit[-1] <= AT_NOISE * noise < found.misfit[-2]
+    assert whole.misfit[: len(found.misfit)] == found.misfit
+    assert len(whole.misfit) > len(found.misfit)
+    assert score(case, found.transmission) > 0.99
+    assert "where the misfit came to the noise" in repr(found)
 
 
 def test_an_amplitude_start_within_the_iterations(case: Case) -> None:

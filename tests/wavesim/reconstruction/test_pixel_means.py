@@ -11,7 +11,8 @@ from lensdesign.lens.lens import Sensor
 from wavesim.camera.sensor import light_on_pixels
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
-from wavesim.reconstruction.pixel_means import PixelMeans
+from wavesim.fields.slight_tilts import TiltedWay, way_to
+from wavesim.reconstruction.pixel_means import PixelMeans, tilt_changes
 
 PITCH = 3.2e-3
 GRID = Grid((48, 40), PITCH, 1.0)
@@ -144,6 +145,36 @@ def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: floa
     total = np.zeros_like(spectrum)
     pixels.add_back(pixels.carried(spectrum, way), change, way, total)
     assert np.vdot(spectrum, total) / grid.size == pytest.approx(met, rel=1e-10)
+
+
+def test_the_way_back_from_a_tilted_sensor_is_the_adjoint() -> None:
+    pixels = PixelMeans(GRID, 0.8)
+    way = TiltedWay(GRID, 0.532, 0.4, np.complex128, (3.0, -2.0), (1e-3, 2e-3))
+    spectrum, change = speckle(GRID.shape, 6)
+    spectrum[0, 0] += 100.0 * GRID.size
+    met = np.sum(change * pixels.intensity(pixels.carried(spectrum, way)))
+    total = np.ones_like(spectrum)
+    pixels.add_back(pixels.carried(spectrum, way), change, way, total)
+    assert np.vdot(spectrum, total - 1.0) / GRID.size == pytest.approx(met, rel=1e-10)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (0.8, -0.5)])
+def test_changes_with_the_tilt_are_those_of_the_light_on_pixels(
+    axis: int, tilt_deg: tuple[float, float]
+) -> None:
+    pixels, spectrum, small = PixelMeans(GRID, 1.0), np.fft.fft2(field().values), 1e-3
+
+    def way(step: float) -> PlaneWay | TiltedWay:
+        tilt = [tilt_deg[n] + step * (n == axis) for n in range(2)]
+        return way_to(GRID, 0.532, 0.4, np.complex128, (0.0, 0.0), (tilt[0], tilt[1]))
+
+    ahead, behind = (pixels.intensity(pixels.carried(spectrum, way(step))) for step in (small, -small))
+    slope = (ahead - behind) / (2.0 * small)
+    change = tilt_changes(pixels, spectrum, way(0.0), 0.532)[axis]
+    found = 2.0 * pixels.products(pixels.carried(spectrum, way(0.0)), change)
+    off = np.linalg.norm(found - slope) / np.linalg.norm(slope)
+    assert off < 5e-3
 
 
 def test_a_point_is_a_pixel_of_no_width() -> None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
+from lensdesign.lens.lens import Sensor
 from wavesim.camera.recorded import Recorded
+from wavesim.camera.sensor import light_on_pixels, on_sensor
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
+from wavesim.fields.passage import propagate
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.bench import LightErrors
 from wavesim.scene.scene import Scene
+from wavesim.scene.source import Source
 
 PITCH = 3.2e-3
 
@@ -25,9 +32,11 @@ def model_parts() -> tuple:
     return engine, Field(grid, stop, 0.532)
 
 
-@pytest.mark.parametrize("active_width", [0.0, 1.0])
-def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, active_width: float) -> None:
-    """Against differences of the misfit, with weights, along directions within the field stop."""
+@pytest.mark.parametrize(("active_width", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
+def test_a_step_goes_down_the_misfits_slope(
+    model_parts: tuple, active_width: float, width_deg: float
+) -> None:
+    """Against differences of the misfit, with weights, shifts, tilts, backgrounds and a wide source."""
     engine, lit = model_parts
     rng = np.random.default_rng(4)
     t = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
@@ -36,10 +45,18 @@ def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, active_width: fl
     blank = [Recorded(d, np.ones(shape)) for d in (0.0, 0.6)]
     seen = RecordingModel(engine, lit, blank, 1.0, active_width).amplitudes(truth.astype(complex))
     planes = [
-        Recorded(p.distance_mm, a, np.where(rng.random(shape) < 0.1, np.inf, 1.0 + rng.random(shape)))
-        for p, a in zip(blank, seen, strict=True)
+        Recorded(
+            p.distance_mm,
+            a,
+            np.where(rng.random(shape) < 0.1, np.inf, 1.0 + rng.random(shape)),
+            (1e-3 * n, -2e-3 * n),
+            0.02 * n * np.mean(a * a) * rng.random(shape),
+            (0.9 * n, -1.4 * n),
+        )
+        for n, (p, a) in enumerate(zip(blank, seen, strict=True))
     ]
-    model = RecordingModel(engine, lit, planes, 1.0, active_width)
+    modes = Source(width_deg).modes(0.532, 1, 4)
+    model = RecordingModel(engine, lit, planes, 1.0, active_width, modes=modes)
     change, _ = model.step(t.astype(complex))
 
     def cost(values: np.ndarray) -> float:
@@ -53,6 +70,23 @@ def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, active_width: fl
     assert float(np.vdot(change, way).real) == pytest.approx(-slope, rel=5e-3)
 
 
+def test_light_of_a_wide_source_is_that_of_its_directions_added_up(model_parts: tuple) -> None:
+    engine, lit = model_parts
+    rng = np.random.default_rng(5)
+    t = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape)).astype(complex)
+    blank = [Recorded(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    modes = Source(2.0).modes(0.532, 1, 4)
+    found = RecordingModel(engine, lit, blank, 1.0, 1.0, modes=modes).amplitudes(t)
+    apart = [
+        RecordingModel(engine, LightErrors(mode.tilt_deg).on(lit), blank, 1.0, 1.0).amplitudes(t)
+        for mode in modes
+    ]
+    for number, one in enumerate(found):
+        expected = sum(m.share * a[number] ** 2 for m, a in zip(modes, apart, strict=True))
+        assert np.allclose(one**2, expected, atol=1e-10 * expected.max())
+        assert np.linalg.norm(one - apart[0][number]) > 0.1 * np.linalg.norm(one)
+
+
 def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tuple) -> None:
     """Less than the closed form by the part of the object's band beyond the aperture."""
     engine, lit = model_parts
@@ -62,3 +96,41 @@ def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tup
     whole = sigma * np.sqrt(engine.scene.exit_grid.cell / (2.0 * len(planes) * lit.grid.cell))
     band = np.pi * (0.5 / 0.532e-3 * lit.grid.pitch_mm) ** 2
     assert 0.75 * np.sqrt(band) * whole < found < 1.1 * np.sqrt(band) * whole
+
+
+@pytest.mark.parametrize("active_width", [0.0, 1.0])
+def test_a_shifted_sensor_with_a_background_sees_the_light_shifted_and_added_to(
+    model_parts: tuple, active_width: float
+) -> None:
+    """By whole pixels, a shift is a roll of what the sensor in place sees."""
+    engine, lit = model_parts
+    shape = engine.scene.exit_grid.shape
+    background = np.full(shape, 0.03)
+    planes = [
+        Recorded(0.6, np.ones(shape)),
+        Recorded(0.6, np.ones(shape), None, (3 * PITCH, -PITCH), background),
+    ]
+    still, moved = RecordingModel(engine, lit, planes, 1.0, active_width).amplitudes(np.ones(lit.grid.shape))
+    expected = np.sqrt(np.roll(still**2, (1, -3), (0, 1)) + 0.03)
+    assert np.allclose(moved, expected, atol=1e-5 * still.max())
+
+
+@pytest.mark.parametrize("active_width", [0.0, 1.0])
+def test_a_tilt_of_the_sensor_changes_what_it_sees_as_in_simulated_frames(
+    model_parts: tuple, active_width: float
+) -> None:
+    engine, lit = model_parts
+    grid, tilt_deg = engine.scene.exit_grid, (2.4, -1.8)
+    t = 0.7 + 0.6 * np.random.default_rng(6).standard_normal(lit.grid.shape)
+    planes = [Recorded(0.3, np.ones(grid.shape), tilt_deg=tilt) for tilt in ((0.0, 0.0), tilt_deg)]
+    upright, tilted = RecordingModel(engine, lit, planes, 1.0, active_width).amplitudes(t)
+    finer = replace(grid, shape=(432, 432), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3)
+    there = propagate(engine.forward(lit.with_values(t * lit.values)), finer, coarse_output=True)
+    sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(216, 216), plane_distances_mm=(1.0,))
+    before, after = (
+        light_on_pixels(on_sensor(there, tilt), sensor, active_width=active_width)
+        for tilt in ((0.0, 0.0), tilt_deg)
+    )
+    change = after - before
+    assert np.linalg.norm(change) > 1e-3 * np.linalg.norm(after)
+    assert np.linalg.norm(tilted**2 - upright**2 - change) < 0.05 * np.linalg.norm(change)

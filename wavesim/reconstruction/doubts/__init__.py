@@ -1,0 +1,1 @@
+"""What tells whether a result is right: pixels that were held out, and what else is tried."""
