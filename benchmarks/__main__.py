@@ -27,7 +27,7 @@ SCRIPTS = (
     "study_speed",
     "study_faults",
     "attack",
-    "two_levels",
+    "control_variates",
     "exchange",
     "step_export",
     "import_time",

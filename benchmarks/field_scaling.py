@@ -23,7 +23,7 @@ from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Grid
 from wavesim.scene.engine import Task, Way
@@ -88,7 +88,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     scene = field_scene(lens, field_mm, side)
     rng = np.random.default_rng(1)
     engine = engine_for(scene, "two-level")
-    assert isinstance(engine, TwoLevelTiles)
+    assert isinstance(engine, WholeFieldEngine)
     tiles = 0.0
 
     def perform(way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
@@ -123,7 +123,7 @@ def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
     }
 
 
-def warm_up(engine: TwoLevelTiles, grid: Grid) -> None:
+def warm_up(engine: WholeFieldEngine, grid: Grid) -> None:
     """Have loops compiled, or loaded."""
     group = engine.groups[0]
     if grid == engine.scene.object_grid:

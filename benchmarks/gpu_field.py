@@ -27,7 +27,7 @@ from wavesim.engines.slices.planes import SlicedSurface, SurfacePoints, sliced
 from wavesim.engines.slices.steps import through_surface
 from wavesim.engines.surfaces.grids import WorkingGrid, working_grid
 from wavesim.engines.surfaces.waves import Medium
-from wavesim.engines.whole_field.engine import TwoLevelTiles
+from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.fields.field import Grid, relative_error
 from wavesim.rays.interfaces import surface_map
 from wavesim.runtime.device import Device, device_named
@@ -89,7 +89,7 @@ def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
     """Forward and adjoint of the processor and of the device, one after the other."""
     scene = field_scene(lens, field_mm, side)
     engine = engine_for(scene, "two-level", error=1e-2)
-    assert isinstance(engine, TwoLevelTiles)
+    assert isinstance(engine, WholeFieldEngine)
     rng = np.random.default_rng(1)
     starts = [
         Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)

@@ -274,7 +274,7 @@ MUTATIONS = (
     ),
     Mutation(
         "A5: a and b swapped",
-        "wavesim/reconstruction/retrieval_kernel.py",
+        "wavesim/reconstruction/retrieval/kernel.py",
         "before[i, j] = own * mean[i, j] - a * now[i, j] - b * before[i, j]",
         "before[i, j] = own * mean[i, j] - b * now[i, j] - a * before[i, j]",
         "tests/wavesim/reconstruction/test_from_field.py",
@@ -288,7 +288,7 @@ MUTATIONS = (
     ),
     Mutation(
         "A4: t in place of t / 2",
-        "wavesim/reconstruction/retrieval_steps.py",
+        "wavesim/reconstruction/retrieval/steps.py",
         "real(0.5 * tv_step)",
         "real(tv_step)",
         "tests/wavesim/reconstruction/test_from_field.py",
@@ -307,7 +307,7 @@ MUTATIONS = (
     ),
     Mutation(
         "A6: a correlation about zero",
-        "wavesim/reconstruction/retrieval_steps.py",
+        "wavesim/reconstruction/retrieval/steps.py",
         "(sxy - sx * sy / count) / math.sqrt(x * y)",
         "sxy / math.sqrt(x * y)",
         "tests/wavesim/reconstruction/test_from_field.py",

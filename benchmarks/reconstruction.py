@@ -167,7 +167,14 @@ def chart_from_frames() -> list[Row]:
     rows = []
     for kind in ("amplitude", "complex"):
         found = reconstruct(
-            engine, lit, frames(case), kind=kind, tv_weight="auto", scale=1.0, active_width=1.0
+            engine,
+            lit,
+            frames(case),
+            kind=kind,
+            tv_weight="auto",
+            scale=1.0,
+            iterations=30,
+            active_width=1.0,
         )
         finest = smallest_resolved_element(element_contrasts(found.transmission.values, lit.grid, elements))
         width = np.inf if finest is None else finest.line_width_um
@@ -187,7 +194,7 @@ def object_domain(
     """One reconstruction of at most 30 iterations."""
     engine, lit = twin()
     started = time.perf_counter()
-    found = reconstruct(engine, lit, recorded, tv_weight=tv_weight, scale=1.0, **settings)
+    found = reconstruct(engine, lit, recorded, tv_weight=tv_weight, scale=1.0, iterations=30, **settings)
     seconds = time.perf_counter() - started
     values = (found.transmission.values * lit.values).astype(np.complex64)
     reached = score(case, as_passed(lit.with_values(values), engine))

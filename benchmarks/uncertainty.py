@@ -46,15 +46,20 @@ def objects(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def record(
-    engine: Engine, light: Field, values: np.ndarray, distances_mm: tuple[float, ...], seed: int
+    engine: Engine,
+    light: Field,
+    values: np.ndarray,
+    distances_mm: tuple[float, ...],
+    seed: int,
+    electrons: float = ELECTRONS,
 ) -> list[Recorded]:
-    """Amplitudes with shot noise."""
+    """Amplitudes with shot noise, of so many electrons in the brightest pixel."""
     field = engine.forward(light.with_values((values * light.values).astype(np.complex64)))
     random, planes = np.random.default_rng(seed), []
     for distance in distances_mm:
         way = transfer(fft_frequencies(field.grid.shape, PIXEL_MM), WAVELENGTH_UM, 1.0, distance)
         intensity = np.abs(np.fft.ifft2(np.fft.fft2(field.values) * way)) ** 2
-        gain = ELECTRONS / intensity.max()
+        gain = electrons / intensity.max()
         counts = random.poisson(gain * intensity)
         one = recorded_intensity(distance, counts / gain, np.maximum(counts, 1.0) / gain**2)
         amplitude, sigma = (np.asarray(v, np.float32) for v in (one.amplitude, one.sigma))

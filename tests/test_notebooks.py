@@ -23,7 +23,7 @@ MOST_BYTES = 600_000
 # What stands in a notebook, and what is run in its place.
 SHORTER = {
     "design_to_reconstruction": {
-        "1 / 16": "1 / 32",
+        "1 / 16": "1 / 48",
         "iterations=300": "iterations=4",
         "iterations=15": "iterations=2",
         "(-0.03, 0.03), 2e-3": "(-0.02, 0.02), 1e-2",
@@ -40,7 +40,7 @@ SHORTER = {
         '"slices": 30': '"slices": 6',
     },
     "start_phase": {"1 / 32": "1 / 64", "iterations=500": "iterations=4", "iterations=20": "iterations=2"},
-    "store_questions": {"trials=300": "trials=60"},
+    "store_questions": {"trials=300": "trials=20"},
 }
 
 

@@ -24,6 +24,9 @@ from wavesim.pictures import frames as pictures
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
 
+ENDED = (0, 1)
+"""Statuses of a reconstruction that ended: a few iterations need not explain the frames."""
+
 
 def run_wavesim(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
