@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import tomli_w
 from engine_checks import peak_bytes
+from places import DESIGNS
 from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 
 from lensdesign import DesignError, InputError, Lens, Surface, load_design
@@ -43,11 +44,12 @@ from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store
 from tolerancing.study.files import load_from_files, load_study
+from wavesim.calibration.calibrated import read_calibration
 from wavesim.camera.frames import read_frame
-from wavesim.camera.mounting import read_mounting
 from wavesim.cli.commands import main as wavesim_main
 from wavesim.objects.targets import read_grey
 
+LENS = load_design(DESIGNS / "paper_singlet.toml")
 READERS: dict[str, tuple[Callable[[Path], object], float]] = {
     "design.toml": (load_design, TOML_BYTES),
     "specification.toml": (load_specification, TOML_BYTES),
@@ -56,7 +58,7 @@ READERS: dict[str, tuple[Callable[[Path], object], float]] = {
     "lens.seq": (read_seq, LENS_FILE_BYTES),
     "glass.agf": (read_agf, CATALOG_BYTES),
     "figure.csv": (read_figure_grid, TABLE_BYTES),
-    "mounting.json": (read_mounting, TABLE_BYTES),
+    "calibration.json": (lambda path: read_calibration(path, LENS), TABLE_BYTES),
     "mesh.stl": (read_mesh, MESH_BYTES),
     "mesh.ply": (read_mesh, MESH_BYTES),
     "mesh.obj": (read_mesh, TABLE_BYTES),

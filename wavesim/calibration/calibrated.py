@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from dataclasses import dataclass
 from typing import Any
 
-from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.parameters import Unknowns, bench_parameters
-from wavesim.camera.mounting import mounting_table, read_mounting
+from wavesim.camera.mounting import mounting_of, mounting_table, read_table
 from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
@@ -81,11 +79,6 @@ class Calibrated:
         return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
 
     @property
-    def noise_ratio(self) -> float | None:
-        """Misfit over that of the stated noise."""
-        return None if self.misfit_of_noise is None else self.misfit / self.misfit_of_noise
-
-    @property
     def explained(self) -> bool:
         """Whether what is left is the noise, and what engine and pixels may err."""
         noise = math.hypot(self.misfit_of_noise or 0.0, MODEL_ERROR)
@@ -138,8 +131,8 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
     InputError
         If the file cannot be read, holds no calibration, or one of another kind of lens.
     """
-    mounting = read_mounting(path)
-    values = json.loads(read_input(path, TABLE_BYTES).decode("utf-8")).get("values")
+    table = read_table(path)
+    mounting, values = mounting_of(table["mounting"], path), table.get("values")
     if values is None:
         return Bench(mounting)
     if not isinstance(values, dict):

@@ -24,6 +24,7 @@ from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum
 from wavesim.camera.mounting import (
     DECENTERS,
+    RIGID,
     TILTS,
     light_on,
     planes_at,
@@ -42,8 +43,6 @@ from wavesim.scene.scene import Scene, placed_scene
 
 Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]
-
-RIGID = (*DECENTERS, *TILTS)
 
 COARSE_BLUR_PIXELS = 8.0
 """Of the coarse search: wider than the fringes at the border of the field stop's shadow."""

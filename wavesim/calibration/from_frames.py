@@ -12,15 +12,15 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated
-from wavesim.calibration.estimation import RIGID, calibrate
+from wavesim.calibration.estimation import calibrate
 from wavesim.calibration.joint_search import JointSearch, Stand
 from wavesim.calibration.parameters import Parameter, Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.frame_sets import recorded_planes
 from wavesim.camera.frames import Frame
 from wavesim.camera.light_of_frames import light_of_frames
-from wavesim.camera.mounting import parameter_names, refuse_parameters
+from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
 from wavesim.camera.patch_of_frames import Framed, framed_patch, key_of_frames
-from wavesim.camera.recorded import noise_misfit
+from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.fields.field import Field
@@ -80,53 +80,78 @@ def calibrate_frames(
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
     framed = framed_patch(lens, frames, settings)
+    seen = _Seen(lens, framed, tuple(recorded_planes(frames)), settings)
     tell = progress or (lambda what, done, count: None)
-    nominal = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
-    behind = light_of_frames(nominal, framed.frames, framed.light)
-    made: dict[str, Engine] = {}
-
-    def make(scene: Scene) -> Engine:
-        """The same scene is asked for more than once in a row."""
-        key = repr(scene)
-        if key not in made:
-            made.clear()
-            made[key] = imaging_engine(scene, settings, runs=2 * settings.iterations, light=behind.on(scene))
-        return made[key]
-
     if known is not None:
         known = read_object(known, framed.patch) if isinstance(known, Path) else known
-        return calibrate(
-            nominal,
-            framed.light,
-            recorded_planes(frames),
-            known=known,
-            parameters=_named(settings.parameters, parameter_names(len(framed.planes_mm))),
-            scale=settings.scale,
-            active_width=settings.active_width,
-            start=Placement(Pose(pivot_z_mm=settings.pivot_z_mm)),
-            make=make,
-            most_mountings=settings.most_mountings,
-            progress=lambda name, number, _, misfit: tell(
-                f"{name} search: misfit {misfit:.4f}", number, settings.most_mountings
-            ),
-        )
+        return _mounting_alone(seen, known, tell)
+    return _bench_and_object(seen, folder, tell)
+
+
+class _Seen:
+    """The frames, what was set, and the engines that both searches take."""
+
+    def __init__(
+        self, lens: Lens, framed: Framed, recorded: tuple[Recorded, ...], settings: CalibrationSettings
+    ) -> None:
+        self.lens, self.framed, self.recorded, self.settings = lens, framed, recorded, settings
+        self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
+        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
+        self._behind = light_of_frames(self.scene, framed.frames, framed.light)
+        self._made: dict[str, Engine] = {}
+
+    def make(self, scene: Scene) -> Engine:
+        """The same scene is asked for more than once in a row."""
+        key = repr(scene)
+        if key not in self._made:
+            self._made.clear()
+            self._made[key] = imaging_engine(
+                scene, self.settings, runs=2 * self.settings.iterations, light=self._behind.on(scene)
+            )
+        return self._made[key]
+
+
+def _mounting_alone(seen: _Seen, known: Field, tell: Progress) -> Calibrated:
+    settings = seen.settings
+    return calibrate(
+        seen.scene,
+        seen.framed.light,
+        seen.recorded,
+        known=known,
+        parameters=_named(settings.parameters, parameter_names(len(seen.framed.planes_mm))),
+        scale=settings.scale,
+        active_width=settings.active_width,
+        start=seen.start,
+        make=seen.make,
+        most_mountings=settings.most_mountings,
+        progress=lambda name, number, _, misfit: tell(
+            f"{name} search: misfit {misfit:.4f}", number, settings.most_mountings
+        ),
+    )
+
+
+def _bench_and_object(seen: _Seen, folder: Path | None, tell: Progress) -> Calibrated:
+    settings, light = seen.settings, seen.framed.light
     told = settings.model_dump_json(exclude=NOT_TELLING)
-    key = key_of_frames(lens, framed.frames, framed.light, told)
-    checkpoint = None if folder is None else Checkpoint(folder / CHECKPOINT, key)
-    run = _Run(lens, settings, _parameters(lens, framed, settings), checkpoint)
+    key = key_of_frames(seen.lens, seen.framed.frames, light, told)
+    parameters = _parameters(seen.lens, seen.framed, settings)
+    run = _Run(
+        Unknowns(seen.lens, Bench(seen.start)),
+        tuple(p.name for p in parameters),
+        None if folder is None else Checkpoint(folder / CHECKPOINT, key),
+    )
     tell("the frames as designed", 0, settings.most_mountings)
-    recorded = recorded_planes(frames)
-    noise = noise_misfit(recorded)
+    noise = noise_misfit(seen.recorded)
     search = JointSearch(
-        nominal,
-        framed.light.with_values(framed.light.values.astype(np.complex64)),
-        recorded,
+        seen.scene,
+        light.with_values(light.values.astype(np.complex64)),
+        seen.recorded,
         settings.kind,
         settings.scale,
         settings.active_width,
-        run.parameters,
+        parameters,
         settings.iterations,
-        make,
+        seen.make,
         settings.most_mountings,
         noise,
         lambda number, _, misfit: tell(_misfit_told(misfit, noise), number, settings.most_mountings),
@@ -137,16 +162,15 @@ def calibrate_frames(
     except KeyboardInterrupt:
         told = "the same command goes on from there" if run.kept else "nothing was written"
         raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
-    names = run.names
     return Calibrated(
         bench=found.unknowns.bench,
-        parameters=names,
-        values=tuple(found.unknowns.of(names).tolist()),
+        parameters=run.names,
+        values=tuple(found.unknowns.of(run.names).tolist()),
         deviations=tuple(found.deviations.tolist()),
-        typical=tuple(p.typical for p in run.parameters),
+        typical=tuple(p.typical for p in parameters),
         misfit_before=found.trail[0][1],
         misfit=found.misfit,
-        trail=tuple((tuple(u.of(names).tolist()), misfit) for u, misfit in found.trail),
+        trail=tuple((tuple(u.of(run.names).tolist()), misfit) for u, misfit in found.trail),
         at_reach=(),
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
@@ -172,16 +196,8 @@ def _parameters(lens: Lens, framed: Framed, settings: CalibrationSettings) -> tu
 class _Run:
     """What a search has come to, and its file."""
 
-    def __init__(
-        self,
-        lens: Lens,
-        settings: CalibrationSettings,
-        parameters: tuple[Parameter, ...],
-        checkpoint: Checkpoint | None,
-    ) -> None:
-        self._start = Unknowns(lens, Bench(Placement(Pose(pivot_z_mm=settings.pivot_z_mm))))
-        self.parameters, self._checkpoint = parameters, checkpoint
-        self.names = tuple(p.name for p in parameters)
+    def __init__(self, start: Unknowns, names: tuple[str, ...], checkpoint: Checkpoint | None) -> None:
+        self._start, self.names, self._checkpoint = start, names, checkpoint
         self.kept = 0
 
     def begun(self) -> Stand:
@@ -193,7 +209,7 @@ class _Run:
         rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
         here = self._start.changed(self.names, kept["here"].tolist())
-        return Stand(here, int(kept["stage"]), int(kept["steps"]), float(kept["stretch"]), trail)
+        return Stand(here, int(kept["stage"]), float(kept["stretch"]), trail)
 
     def keep(self, stand: Stand) -> None:
         """After each step."""
@@ -205,7 +221,6 @@ class _Run:
             values=[unknowns.of(self.names) for unknowns, _ in stand.trail],
             misfits=[misfit for _, misfit in stand.trail],
             stage=stand.stage,
-            steps=stand.steps,
             stretch=stand.stretch,
         )
 

@@ -60,8 +60,8 @@ class Stand:
     Attributes
     ----------
     unknowns : Unknowns
-    stage, steps : int
-        Of the parameters that are sought one after the other; steps made in it.
+    stage : int
+        Of the parameters that are sought one after the other.
     stretch : float
         Multiple of the last step that was best.
     trail : tuple of (Unknowns, float)
@@ -70,7 +70,6 @@ class Stand:
 
     unknowns: Unknowns
     stage: int = 0
-    steps: int = 0
     stretch: float = 3.0
     trail: tuple[tuple[Unknowns, float], ...] = ()
 
@@ -147,7 +146,7 @@ class JointSearch:
             if stage < stand.stage:
                 continue
             if stage > stand.stage:
-                stand = replace(stand, stage=stage, steps=0)
+                stand = replace(stand, stage=stage)
             stand, reason = self._descended(stand, parameters)
         names = [p.name for p in self.parameters]
         model, transmission = self._reconstructed(stand.unknowns)
@@ -202,7 +201,6 @@ class JointSearch:
                 stand,
                 unknowns=stand.unknowns.changed(names, here.tolist()),
                 stretch=float(np.clip(best, 1.0, 16.0)),
-                steps=stand.steps + 1,
             )
             if self.keep is not None:
                 self.keep(stand)

@@ -15,7 +15,14 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure import figure_from_zernike
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SurfacePerturbation
-from wavesim.camera.mounting import DECENTERS, PLANE_DISTANCE, TILTS, WORKING_DISTANCE, with_values
+from wavesim.camera.mounting import (
+    DECENTERS,
+    PLANE_DISTANCE,
+    RIGID,
+    TILTS,
+    WORKING_DISTANCE,
+    with_values,
+)
 from wavesim.scene.bench import AMPLITUDE_ORDERS, PHASE_ORDERS, Bench, Orders
 
 Part = Literal["light", "lens", "mounting", "camera"]
@@ -165,7 +172,6 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
     return tuple(p for p in allowed if p in chosen)
 
 
-RIGID = (*DECENTERS, *TILTS)
 SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
 
 

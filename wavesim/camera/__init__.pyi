@@ -2,7 +2,7 @@ from .exposures import Electronics, SaturationWarning, estimate_intensity, merge
 from .frame_sets import read_frames, recorded_planes
 from .frames import Frame, FrameSettings, read_frame, write_frame
 from .imaging import Imaged, image
-from .mounting import mounting_table, read_mounting
+from .mounting import mounting_table
 from .recorded import Recorded, recorded_intensity
 from .recording import Recording, drop_parts, image_patch
 from .sensor import (
@@ -39,7 +39,6 @@ __all__ = [
     "plane_seeds",
     "read_frame",
     "read_frames",
-    "read_mounting",
     "record",
     "recorded_intensity",
     "recorded_planes",

@@ -32,10 +32,10 @@ from wavesim.objects.patch import Patch, Target, lit, lit_patch, make_target
 from wavesim.runtime.inventory import need_of
 from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
-from wavesim.scene.bench import Bench
+from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light
-from wavesim.scene.placement import Placement, placed
+from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import ImageSettings, SettingError
 
@@ -218,7 +218,7 @@ def _bench(
             "{placement} says how the lens is mounted, and how light and sensor are: give no decenter, tilt "
             "or despace, and no errors of light, lens or sensor"
         )
-    return placement if isinstance(placement, Bench) else Bench(placed(placement))
+    return bench_of(placement)
 
 
 def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose | Bench | None) -> Recording:

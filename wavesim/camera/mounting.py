@@ -20,12 +20,13 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field
-from wavesim.scene.bench import Bench
+from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import placed_object
 
 DECENTERS = ("decenter_x_mm", "decenter_y_mm")
 TILTS = ("tilt_x_deg", "tilt_y_deg")
+RIGID = (*DECENTERS, *TILTS)
 WORKING_DISTANCE = "working_distance_mm"
 PLANE_DISTANCE = "plane_distance_{}_mm"
 
@@ -45,7 +46,7 @@ class _Table(Section):
 
 
 def mounting_table(mounting: Placement) -> dict[str, Any]:
-    """A mounting as :func:`read_mounting` takes it, ready for JSON."""
+    """A mounting as :func:`mounting_of` takes it, ready for JSON."""
     table = _Table(
         **{name: getattr(mounting.pose, name) for name in (*DECENTERS, *TILTS, "pivot_z_mm")},
         working_distance_mm=0.0 - mounting.object_shift_mm[2],
@@ -54,8 +55,8 @@ def mounting_table(mounting: Placement) -> dict[str, Any]:
     return table.model_dump(mode="json")
 
 
-def read_mounting(path: str | os.PathLike[str]) -> Placement:
-    """The mounting that `wavesim calibrate` has found.
+def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The file that `wavesim calibrate` writes.
 
     Raises
     ------
@@ -67,9 +68,19 @@ def read_mounting(path: str | os.PathLike[str]) -> Placement:
         data = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no JSON: {error}") from None
-    mounting = data.get("mounting") if isinstance(data, dict) else None
-    if not isinstance(mounting, dict):
+    if not isinstance(data, dict) or not isinstance(data.get("mounting"), dict):
         raise InputError(f"{path}: holds no mounting; must be the calibration.json of `wavesim calibrate`")
+    return data
+
+
+def mounting_of(mounting: dict[str, Any], path: str | os.PathLike[str]) -> Placement:
+    """What :func:`mounting_table` made a table of, which stands in a file.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
     table = validate(_Table, mounting, Path(path)).model_dump()
     planes, farther = table.pop("plane_distances_mm"), table.pop(WORKING_DISTANCE)
     return Placement(Pose(**table), object_shift_mm=(0.0, 0.0, 0.0 - farther), plane_distances_mm=planes)
@@ -77,18 +88,15 @@ def read_mounting(path: str | os.PathLike[str]) -> Placement:
 
 def light_on(nominal: Field, bench: Placement | Bench) -> Field:
     """The light on the object where it is; the object takes its light with it."""
-    mounting = bench.placement if isinstance(bench, Bench) else bench
-    if isinstance(bench, Bench):
-        nominal = bench.light.on(nominal)
+    bench = bench_of(bench)
+    mounting, nominal = bench.placement, bench.light.on(nominal)
     wavelength = mounting.wavelength_um or nominal.wavelength_um
     return Field(placed_object(nominal.grid, mounting), nominal.values, wavelength, nominal.index)
 
 
 def planes_at(nominal: Sequence[Recorded], bench: Placement | Bench) -> list[Recorded]:
     """The recorded planes where they are, with what is on them beside the object's light."""
-    if isinstance(bench, Placement):
-        bench = Bench(bench)
-    return [_plane_at(plane, bench, number) for number, plane in enumerate(nominal)]
+    return [_plane_at(plane, bench_of(bench), number) for number, plane in enumerate(nominal)]
 
 
 def _plane_at(plane: Recorded, bench: Bench, number: int) -> Recorded:

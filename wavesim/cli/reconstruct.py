@@ -30,6 +30,7 @@ CALIBRATED = "calibration"
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
+    from wavesim.camera.frames import Frame
     from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
     from wavesim.runtime.memory import Memory
@@ -84,13 +85,14 @@ def reconstruct(
         warnings.simplefilter("always")
         lens = load_design(design)
         bench = None if calibration is None else read_calibration(calibration, lens)
+        pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate:
-            bench = _calibrated(lens, frames, of_frames, settings, output, as_json)
+            bench = _calibrated(lens, frames, pictures[0], settings, output, as_json)
         with progress() as tell:
             found = reconstruct_frames(
                 lens,
                 # Given away: nothing here may hold them to the end.
-                read_frames(frames, of_frames, lens=lens),
+                pictures.pop(),
                 settings,
                 truth=truth,
                 calibration=bench,
@@ -117,30 +119,28 @@ def reconstruct(
 
 def _calibrated(
     lens: Lens,
-    frames: Sequence[Path],
-    of_frames: FrameSetSettings,
+    paths: Sequence[Path],
+    frames: Sequence[Frame],
     settings: ReconstructionSettings,
     output: Path,
     as_json: bool,
 ) -> Bench:
     """The bench as the frames tell it, written beside the results; goes on where it was cut off."""
     from wavesim.calibration.from_frames import calibrate_frames
-    from wavesim.camera.frame_sets import read_frames
     from wavesim.cli.calibrate import print_calibration, write_calibration
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
-    pictures = read_frames(frames, of_frames, lens=lens)
     folder = output / CALIBRATED
     with progress() as tell:
         found = calibrate_frames(
             lens,
-            pictures,
+            frames,
             CalibrationSettings(**given | {"kind": settings.kind}),
             folder=folder,
             progress=tell,
         )
     told: dict[str, Any] = {"object": settings.kind, "warnings": []}
-    summary = write_calibration(found, frames, pictures, told, folder)
+    summary = write_calibration(found, paths, frames, told, folder)
     if not as_json:
         print_calibration(found, summary, folder)
         print()

@@ -32,7 +32,7 @@ from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
-from wavesim.scene.bench import Bench
+from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
@@ -107,7 +107,7 @@ def frames_case(
 ) -> FramesCase:
     """Read all that a run needs, and refuse what cannot be done."""
     limit = memory_limit(settings.memory_gb)
-    bench = Bench(calibration) if isinstance(calibration, Placement) else calibration
+    bench = None if calibration is None else bench_of(calibration)
     if bench is not None and settings.pose != Pose():
         raise SettingError("{calibration} says how the lens is mounted: give no decenter, tilt or despace")
     pose = settings.pose if bench is None else bench.placement.pose

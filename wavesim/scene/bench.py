@@ -15,8 +15,9 @@ from numpy.polynomial.legendre import legval
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from lensdesign.lens.poses import Pose
 from wavesim.fields.field import Field
-from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.placement import NOMINAL, Placement, placed
 from wavesim.scene.source import POINT, Source
 
 Orders = tuple[int, int]
@@ -156,6 +157,11 @@ class Bench:
 
 AS_DESIGNED = Bench()
 """All as it should be."""
+
+
+def bench_of(given: Placement | Pose | Bench) -> Bench:
+    """A bench, of which the placement alone may be given."""
+    return given if isinstance(given, Bench) else Bench(placed(given))
 
 
 def _of(values: Sequence[Any], number: int, otherwise: Any) -> Any:

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from wavesim_command import frames_and_design, run_wavesim, write_frames
 
-from lensdesign import load_design
+from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import read_calibration
 from wavesim.calibration.joint_search import JointSearch, Stand, Told
-from wavesim.camera.mounting import read_mounting
 from wavesim.reconstruction import from_frames
 from wavesim.scene.bench import Bench
 
@@ -51,7 +50,7 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
     assert found["mounting"]["tilt_y_deg"] == pytest.approx(0.8, rel=0.05)
     assert found["misfit"] < 1.5 * found["misfit_of_noise"] + 0.02 < found["misfit_before"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.json", "calibration.png"]
-    mounting = read_mounting(tmp_path / "calibration.json")
+    mounting = read_calibration(tmp_path / "calibration.json", load_design(data / "twin.toml")).placement
     assert mounting.pose.tilt_y_deg == found["mounting"]["tilt_y_deg"]
 
     quick = (
@@ -191,10 +190,10 @@ def test_bad_input_ends_with_one_message_and_no_file(
 
 
 @pytest.mark.parametrize("text", ["", "[1]", '{"mounting": 3}', '{"mounting": {"decenter_z_mm": 1}}'])
-def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
+def test_what_is_no_calibration_is_refused(tmp_path: Path, paper_lens: Lens, text: str) -> None:
     path = tmp_path / "calibration.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"calibration\.json"):
-        read_mounting(path)
+        read_calibration(path, paper_lens)
     with pytest.raises(InputError, match="cannot read"):
-        read_mounting(tmp_path / "none.json")
+        read_calibration(tmp_path / "none.json", paper_lens)
