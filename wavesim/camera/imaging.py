@@ -117,8 +117,8 @@ def image(
     lens
         The nominal lens.
     thing
-        "usaf", "star", "phase", "tissue", the file of a picture, or a transmission, whose samples then are
-        those of the patch.
+        "usaf", "star", "phase", "tissue", "empty", the file of a picture, or a transmission, whose samples
+        then are those of the patch.
     settings
         All that may be set; defaults if left out.
     placement

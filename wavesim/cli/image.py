@@ -24,7 +24,9 @@ def image(
     design: Design,
     output: Output,
     settings: ImageSettings,
-    object_: Annotated[str, typer.Option("--object", help="usaf, star, phase, tissue, or FILE.")] = "usaf",
+    object_: Annotated[
+        str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE.")
+    ] = "usaf",
     as_json: AsJson = False,
 ) -> None:
     """Record an object through the lens: frames, the true object, a preview, and what was used.

@@ -192,14 +192,15 @@ def make_target(
     picture_width_mm: float | None = None,
     chart_at_mm: Sequence[tuple[float, float]] = (),
 ) -> Target:
-    """An object on a patch: a chart, a star, a phase target, tissue, or a picture.
+    """An object on a patch: a chart, a star, a phase target, tissue, a picture, or none.
 
     Parameters
     ----------
     patch
         Where it lies.
     name
-        "usaf", "star", "phase", "tissue", or the path of a picture, whose grey values stand for intensity.
+        "usaf", "star", "phase", "tissue", "empty", or the path of a picture, whose grey values stand for
+        intensity.
     ground
         Bright or dark field, of charts and stars.
     numerical_aperture, seed
@@ -256,10 +257,15 @@ def _tissue(patch: Patch, _ground: Ground, aperture: float, seed: int) -> Any:
     return tissue_phantom(patch.grid, seed, patch.wavelength_um, aperture)
 
 
+def _empty(patch: Patch, _ground: Ground, _aperture: float, _seed: int) -> Any:
+    return np.ones(patch.grid.shape)
+
+
 MAKERS: dict[str, Callable[[Patch, Ground, float, int], Any]] = {
     "star": _star,
     "phase": _phase,
     "tissue": _tissue,
+    "empty": _empty,
 }
 """Objects without parts of their own that the code makes, by name."""
 
