@@ -1,15 +1,16 @@
 """Which frames to take: how many planes, where, and which exposures, before any frame is there.
 
-Each plan is tried: an object of the kind is imaged through the lens by a sensor with noise, and reconstructed
-by the defaults. What comes back tells what the frames would. Planes are spread evenly; one exposure stands
-beside a bracket. Where lens or patch is large, a smaller twin of it stands for it (:class:`Twin`).
+Each plan is tried: an object of the kind is imaged through the lens by a sensor with noise and reconstructed.
+What comes back tells what the frames would. Planes are spread evenly; one exposure stands beside a bracket.
+Where lens or patch is large, a smaller twin of it stands for it (:class:`Twin`).
 """
 
 from __future__ import annotations
 
 import math
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,17 +21,26 @@ from lensdesign.common.notebook import html_table
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled
+from wavesim.camera.frame_sets import recorded_planes
+from wavesim.camera.frames import Frame
 from wavesim.camera.imaging import image
 from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
-from wavesim.camera.windows import DiversityWarning, diversity, footprint_mm
+from wavesim.camera.windows import TILE_ERROR, diversity, exit_scene, footprint_mm
+from wavesim.engines.choosing import engine_for
+from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field
-from wavesim.objects.patch import Patch, object_patch
-from wavesim.reconstruction.from_frames import reconstruct_frames
-from wavesim.scene.settings import PlanSettings
+from wavesim.objects.patch import Patch, lit, object_patch
+from wavesim.reconstruction.from_object import reconstruct
+from wavesim.runtime.scratch import Scratch
+from wavesim.scene.engine import Engine
+from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings
 
 SIDE, SAMPLES = 144, 96
 """Pixels across the light on the farthest plane, and samples of the object, that a twin has at most."""
+
+EXPLAINED = 1.2
+"""Misfit over that of the noise, up to which an object explains the frames of a plan."""
 
 DETAIL, PHASE_RAD = 3.0, 1.2
 """Standard deviation, in samples, of what smooths a random object, and the rms of a complex one's phase."""
@@ -112,6 +122,11 @@ class Plans:
         return self.recommended.correlation >= self.settings.correlation
 
     @property
+    def at_noise(self) -> bool:
+        """Whether the frames of the recommended plan are explained, so that only their noise is left."""
+        return self.recommended.misfit_over_noise <= EXPLAINED
+
+    @property
     def recommended(self) -> Plan:
         """Of the fewest frames that reach the correlation asked for; the best where none does."""
         reaching = [plan for plan in self.plans if plan.correlation >= self.settings.correlation]
@@ -170,10 +185,12 @@ def plan_frames(
     ]
     wanted.sort(key=lambda one: (len(one[0]) * len(one[1]), len(one[0])))
     tell = progress or (lambda what, done, count: None)
+    tell("frames of all plans", 0, len(wanted))
+    tries = _tries(own, target, settings, twin, sorted({z for planes, _ in wanted for z in planes}))
     plans = []
     for number, (planes, exposures) in enumerate(wanted):
         tell(f"{len(planes)} planes, {len(exposures)} exposures", number, len(wanted))
-        plans.append(_tried(own, target, settings, twin, planes, exposures))
+        plans.append(tries.plan(settings.kind, planes, exposures))
     tell("planned", len(wanted), len(wanted))
     return Plans(settings, twin, diversity(lens, patch, (near, far)), tuple(plans))
 
@@ -214,37 +231,53 @@ def _random_object(patch: Patch, settings: PlanSettings) -> Field:
     return Field(patch.grid, values.astype(np.complex64), patch.wavelength_um)
 
 
-def _tried(
-    lens: Lens,
-    target: Field,
-    settings: PlanSettings,
-    twin: Twin,
-    planes_mm: tuple[float, ...],
-    exposures: tuple[float, ...],
-) -> Plan:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DiversityWarning)  # the plan says what they tell
-        imaged = image(
-            lens,
-            target,
-            planes_mm=tuple(twin.scale * z for z in planes_mm),
-            exposures=exposures,
-            engine="eikonal",
-            full_well_electrons=settings.full_well_electrons,
-            read_noise_electrons=twin.read_noise_electrons,
-            bits=settings.bits,
-            seed=settings.seed,
+class _Tries(NamedTuple):
+    """What all plans share: frames by plane and exposure, and the way back from them."""
+
+    frames: dict[tuple[float, float], Frame]
+    engine: Engine
+    light: Field
+    target: Field
+    inside: NDArray[np.bool_]
+
+    def plan(self, kind: Kind, planes_mm: tuple[float, ...], exposures: tuple[float, ...]) -> Plan:
+        """From those planes and exposures."""
+        recorded = recorded_planes([self.frames[one] for one in product(planes_mm, exposures)])
+        found = reconstruct(
+            self.engine,
+            self.light,
+            recorded,
+            kind=kind,
+            tv_weight="auto",
+            iterations=ITERATIONS["object"],
+            until_noise=True,
+            active_width=1.0,
         )
-        found = reconstruct_frames(
-            lens,
-            imaged.frames,
-            patch_mm=2.0 * min(target.grid.half_widths_mm),
-            kind=settings.kind,
-            engine="eikonal",
-            truth=target,
-        )
-    noise = noise_misfit(found.recorded)
-    correlation = found.truth["object_correlation"]
-    assert noise is not None
-    assert correlation is not None
-    return Plan(planes_mm, exposures, correlation, found.curve[-1] / noise, len(found.curve))
+        noise = noise_misfit(recorded)
+        correlation = truth_metrics(
+            found.transmission, self.target, self.light, self.inside, self.engine, Scratch()
+        )["object_correlation"]
+        assert noise is not None
+        assert correlation is not None
+        return Plan(planes_mm, exposures, correlation, found.misfit[-1] / noise, len(found.misfit))
+
+
+def _tries(
+    lens: Lens, target: Field, settings: PlanSettings, twin: Twin, planes_mm: Sequence[float]
+) -> _Tries:
+    imaged = image(
+        lens,
+        target,
+        planes_mm=tuple(twin.scale * z for z in planes_mm),
+        exposures=settings.exposures,
+        engine="eikonal",
+        full_well_electrons=settings.full_well_electrons,
+        read_noise_electrons=twin.read_noise_electrons,
+        bits=settings.bits,
+        seed=settings.seed,
+    )
+    patch = imaged.patch
+    scene = exit_scene(lens, patch, imaged.sensor, twin.scale * min(planes_mm))
+    engine = engine_for(scene, "eikonal", error=TILE_ERROR)
+    frames = dict(zip(product(planes_mm, settings.exposures), imaged.frames, strict=True))
+    return _Tries(frames, engine, lit(patch, PatchSettings()), target, patch.inside)

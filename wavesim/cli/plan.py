@@ -29,8 +29,8 @@ def plan(
 ) -> None:
     """Say how many planes to record, where, and with which exposures, and what error to expect.
 
-    A random object of the kind is imaged with noise and reconstructed by the defaults, for each plan, on a
-    small twin of the lens. The plan of the fewest frames that reach --correlation is recommended.
+    A random object of the kind is imaged with noise and reconstructed, for each plan, on a small twin of the
+    lens. The plan of the fewest frames that reach --correlation is recommended.
     """
     from wavesim.calibration.planning import plan_frames
     from wavesim.pictures.frames import save
@@ -107,6 +107,5 @@ def _print(found: Plans) -> None:
     if found.enough:
         print(f"* the fewest frames that reach {asked}")
     else:
-        print(
-            f"* the best; none reaches {asked}: take more planes, a wider range of them, or a smaller patch"
-        )
+        more = "more light" if found.at_noise else "more planes, a wider range of them, or a smaller patch"
+        print(f"* the best; none reaches {asked}: take {more}")

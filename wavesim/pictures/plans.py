@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from wavesim.calibration.planning import Plans
+from wavesim.calibration.planning import EXPLAINED, Plans
 from wavesim.pictures.panels import title_figure
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
         label = f"exposures {', '.join(f'{e:g}' for e in exposures)}"
         axes.plot(counts, errors, "-", color=colour, lw=1.0, label=label)
         for plan, count, error in zip(plans, counts, errors, strict=True):
-            face = colour if plan.misfit_over_noise <= 1.2 else "white"
+            face = colour if plan.misfit_over_noise <= EXPLAINED else "white"
             axes.plot(count, error, "o", color=colour, markerfacecolor=face)
     best = found.recommended
     axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color=BEST, label="recommended")
