@@ -27,7 +27,7 @@ from wavesim.scene.bench import AMPLITUDE_ORDERS, PHASE_ORDERS, Bench, Orders
 
 Part = Literal["light", "lens", "mounting", "camera"]
 
-FIGURES = (5, 6, 7, 8)
+FIGURES = (3, 5, 7, 8)
 """Zernike terms of a surface's figure, by OSA/ANSI index: astigmatism twice, coma twice."""
 
 FIGURE_STEP_UM, FIGURE_TYPICAL_UM = 0.03, 0.05
