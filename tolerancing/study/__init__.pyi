@@ -1,5 +1,6 @@
 from .evaluate import context_of, decide_levels, nominal_scores, realise, score_dear, score_step, score_trials
 from .files import LoadedStudy, load_from_files, load_study, save_study
+from .priors import Priors, calibration_priors
 from .results import DearResults, Picture, StepResults, TrialResults
 from .scoring import score_batch
 from .series import Series
@@ -16,12 +17,14 @@ __all__ = [
     "OneAtATime",
     "ParameterGrid",
     "Picture",
+    "Priors",
     "Series",
     "SliceCounts",
     "StepResults",
     "Study",
     "Sweep",
     "TrialResults",
+    "calibration_priors",
     "context_of",
     "decide_levels",
     "load_from_files",

@@ -11,7 +11,7 @@ from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.parameters import Unknowns, bench_parameters
+from wavesim.calibration.parameters import Unknowns, all_names
 from wavesim.camera.mounting import mounting_of, mounting_table, read_table
 from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
 from wavesim.scene.bench import Bench
@@ -19,8 +19,6 @@ from wavesim.scene.placement import Placement
 
 NOT_TOLD = 0.5
 """Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
-
-MOST_PLANES = 99
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +89,7 @@ class Calibrated:
             "mounting": mounting_table(self.mounting),
             "values": dict(zip(self.parameters, self.values, strict=True)),
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
+            "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "not_told": list(self.not_told),
             "parameters": list(self.parameters),
             "misfit_before": self.misfit_before,
@@ -137,7 +136,7 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
         return Bench(mounting)
     if not isinstance(values, dict):
         raise InputError(f"{path}: values: must be a table of numbers")
-    allowed = [p.name for p in bench_parameters(lens, MOST_PLANES, 1.0, 1.0)]
+    allowed = all_names(lens)
     mounted = [name for name in values if name not in allowed and name.startswith("plane_distance_")]
     for name, value in values.items():
         if name not in allowed and name not in mounted:

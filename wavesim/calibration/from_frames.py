@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,33 +13,27 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.poses import Pose
+from wavesim.calibration.bench_search import Seen, searched
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.estimation import calibrate
-from wavesim.calibration.joint_search import JointSearch, Stand
-from wavesim.calibration.parameters import Parameter, Unknowns, bench_parameters, chosen_parameters
-from wavesim.camera.frame_sets import recorded_planes
+from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
+from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
-from wavesim.camera.light_of_frames import light_of_frames
 from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
-from wavesim.camera.patch_of_frames import Framed, framed_patch, key_of_frames
-from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.camera.recording import Progress
-from wavesim.camera.windows import exit_scene, imaging_engine
+from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
-from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.bench import Bench
-from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
-from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
-CHECKPOINT = "checkpoint.npz"
-"""File in which a search keeps what it has tried."""
+SEEN = 3.0
+"""Times what counts as explained: frames that a smooth light leaves more of saw an object."""
 
-NOT_TELLING = {"patch_mm", "field_stop_mm", "object_pitch_um", "illumination", "most_mountings"}
-"""Settings that a trail does not depend on, or that the light has in it already."""
+
+class EmptyWarning(UserWarning):
+    """Frames without an object are not explained within their noise."""
 
 
 def calibrate_frames(
@@ -45,6 +42,8 @@ def calibrate_frames(
     settings: CalibrationSettings | None = None,
     *,
     known: Field | Path | None = None,
+    empty: Sequence[Frame] | None = None,
+    priors: Mapping[str, float] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
     **changes: Any,
@@ -64,6 +63,12 @@ def calibrate_frames(
         All that may be set; defaults if left out.
     known
         Transmission of the object on the patch's samples, where it is known, or its file or folder.
+    empty
+        Frames of the same planes without an object. The light is what they tell
+        (:func:`calibrate_empty`), and the search for the rest goes on from there.
+    priors
+        Standard deviations of parameters, by their names, where more is known of lens or bench than is usual:
+        from a tolerance study by :func:`tolerancing.study.calibration_priors`.
     folder
         Where what was tried is kept, so that a search which was cut off goes on with the same call.
     progress
@@ -74,44 +79,137 @@ def calibrate_frames(
     Raises
     ------
     InputError, SamplingError
-        If a value is not usable, or no light gets through the lens.
+        If a value is not usable, no light gets through the lens, or empty frames saw an object.
     KeyboardInterrupt
         Saying what is kept.
+
+    Warns
+    -----
+    EmptyWarning
+        If empty frames are not quite explained.
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
-    framed = framed_patch(lens, frames, settings)
-    seen = _Seen(lens, framed, tuple(recorded_planes(frames)), settings)
+    seen = Seen(lens, frames, settings, priors)
     tell = progress or (lambda what, done, count: None)
     if known is not None:
-        known = read_object(known, framed.patch) if isinstance(known, Path) else known
+        if empty is not None or priors is not None:
+            other = "empty" if priors is None else "priors"
+            raise SettingError(f"{{known}}, {{{other}}}: give one of them")
+        known = read_object(known, seen.framed.patch) if isinstance(known, Path) else known
         return _mounting_alone(seen, known, tell)
-    return _bench_and_object(seen, folder, tell)
+    begin = Unknowns(lens, Bench(seen.start))
+    if empty is None:
+        return searched(seen, seen.parameters(), begin, folder, tell)
+    refuse_other_frames(empty, frames)
+    measured = calibrate_empty(lens, empty, settings, priors=priors, progress=progress)
+    rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
+    if not rest:
+        return measured
+    begin = begin.changed(measured.parameters, measured.values)
+    return _with_light_of(measured, searched(seen, rest, begin, folder, tell))
 
 
-class _Seen:
-    """The frames, what was set, and the engines that both searches take."""
+def calibrate_empty(
+    lens: Lens,
+    empty: Sequence[Frame],
+    settings: CalibrationSettings | None = None,
+    *,
+    start: Placement | None = None,
+    priors: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Calibrated:
+    """Find the light, and what else is asked for, from frames without an object.
 
-    def __init__(
-        self, lens: Lens, framed: Framed, recorded: tuple[Recorded, ...], settings: CalibrationSettings
-    ) -> None:
-        self.lens, self.framed, self.recorded, self.settings = lens, framed, recorded, settings
-        self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
-        self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
-        self._behind = light_of_frames(self.scene, framed.frames, framed.light)
-        self._made: dict[str, Engine] = {}
+    The light is smooth: of its amplitude and phase, modes up to the fourth order are found.
 
-    def make(self, scene: Scene) -> Engine:
-        """The same scene is asked for more than once in a row."""
-        key = repr(scene)
-        if key not in self._made:
-            self._made.clear()
-            self._made[key] = imaging_engine(
-                scene, self.settings, runs=2 * self.settings.iterations, light=self._behind.on(scene)
+    Parameters
+    ----------
+    lens, settings, priors, progress, **changes
+        As of :func:`calibrate_frames`.
+    empty
+        The frames.
+    start
+        How the lens is mounted, as far as that is not sought.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As of :func:`calibrate_frames`.
+
+    Warns
+    -----
+    EmptyWarning
+        If the frames are not quite explained.
+    """
+    settings = (settings or CalibrationSettings()).replaced(**changes)
+    seen = Seen(lens, empty, settings, priors)
+    tell = progress or (lambda what, done, count: None)
+    everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)
+    asked = seen.parameters(light_order=LIGHT_ORDER_ALONE)
+    sought = tuple(p for p in everything if p.part == "light" or p in asked)
+    begin = Unknowns(lens, Bench(start or seen.start))
+    found = searched(seen, sought, begin, None, tell, np.ones(seen.framed.light.grid.shape, np.float32))
+    over = found.misfit / math.hypot(found.misfit_of_noise or 0.0, MODEL_ERROR)
+    if over > SEEN * LIMIT:
+        raise SettingError(
+            f"{{empty}}: a smooth light leaves {over:.1f} times the noise of these frames: must be frames "
+            "without an object, through this lens" + _HINT * (len(asked) < len(everything))
+        )
+    if not found.explained:
+        warnings.warn(
+            f"frames without an object: a smooth light leaves {over:.1f} times the noise, so that it is "
+            "known no better",
+            EmptyWarning,
+            stacklevel=2,
+        )
+    return found
+
+
+_HINT = "; where lens or camera are not as designed, all that differs is sought by `wavesim calibrate`"
+
+
+def refuse_other_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:
+    """Refuse frames without an object that are not of the light, the pixels and the planes of the object's.
+
+    Raises
+    ------
+    InputError
+        Naming what differs.
+    """
+    for name in ("wavelength_um", "pixel_pitch_um"):
+        one, other = (getattr(some[0].settings, name) for some in (empty, frames))
+        if not math.isclose(one, other, rel_tol=1e-6):
+            raise SettingError(
+                f"{{empty}}: {name} = {one:g}; that of the object's frames is {other:g}: must be the same"
             )
-        return self._made[key]
+    here, there = ([plane.distance_mm for plane in planes_of_frames(some)] for some in (empty, frames))
+    if not (len(here) == len(there) and np.allclose(here, there, rtol=1e-6, atol=0.0)):
+        said, wanted = (", ".join(f"{z:g}" for z in planes) for planes in (here, there))
+        raise SettingError(
+            f"{{empty}}: planes at {said} mm; the object's frames have {wanted} mm: must be the same"
+        )
 
 
-def _mounting_alone(seen: _Seen, known: Field, tell: Progress) -> Calibrated:
+def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
+    """What was found, with the light that empty frames tell in front."""
+    assert measured.deviations is not None
+    assert measured.typical is not None
+    assert found.deviations is not None
+    assert found.typical is not None
+    count = len(measured.parameters) - len(found.parameters)
+    light = measured.values[:count]
+    return replace(
+        found,
+        parameters=measured.parameters[:count] + found.parameters,
+        values=light + found.values,
+        deviations=measured.deviations[:count] + found.deviations,
+        typical=measured.typical[:count] + found.typical,
+        trail=tuple((light + values, misfit) for values, misfit in found.trail),
+    )
+
+
+def _mounting_alone(seen: Seen, known: Field, tell: Progress) -> Calibrated:
     settings = seen.settings
     return calibrate(
         seen.scene,
@@ -128,101 +226,6 @@ def _mounting_alone(seen: _Seen, known: Field, tell: Progress) -> Calibrated:
             f"{name} search: misfit {misfit:.4f}", number, settings.most_mountings
         ),
     )
-
-
-def _bench_and_object(seen: _Seen, folder: Path | None, tell: Progress) -> Calibrated:
-    settings, light = seen.settings, seen.framed.light
-    told = settings.model_dump_json(exclude=NOT_TELLING)
-    key = key_of_frames(seen.lens, seen.framed.frames, light, told)
-    parameters = _parameters(seen.lens, seen.framed, settings)
-    run = _Run(
-        Unknowns(seen.lens, Bench(seen.start)),
-        tuple(p.name for p in parameters),
-        None if folder is None else Checkpoint(folder / CHECKPOINT, key),
-    )
-    tell("the frames as designed", 0, settings.most_mountings)
-    noise = noise_misfit(seen.recorded)
-    search = JointSearch(
-        seen.scene,
-        light.with_values(light.values.astype(np.complex64)),
-        seen.recorded,
-        settings.kind,
-        settings.scale,
-        settings.active_width,
-        parameters,
-        settings.iterations,
-        seen.make,
-        settings.most_mountings,
-        noise,
-        lambda number, _, misfit: tell(_misfit_told(misfit, noise), number, settings.most_mountings),
-        run.keep,
-    )
-    try:
-        found = search.run(run.begun())
-    except KeyboardInterrupt:
-        told = "the same command goes on from there" if run.kept else "nothing was written"
-        raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
-    return Calibrated(
-        bench=found.unknowns.bench,
-        parameters=run.names,
-        values=tuple(found.unknowns.of(run.names).tolist()),
-        deviations=tuple(found.deviations.tolist()),
-        typical=tuple(p.typical for p in parameters),
-        misfit_before=found.trail[0][1],
-        misfit=found.misfit,
-        trail=tuple((tuple(u.of(run.names).tolist()), misfit) for u, misfit in found.trail),
-        at_reach=(),
-        stopped_because=found.stopped_because,
-        misfit_of_noise=noise,
-    )
-
-
-def _misfit_told(misfit: float, noise: float | None) -> str:
-    return f"misfit {misfit:.4f}" if noise is None else f"misfit {misfit / noise:.2f} times the noise"
-
-
-def _parameters(lens: Lens, framed: Framed, settings: CalibrationSettings) -> tuple[Parameter, ...]:
-    patch = framed.patch
-    side_mm = patch.grid.shape[0] * patch.grid.pitch_mm
-    allowed = bench_parameters(
-        lens, len(framed.planes_mm), side_mm, patch.wavelength_um, light=settings.kind == "amplitude"
-    )
-    try:
-        return chosen_parameters(settings.parameters, allowed)
-    except InputError as error:
-        raise SettingError(f"{{parameters}} = {settings.parameters!r}: {error}") from None
-
-
-class _Run:
-    """What a search has come to, and its file."""
-
-    def __init__(self, start: Unknowns, names: tuple[str, ...], checkpoint: Checkpoint | None) -> None:
-        self._start, self.names, self._checkpoint = start, names, checkpoint
-        self.kept = 0
-
-    def begun(self) -> Stand:
-        """Where an earlier run was cut off, or the start."""
-        kept = None if self._checkpoint is None else self._checkpoint.load()
-        if kept is None:
-            return Stand(self._start)
-        self.kept = len(kept["misfits"])
-        rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
-        trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
-        here = self._start.changed(self.names, kept["here"].tolist())
-        return Stand(here, int(kept["stage"]), float(kept["stretch"]), trail)
-
-    def keep(self, stand: Stand) -> None:
-        """After each step."""
-        self.kept = len(stand.trail)
-        if self._checkpoint is None:
-            return
-        self._checkpoint.keep(
-            here=stand.unknowns.of(self.names),
-            values=[unknowns.of(self.names) for unknowns, _ in stand.trail],
-            misfits=[misfit for _, misfit in stand.trail],
-            stage=stand.stage,
-            stretch=stand.stretch,
-        )
 
 
 def _named(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:

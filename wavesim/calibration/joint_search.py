@@ -1,6 +1,7 @@
 """Light, lens, mounting and camera from the frames alone, together with the object.
 
-A bench is judged by what a reconstruction from even light leaves after a few iterations. Each step of the
+A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
+object leaves. Each step of the
 search takes its direction from the normal equations of object and bench about that object, and its length
 from such reconstructions along it. Light's unevenness comes last: until the rest is right, anything explains
 it.
@@ -43,9 +44,6 @@ LONGEST, SHORTEST = 64.0, 0.05
 
 LEAST_GAINS = 0.05, 0.02
 """A stage ends when a step lowers the squared misfit by less than this share; then the last one."""
-
-STEP_SHARE = 0.05
-"""Of what is typical of a parameter, over which its effect is taken as linear."""
 
 RUNAWAY = 4.0
 """Stands for the misfit where the model fails."""
@@ -113,6 +111,8 @@ class JointSearch:
         That are tried.
     noise_misfit : float or None
         What the stated noise alone would leave.
+    known : ndarray or None
+        Transmission of the object where it is known, real where it is an amplitude.
     progress
         Told of each bench tried: its number, itself, and its misfit.
     keep
@@ -130,6 +130,7 @@ class JointSearch:
     make: Callable[[Scene], Engine]
     most_benches: int
     noise_misfit: float | None
+    known: NDArray[Any] | None = None
     progress: Progress | None = None
     keep: Callable[[Stand], None] | None = None
 
@@ -153,7 +154,7 @@ class JointSearch:
         joint = self._joint(stand.unknowns, model, transmission, self.parameters)
         # No better than where the search ends: where the squared misfit has risen by as little.
         variance = LEAST_GAINS[-1] * joint.linear.misfit**2
-        left = joint.told_curvature(FOLLOWED)
+        left = joint.told_curvature(FOLLOWED if self.known is None else 0)
         deviations = np.sqrt(np.clip(np.diag(np.linalg.inv(left)), 0.0, None) * variance)
         typical = np.array([p.typical for p in self.parameters])
         values = stand.unknowns.of(names)
@@ -224,6 +225,9 @@ class JointSearch:
         self, unknowns: Unknowns, near: Operator | None = None
     ) -> tuple[RecordingModel, NDArray[Any]]:
         model = self._model(unknowns, near)
+        if self.known is not None:
+            model.scale = Linearised(model, self.known, self.scale is None).scale
+            return model, self.known
         found = reconstruct(
             model.engine,
             model.illumination,
@@ -267,14 +271,15 @@ class JointSearch:
         columns = self._columns(unknowns, linear, parameters)
         values = unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
-        return JointStep(linear, columns, values, typical, self._variance(linear.misfit), transmission)
+        variance, follows = self._variance(linear.misfit), self.known is None
+        return JointStep(linear, columns, values, typical, variance, transmission, follows)
 
     def _columns(
         self, unknowns: Unknowns, linear: Linearised, parameters: tuple[Parameter, ...]
     ) -> RealArray:
         engine = linear.model.engine
         carried = [p for p in parameters if p.part in ("lens", "mounting")]
-        steps = [Changed(self._placed(_moved(unknowns, p)), STEP_SHARE * p.typical) for p in carried]
+        steps = [Changed(self._placed(_moved(unknowns, p)), p.small) for p in carried]
         changes = iter(lens_changes(engine, linear.lit, steps, self.make) if steps else [])
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
@@ -294,12 +299,12 @@ class JointSearch:
         even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
         now = unknowns.bench.light.on(even).values
         there = _moved(unknowns, parameter).bench.light.on(even).values
-        return np.asarray((there / now - 1.0) / (STEP_SHARE * parameter.typical))
+        return np.asarray((there / now - 1.0) / parameter.small)
 
 
 def _moved(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
     here = unknowns.values.get(parameter.name, 0.0)
-    return unknowns.changed([parameter.name], [here + STEP_SHARE * parameter.typical])
+    return unknowns.changed([parameter.name], [here + parameter.small])
 
 
 def _of_camera(linear: Linearised, name: str) -> RealArray:

@@ -37,6 +37,8 @@ class JointStep:
         Of a residual, as far as the model has errors of its own.
     transmission
         Of the object; real where it is an amplitude.
+    follows
+        Whether the object is unknown, too; else it stays as it is.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class JointStep:
         typical: Array,
         variance: float,
         transmission: NDArray[Any],
+        follows: bool = True,
     ) -> None:
         self.linear, self.columns = linear, columns.reshape(len(columns), -1)
         self.pull = variance / typical**2
@@ -56,7 +59,7 @@ class JointStep:
         self.damping = DAMPING * linear.misfit**2 / typical**2
         self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
         slope = self._object_part(linear.to_object(left))
-        self.free = linear.model.lit
+        self.free = linear.model.lit & follows
         if self.is_real:
             stuck = ((transmission <= 0.0) & (slope < 0.0)) | ((transmission >= 1.0) & (slope > 0.0))
             self.free = self.free & ~stuck

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -23,7 +24,7 @@ from wavesim.camera.mounting import (
     WORKING_DISTANCE,
     with_values,
 )
-from wavesim.scene.bench import AMPLITUDE_ORDERS, PHASE_ORDERS, Bench, Orders
+from wavesim.scene.bench import Bench, Orders
 
 Part = Literal["light", "lens", "mounting", "camera"]
 
@@ -47,7 +48,17 @@ are smaller the larger a lens is."""
 LIGHT_WAVES, PHASE_WAVES, AMPLITUDE = 1.0, 0.15, 0.1
 """Of the light over the patch: tilt and bend in waves, and unevenness as a share."""
 
+LIGHT_ORDER, LIGHT_ORDER_ALONE = 2, 4
+"""Highest sum of orders of the light's modes that are sought beside an unknown object, and without any."""
+
+LIGHT_MODE = re.compile(r"light_(amplitude|phase)_(\d)(\d)(?:_waves)?")
+
+MOST_PLANES = 99
+
 SHIFT_PIXELS, BACKGROUND = 2.0, 0.02
+
+STEP_SHARE = 0.05
+"""Of what is usual of a parameter: so small a change is linear."""
 
 
 @dataclass(frozen=True)
@@ -96,15 +107,23 @@ class Parameter:
     part : {"light", "lens", "mounting", "camera"}
     typical : float
         Standard deviation that is expected.
+    usual : float, optional
+        The same of a bench of which nobody has said anything, where that is another.
     """
 
     name: str
     part: Part
     typical: float
+    usual: float | None = None
+
+    @property
+    def small(self) -> float:
+        """A change over which its effect is taken as linear, and is no rounding."""
+        return STEP_SHARE * (self.usual or self.typical)
 
 
 def bench_parameters(
-    lens: Lens, planes: int, patch_mm: float, wavelength_um: float, *, light: bool = True
+    lens: Lens, planes: int, patch_mm: float, wavelength_um: float, *, light_order: int = LIGHT_ORDER
 ) -> tuple[Parameter, ...]:
     """All that may be sought of a bench, with what is expected of each.
 
@@ -121,10 +140,11 @@ def bench_parameters(
         Side of the object patch.
     wavelength_um
         Vacuum wavelength.
-    light
-        Whether light is told from the object: not from one that is complex itself.
+    light_order
+        Highest sum of orders of the light's modes; 0 where no light is told from the object: not from one
+        that is complex itself.
     """
-    found = list(_of_light(patch_mm, wavelength_um)) if light else []
+    found = list(_of_light(patch_mm, wavelength_um, light_order)) if light_order else []
     pitch_um, size = lens.sensor.pixel_pitch_um, abs(lens.object_z_mm)
     for n in range(1, planes + 1):
         if n > 1:
@@ -143,6 +163,41 @@ def bench_parameters(
     found += [Parameter(name, "mounting", TYPICAL["tilt_deg"] * share) for name in TILTS]
     found.append(Parameter(WORKING_DISTANCE, "mounting", TYPICAL["distance"]))
     return tuple(found)
+
+
+def all_names(lens: Lens) -> tuple[str, ...]:
+    """Of whatever may be sought of a lens and its bench."""
+    found = bench_parameters(lens, MOST_PLANES, 1.0, 1.0, light_order=LIGHT_ORDER_ALONE)
+    return tuple(p.name for p in found)
+
+
+def with_priors(
+    parameters: Sequence[Parameter], priors: Mapping[str, float], allowed: Sequence[str]
+) -> tuple[Parameter, ...]:
+    """The same, of which other standard deviations are expected.
+
+    Parameters
+    ----------
+    parameters
+        What is sought.
+    priors
+        Standard deviations by name; the others stay as they are.
+    allowed
+        Names that there are.
+
+    Raises
+    ------
+    InputError
+        If a name is none of them, or a deviation not above 0.
+    """
+    for name, deviation in priors.items():
+        if name not in allowed:
+            raise InputError(f"priors: {name!r}: no such parameter{did_you_mean(name, allowed)}")
+        if not 0.0 < deviation < math.inf:
+            raise InputError(f"priors: {name} = {deviation!r}: must be finite and above 0")
+    return tuple(
+        replace(p, typical=priors[p.name], usual=p.typical) if p.name in priors else p for p in parameters
+    )
 
 
 def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -175,13 +230,18 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
 SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
 
 
-def _of_light(patch_mm: float, wavelength_um: float) -> list[Parameter]:
+def _of_light(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
     tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
     return [
         *(Parameter(f"light_tilt_{axis}_deg", "light", tilt_deg) for axis in "xy"),
-        *(Parameter(f"light_phase_{i}{j}_waves", "light", PHASE_WAVES) for i, j in PHASE_ORDERS),
-        *(Parameter(f"light_amplitude_{i}{j}", "light", AMPLITUDE) for i, j in AMPLITUDE_ORDERS),
+        *(Parameter(f"light_phase_{i}{j}_waves", "light", PHASE_WAVES) for i, j in _orders(2, order)),
+        *(Parameter(f"light_amplitude_{i}{j}", "light", AMPLITUDE) for i, j in _orders(1, order)),
     ]
+
+
+def _orders(least: int, most: int) -> list[Orders]:
+    """Of modes, by their sum; the phase's first orders are the tilt."""
+    return [(total - j, j) for total in range(least, most + 1) for j in range(total + 1)]
 
 
 def _of_lens(lens: Lens, share: float) -> list[Parameter]:
@@ -204,14 +264,12 @@ def _of_lens(lens: Lens, share: float) -> list[Parameter]:
 def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
     told, light = unknowns.values, bench.light
     x, y = (told.get(f"light_tilt_{a}_deg", own) for a, own in zip("xy", light.tilt_deg, strict=True))
-
-    def modes(own: Mapping[Orders, float], orders: Sequence[Orders], name: str) -> dict[Orders, float]:
-        given = {(i, j): told[name.format(i, j)] for i, j in orders if name.format(i, j) in told}
-        return {**own, **given}
-
-    amplitude = modes(light.amplitude, AMPLITUDE_ORDERS, "light_amplitude_{}{}")
-    phase = modes(light.phase_waves, PHASE_ORDERS, "light_phase_{}{}_waves")
-    return replace(bench, light=replace(light, tilt_deg=(x, y), amplitude=amplitude, phase_waves=phase))
+    modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
+    for name, value in told.items():
+        if match := LIGHT_MODE.fullmatch(name):
+            modes[match[1]][int(match[2]), int(match[3])] = value
+    found = replace(light, tilt_deg=(x, y), amplitude=modes["amplitude"], phase_waves=modes["phase"])
+    return replace(bench, light=found)
 
 
 def _with_camera(unknowns: Unknowns, bench: Bench) -> Bench:

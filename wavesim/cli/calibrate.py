@@ -11,7 +11,8 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.files.design import load_design
-from wavesim.cli.options import AsJson, DesignOption, Frames, Output, print_warnings
+from wavesim.cli.bench_files import read_empty, read_priors
+from wavesim.cli.options import AsJson, DesignOption, Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import print_table, progress, versions
 from wavesim.scene.settings import CalibrationSettings, FrameSetSettings
 
@@ -31,6 +32,8 @@ def calibrate(
     known: Annotated[
         Path | None, typer.Option(help="The object, where it is known: a file (.npz), or its folder.")
     ] = None,
+    empty: Empty = None,
+    priors: Priors = None,
     as_json: AsJson = False,
 ) -> None:
     """Find what the bench is like: light, lens, mounting and camera.
@@ -39,7 +42,8 @@ def calibrate(
     `wavesim reconstruct --calibration`. The exit status is 0 if the frames are explained within their noise,
     and 1 if they are not. An interrupted run goes on with the same command.
     """
-    from wavesim.calibration.from_frames import CHECKPOINT, calibrate_frames
+    from wavesim.calibration.bench_search import CHECKPOINT
+    from wavesim.calibration.from_frames import calibrate_frames
     from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
 
@@ -48,11 +52,22 @@ def calibrate(
         warnings.simplefilter("always")
         lens = load_design(design)
         pictures = read_frames(frames, of_frames, lens=lens)
-        found = calibrate_frames(lens, pictures, settings, known=known, folder=output, progress=tell)
+        found = calibrate_frames(
+            lens,
+            pictures,
+            settings,
+            known=known,
+            empty=read_empty(empty, of_frames, lens),
+            priors=read_priors(priors, lens),
+            folder=output,
+            progress=tell,
+        )
     (output / CHECKPOINT).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
-    told = {"object": "known" if known else settings.kind, "warnings": messages}
+    told: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}
+    if empty:
+        told["empty"] = [str(path) for path in empty]
     summary = write_calibration(found, frames, pictures, told, output)
     if as_json:
         print_json(summary)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from wavesim.calibration.free_space.field import FreeSpaceField
 
 FILE = "calibration.json"
-OF_LENSES = ("design", "calibration", "truth")
 
 
 def in_free_space(
@@ -25,7 +24,7 @@ def in_free_space(
     settings: ReconstructionSettings,
     of_frames: FrameSetSettings,
     free: FreeSpaceSettings,
-    of_lenses: Sequence[Path | None],
+    of_lenses: Mapping[str, object],
     as_json: bool,
 ) -> None:
     """Find the field on z = 0 and write it, with the planes that are asked for."""
@@ -61,9 +60,9 @@ def in_free_space(
         _print(found, summary, output)
 
 
-def _refuse_of_lenses(settings: ReconstructionSettings, paths: Sequence[Path | None]) -> None:
+def _refuse_of_lenses(settings: ReconstructionSettings, of_lenses: Mapping[str, object]) -> None:
     """Refuse options that mean something where there is a lens alone."""
-    named = [name for name, path in zip(OF_LENSES, paths, strict=True) if path is not None]
+    named = [name for name, given in of_lenses.items() if given]
     for name, field in type(settings).model_fields.items():
         if name != "iterations" and getattr(settings, name) != field.get_default():
             named.append(name)

@@ -23,6 +23,14 @@ DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN", help="
 Frames = Annotated[
     list[Path], typer.Argument(metavar="FRAMES...", help="Frames (TIFF), one or more for each plane.")
 ]
+Empty = Annotated[
+    list[Path] | None,
+    typer.Option(help="Frames without an object, which tell the light; a folder of them, or given again."),
+]
+Priors = Annotated[
+    Path | None,
+    typer.Option(metavar="STUDY", help="Tolerance study (TOML): how far the lens may be from its design."),
+]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 

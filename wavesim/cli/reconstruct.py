@@ -14,14 +14,17 @@ from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
+from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.free_space import in_free_space
-from wavesim.cli.options import AsJson, Frames, Output, print_warnings
+from wavesim.cli.options import AsJson, Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
+from wavesim.scene.placement import Placement
 from wavesim.scene.settings import (
     CalibrationSettings,
     FramedSettings,
     FrameSetSettings,
     FreeSpaceSettings,
+    PoseSettings,
     ReconstructionSettings,
 )
 
@@ -30,6 +33,7 @@ CALIBRATED = "calibration"
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
+    from wavesim.calibration.calibrated import Calibrated
     from wavesim.camera.frames import Frame
     from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
@@ -52,6 +56,8 @@ def reconstruct(
     truth: Annotated[
         Path | None, typer.Option(help="True object (.npz), or the folder that holds it.")
     ] = None,
+    empty: Empty = None,
+    priors: Priors = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
@@ -68,12 +74,21 @@ def reconstruct(
 
     refuse_no_folder(output)
     if free.free_space:
-        in_free_space(frames, output, settings, of_frames, free, (design, calibration, truth), as_json)
+        of_lenses: dict[str, object] = {"design": design, "calibration": calibration, "truth": truth}
+        of_lenses |= {"empty": empty, "priors": priors}
+        in_free_space(frames, output, settings, of_frames, free, of_lenses, as_json)
         return
     if design is None:
         raise InputError("--design: must be given; frames that no lens stands before take --free-space")
     if free.calibrate and calibration is not None:
         raise InputError("--calibrate, --calibration: give one of them")
+    if empty and calibration is not None:
+        raise InputError(
+            "--empty, --calibration: give one of them; `wavesim calibrate --empty` writes a calibration that "
+            "has the light in it"
+        )
+    if priors is not None and not free.calibrate:
+        raise InputError("--priors: means nothing without --calibrate")
     tell_memory = memory_teller(output)
 
     def before(memory: Memory) -> None:
@@ -86,8 +101,14 @@ def reconstruct(
         lens = load_design(design)
         bench = None if calibration is None else read_calibration(calibration, lens)
         pictures = [read_frames(frames, of_frames, lens=lens)]
-        if free.calibrate:
-            bench = _calibrated(lens, frames, pictures[0], settings, output, as_json)
+        if free.calibrate or empty:
+            without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
+            expected = read_priors(priors, lens)
+            calibrated = _calibrated(lens, pictures[0], without, expected, settings, folder, free.calibrate)
+            seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
+            bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
+            if not free.calibrate:  # the calibration has the mounting, too
+                settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
         with progress() as tell:
             found = reconstruct_frames(
                 lens,
@@ -119,30 +140,42 @@ def reconstruct(
 
 def _calibrated(
     lens: Lens,
+    frames: Sequence[Frame],
+    empty: Sequence[Frame] | None,
+    priors: dict[str, float] | None,
+    settings: ReconstructionSettings,
+    output: Path,
+    calibrates: bool,
+) -> Calibrated:
+    """The bench as frames tell it, or the light alone as empty ones do; goes on where it was cut off."""
+    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, refuse_other_frames
+
+    given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    sought = CalibrationSettings(**given | {"kind": settings.kind})
+    with progress() as tell:
+        if calibrates or empty is None:
+            return calibrate_frames(
+                lens, frames, sought, empty=empty, priors=priors, folder=output, progress=tell
+            )
+        refuse_other_frames(empty, frames)
+        start = Placement(settings.pose)
+        return calibrate_empty(lens, empty, sought, start=start, progress=tell, parameters="light")
+
+
+def _told(
+    found: Calibrated,
     paths: Sequence[Path],
     frames: Sequence[Frame],
-    settings: ReconstructionSettings,
+    kind: str,
     output: Path,
     as_json: bool,
 ) -> Bench:
-    """The bench as the frames tell it, written beside the results; goes on where it was cut off."""
-    from wavesim.calibration.from_frames import calibrate_frames
+    """What was found, written beside the results."""
     from wavesim.cli.calibrate import print_calibration, write_calibration
 
-    given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
-    folder = output / CALIBRATED
-    with progress() as tell:
-        found = calibrate_frames(
-            lens,
-            frames,
-            CalibrationSettings(**given | {"kind": settings.kind}),
-            folder=folder,
-            progress=tell,
-        )
-    told: dict[str, Any] = {"object": settings.kind, "warnings": []}
-    summary = write_calibration(found, paths, frames, told, folder)
+    summary = write_calibration(found, paths, frames, {"object": kind, "warnings": []}, output)
     if not as_json:
-        print_calibration(found, summary, folder)
+        print_calibration(found, summary, output)
         print()
     return found.bench
 

@@ -23,10 +23,6 @@ from wavesim.scene.source import POINT, Source
 Orders = tuple[int, int]
 """Of a product of Legendre polynomials P_i(x) P_j(y)."""
 
-AMPLITUDE_ORDERS: tuple[Orders, ...] = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-PHASE_ORDERS: tuple[Orders, ...] = ((2, 0), (1, 1), (0, 2))
-"""Modes that are sought if nothing else is said; the phase's first orders are the tilt."""
-
 
 @dataclass(frozen=True)
 class LightErrors:

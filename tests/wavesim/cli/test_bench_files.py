@@ -1,0 +1,98 @@
+"""What a bench tells beside an object: frames without one, and tolerances of the lens, by the commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+from wavesim_command import run_wavesim
+
+from lensdesign import load_design, save_design, scaled
+from wavesim import image
+from wavesim.camera.frames import write_frame
+from wavesim.fields.files import write_field
+from wavesim.scene.bench import Bench, LightErrors
+
+Command = Callable[..., tuple[object, str, str]]
+
+LIGHT = Bench(light=LightErrors((0.5, -0.3), {(1, 0): -0.06}, {(2, 0): 0.05}))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Frames of a star and of nothing through a small twin, in a light that is tilted, uneven and bent."""
+    folder = tmp_path_factory.mktemp("bench")
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    save_design(lens, folder / "twin.toml")
+    for thing in ("star", "empty"):
+        made = image(lens, thing, placement=LIGHT, patch_mm=0.04, engine="eikonal", error=0.1)
+        (folder / thing).mkdir()
+        for number, frame in enumerate(made.frames, start=1):
+            write_frame(frame, folder / thing / f"frame_{number}.tif")
+            other = replace(frame, settings=frame.settings.replaced(wavelength_um=0.6))
+            write_frame(other, folder / thing / f"other_{number}.tif")
+        write_field(made.target.transmission, folder / thing / "object.npz")
+    return folder
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bench: Path) -> Command:
+    """A command on the frames of the star."""
+
+    def command(name: str, *arguments: object) -> tuple[object, str, str]:
+        frames = bench / "star" / "frame_1.tif", bench / "star" / "frame_2.tif"
+        design = "--design", bench / "twin.toml", "--patch-mm", 0.04, "--error", 0.1
+        return run_wavesim(monkeypatch, capsys, name, *frames, *design, *arguments)
+
+    return command
+
+
+def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: Path, tmp_path: Path) -> None:
+    quick = "--kind", "amplitude", "--iterations", 8, "--truth", bench / "star", "--json"
+    out = tmp_path / "out"
+    code, text, err = run("reconstruct", *quick, "--empty", bench / "empty", "-o", out)
+    assert code == 0, err
+    found = json.loads(text)["truth"]["object_correlation"]
+    assert found > 0.95
+    light = json.loads((out / "calibration" / "calibration.json").read_text())
+    assert light["object"] == "empty"
+    assert light["values"]["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
+    again = "--calibration", out / "calibration" / "calibration.json", "-o", tmp_path / "again"
+    code, text, err = run("reconstruct", *quick, *again)
+    assert code == 0, err
+    assert json.loads(text)["truth"]["object_correlation"] == pytest.approx(found, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--empty", "star"), "--empty: a smooth light leaves"),
+        (
+            ("--empty", "empty/other_1.tif"),
+            "--empty: wavelength_um = 0.6; that of the object's frames is 0.532",
+        ),
+        (("--empty", "empty/frame_1.tif"), "--empty: planes at 0.0416667 mm; the object's frames have"),
+        (("--empty", "twin.toml"), "twin.toml"),
+        (("--empty", "."), "holds no frame_*.tif"),
+        (("--calibrate", "--priors", DESIGNS / "paper_tolerances.toml"), "is a study of another design"),
+        (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: means nothing without --calibrate"),
+    ],
+)
+def test_what_cannot_serve_is_refused_and_nothing_written(
+    run: Command, bench: Path, tmp_path: Path, options: tuple[object, ...], message: str
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "reconstruction.json").write_text("kept")
+    given = [
+        bench / name if flag == "--empty" else name
+        for flag, name in zip(("", *options), options, strict=False)
+    ]
+    code, _, err = run("reconstruct", *given, "-o", out)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert [path.read_text() for path in out.iterdir()] == ["kept"]

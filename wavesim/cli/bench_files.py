@@ -1,0 +1,56 @@
+"""What is known of a bench beside the frames of an object: frames without one, and tolerances of the lens."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wavesim.scene.settings import FrameSetSettings, SettingError
+
+if TYPE_CHECKING:
+    from lensdesign.lens.lens import Lens
+    from wavesim.camera.frames import Frame
+
+FRAMES = "frame_*.tif"
+"""In a folder of `wavesim image`."""
+
+
+class PriorsWarning(UserWarning):
+    """A tolerance study perturbs what no calibration seeks."""
+
+
+def read_empty(
+    paths: Sequence[Path] | None, of_frames: FrameSetSettings, lens: Lens
+) -> tuple[Frame, ...] | None:
+    """Frames without an object: those named, and those of folders that `wavesim image` wrote."""
+    from wavesim.camera.frame_sets import read_frames
+
+    if not paths:
+        return None
+    files: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob(FRAMES)) if path.is_dir() else [path]
+        if not inside:
+            raise SettingError(f"{{empty}}: {path}: holds no {FRAMES}")
+        files += inside
+    return read_frames(files, of_frames, lens=lens)
+
+
+def read_priors(path: Path | None, lens: Lens) -> dict[str, float] | None:
+    """Standard deviations of what a calibration seeks, as a tolerance study has them."""
+    # The one place where a command looks above its package: what it hands down are plain numbers.
+    from tolerancing.study.priors import calibration_priors
+
+    if path is None:
+        return None
+    found = calibration_priors(path, lens)
+    if found.not_sought:
+        warnings.warn(
+            f"{path}: no calibration seeks {', '.join(found.not_sought)}: where they differ, it does not "
+            "find them",
+            PriorsWarning,
+            stacklevel=2,
+        )
+    return found.deviations
