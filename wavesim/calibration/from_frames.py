@@ -21,15 +21,16 @@ from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
 from wavesim.camera.recording import Progress
-from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
+from wavesim.evaluation.verdicts import MODEL_ERROR
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
-SEEN = 3.0
-"""Times what counts as explained: frames that a smooth light leaves more of saw an object."""
+SEEN_OVER_NOISE, SEEN = 4.0, 0.2
+"""What a smooth light leaves of frames that saw an object: times the noise, or, where there is much of that,
+a share of the amplitude beside it."""
 
 
 class EmptyWarning(UserWarning):
@@ -150,8 +151,9 @@ def calibrate_empty(
     sought = tuple(p for p in everything if p.part == "light" or p in asked)
     begin = Unknowns(lens, Bench(start or seen.start))
     found = searched(seen, sought, begin, None, tell, np.ones(seen.framed.light.grid.shape, np.float32))
-    over = found.misfit / math.hypot(found.misfit_of_noise or 0.0, MODEL_ERROR)
-    if over > SEEN * LIMIT:
+    noise = found.misfit_of_noise or 0.0
+    over = found.misfit / math.hypot(noise, MODEL_ERROR)
+    if over > SEEN_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > SEEN:
         raise SettingError(
             f"{{empty}}: a smooth light leaves {over:.1f} times the noise of these frames: must be frames "
             "without an object, through this lens" + _HINT * (len(asked) < len(everything))

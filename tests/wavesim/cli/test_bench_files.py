@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
-from wavesim_command import run_wavesim
+from wavesim_command import ENDED, run_wavesim
 
 from lensdesign import load_design, save_design, scaled
 from wavesim import image
@@ -29,7 +29,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
     save_design(lens, folder / "twin.toml")
     for thing in ("star", "empty"):
-        made = image(lens, thing, placement=LIGHT, patch_mm=0.04, engine="eikonal", error=0.1)
+        little_noise = {"full_well_electrons": 1e6, "bits": 16}
+        made = image(lens, thing, placement=LIGHT, patch_mm=0.04, engine="eikonal", error=0.3, **little_noise)
         (folder / thing).mkdir()
         for number, frame in enumerate(made.frames, start=1):
             write_frame(frame, folder / thing / f"frame_{number}.tif")
@@ -45,32 +46,41 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ben
 
     def command(name: str, *arguments: object) -> tuple[object, str, str]:
         frames = bench / "star" / "frame_1.tif", bench / "star" / "frame_2.tif"
-        design = "--design", bench / "twin.toml", "--patch-mm", 0.04, "--error", 0.1
+        design = "--design", bench / "twin.toml", "--patch-mm", 0.04, "--error", 0.3
         return run_wavesim(monkeypatch, capsys, name, *frames, *design, *arguments)
 
     return command
 
 
 def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: Path, tmp_path: Path) -> None:
-    quick = "--kind", "amplitude", "--iterations", 8, "--truth", bench / "star", "--json"
+    quick = (
+        "--kind",
+        "amplitude",
+        "--engine",
+        "eikonal",
+        "--iterations",
+        12,
+        "--truth",
+        bench / "star",
+        "--json",
+    )
     out = tmp_path / "out"
     code, text, err = run("reconstruct", *quick, "--empty", bench / "empty", "-o", out)
-    assert code == 0, err
+    assert code in ENDED, err
     found = json.loads(text)["truth"]["object_correlation"]
-    assert found > 0.95
+    assert found > 0.9
     light = json.loads((out / "calibration" / "calibration.json").read_text())
     assert light["object"] == "empty"
     assert light["values"]["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
     again = "--calibration", out / "calibration" / "calibration.json", "-o", tmp_path / "again"
     code, text, err = run("reconstruct", *quick, *again)
-    assert code == 0, err
+    assert code in ENDED, err
     assert json.loads(text)["truth"]["object_correlation"] == pytest.approx(found, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--empty", "star"), "--empty: a smooth light leaves"),
         (
             ("--empty", "empty/other_1.tif"),
             "--empty: wavelength_um = 0.6; that of the object's frames is 0.532",
@@ -96,3 +106,12 @@ def test_what_cannot_serve_is_refused_and_nothing_written(
     assert code == 2
     assert message in " ".join(err.split())
     assert [path.read_text() for path in out.iterdir()] == ["kept"]
+
+
+def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_path: Path) -> None:
+    (tmp_path / "calibration.json").write_text("kept")
+    quick = "--parameters", "light", "--most-mountings", 6
+    code, _, err = run("calibrate", "--empty", bench / "star", *quick, "-o", tmp_path)
+    assert code == 2
+    assert "--empty: a smooth light leaves" in err
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]
