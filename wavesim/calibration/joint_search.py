@@ -10,7 +10,7 @@ it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -133,6 +133,7 @@ class JointSearch:
     known: NDArray[Any] | None = None
     progress: Progress | None = None
     keep: Callable[[Stand], None] | None = None
+    _last: list[tuple[Unknowns, RecordingModel, NDArray[Any]]] = field(default_factory=list, init=False)
 
     def run(self, stand: Stand) -> Told:
         """Search, and see what the frames tell.
@@ -150,7 +151,7 @@ class JointSearch:
                 stand = replace(stand, stage=stage)
             stand, reason = self._descended(stand, parameters)
         names = [p.name for p in self.parameters]
-        model, transmission = self._reconstructed(stand.unknowns)
+        model, transmission = self._at(stand.unknowns)
         joint = self._joint(stand.unknowns, model, transmission, self.parameters)
         # No better than where the search ends: where the squared misfit has risen by as little.
         variance = LEAST_GAINS[-1] * joint.linear.misfit**2
@@ -175,7 +176,7 @@ class JointSearch:
         names = [p.name for p in parameters]
         before: tuple[Unknowns, float] | None = None
         while len(stand.trail) < self.most_benches:
-            model, transmission = self._reconstructed(stand.unknowns)
+            model, transmission = self._at(stand.unknowns)
             joint = self._joint(stand.unknowns, model, transmission, parameters)
             misfit = joint.linear.misfit
             stand = self._told(stand, stand.unknowns, misfit)
@@ -220,6 +221,13 @@ class JointSearch:
             return Linearised(model, transmission, self.scale is None).misfit
         except TransferLensError:
             return RUNAWAY
+
+    def _at(self, unknowns: Unknowns) -> tuple[RecordingModel, NDArray[Any]]:
+        """With an engine of its own; a stage begins, and the search ends, where the last one was made."""
+        if not self._last or self._last[0][0] is not unknowns:
+            self._last[:] = [(unknowns, *self._reconstructed(unknowns))]
+        _, model, transmission = self._last[0]
+        return model, transmission
 
     def _reconstructed(
         self, unknowns: Unknowns, near: Operator | None = None

@@ -1,0 +1,57 @@
+"""Frames from benches that differ from the design: the object before and after they are calibrated.
+
+A folder holds frames, the true object (`object.npz`) and `set.json`, which names frames, patch and errors;
+the design as the lab believes it, `nominal.toml`, lies beside the folder. Without folders the set in
+`tests/golden/bench` is taken. All settings are the defaults of the commands.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import Row, print_table
+from lensdesign import load_design
+from wavesim import calibrate_frames, read_frames, reconstruct_frames
+from wavesim.objects.patch import lit_patch, read_object
+from wavesim.scene.settings import ReconstructionSettings
+
+GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "golden" / "bench" / "everything"
+
+
+def main() -> None:
+    """Measure and print."""
+    for folder in [Path(name) for name in sys.argv[1:]] or [GOLDEN]:
+        print_table(f"{folder.name}: before and after its calibration", _rows(folder))
+
+
+def _rows(folder: Path) -> list[Row]:
+    about = json.loads((folder / "set.json").read_text())
+    lens = load_design(folder.parent / "nominal.toml")
+    frames = read_frames([folder / name for name in about["files"]], lens=lens)
+    settings = ReconstructionSettings(kind="amplitude", patch_mm=about["patch_mm"])
+    true = read_object(folder, lit_patch(lens, settings)[0])
+    before = reconstruct_frames(lens, frames, settings, truth=true)
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = calibrate_frames(lens, frames, patch_mm=about["patch_mm"])
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.bench)
+    print("\n".join(f"{name} = {value:.4g}" for name, value in found.table()["values"].items()))
+    noise = found.misfit_of_noise or np.nan
+    return [
+        Row("correlation as designed", before.truth["object_correlation"] or 0.0),
+        Row("correlation calibrated", after.truth["object_correlation"] or 0.0, at_least=0.985),
+        Row("misfit over noise, search", found.misfit / noise, at_most=1.15),
+        Row("misfit over noise, reconstruction", after.verdict.over_noise),
+        Row("benches tried", len(found.trail)),
+        Row("calibration", wall, "s", at_most=180.0),
+        Row("calibration, processor time", cpu, "s"),
+    ]
+
+
+if __name__ == "__main__":
+    main()
