@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from compile_once import take_turns
+from cores import keep_to_own_cores
 from hypothesis import HealthCheck, settings
 from places import DESIGNS, GOLDEN, ROOT
 
@@ -45,8 +46,9 @@ LONG = (
 
 
 def pytest_configure() -> None:
-    """Workers compile in turns."""
+    """Workers compile in turns, each on cores of its own."""
     if "PYTEST_XDIST_WORKER" in os.environ:
+        keep_to_own_cores()
         take_turns(Path(__file__))
 
 

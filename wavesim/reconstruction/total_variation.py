@@ -28,6 +28,8 @@ PROX_STEP = 0.248
 
 ROWS = 64
 
+SAMPLES_PER_THREAD = 2**15
+"""At least: with fewer, threads wait for each other longer than they work."""
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
@@ -114,7 +116,8 @@ def prox_tv(values: Values, weight: float, iterations: int = PROX_ITERATIONS) ->
     real = result.real.dtype.type
     step, inverse = real(PROX_STEP / values.ndim), real(1.0 / weight)
     height = len(result)
-    starts = list(range(0, height, max(1, -(-height // THREADS))))
+    threads = min(THREADS, max(1, result.size // SAMPLES_PER_THREAD))
+    starts = list(range(0, height, max(1, -(-height // threads))))
     parts = list(zip(starts, [*starts[1:], height], strict=True))
     # Of the rows at which threads meet; there is none after the last.
     meeting = np.empty((len(parts) + 1, result.shape[1]), result.dtype)

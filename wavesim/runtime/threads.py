@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -44,13 +45,35 @@ def for_blocks(work: Callable[[int, int], Part], count: int, block: int) -> list
     starts = range(0, count, block)
 
     def one_thread(first: int) -> list[Part]:
-        return [work(start, min(start + block, count)) for start in starts[first::THREADS]]
+        return [work(start, min(start + block, count)) for start in starts[first::threads]]
 
-    if len(starts) < 2:
-        return one_thread(0)
-    with ThreadPoolExecutor(THREADS) as pool:
-        found = list(pool.map(one_thread, range(THREADS)))
-    return [found[number % THREADS][number // THREADS] for number in range(len(starts))]
+    threads = max(1, min(THREADS, len(starts)))
+    found = _each(one_thread, threads)
+    return [found[number % threads][number // threads] for number in range(len(starts))]
+
+
+def _each(work: Callable[[int], Part], threads: int) -> list[Part]:
+    """What work gives for every number from 0 on, each in a thread; the first in this one."""
+    if threading.current_thread().name.startswith(_KEPT):  # no thread waits for others of its own pool
+        return [work(number) for number in range(threads)]
+    running = [_pool(threads - 1).submit(work, number) for number in range(1, threads)]
+    try:
+        return [work(0), *(one.result() for one in running)]
+    finally:  # what is amiss in one must not be told while others still write
+        wait(running)
+
+
+_KEPT = "transferlens-share"
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that are kept: to start them takes longer than the work on a small array."""
+    return ThreadPoolExecutor(threads, _KEPT)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:
@@ -60,15 +83,8 @@ def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:
 
 def share(work: Callable[[int, int], None], count: int, threads: int = THREADS) -> None:
     """Do even parts of a range, from a start to a stop, in threads; the first part in this one."""
-    (first, *others) = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
-    if not others:
-        work(*first)
-        return
-    with ThreadPoolExecutor(len(others)) as pool:
-        running = [pool.submit(work, *part) for part in others]
-        work(*first)
-        for part in running:
-            part.result()
+    parts = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
+    _each(lambda number: work(*parts[number]), threads)
 
 
 @contextmanager

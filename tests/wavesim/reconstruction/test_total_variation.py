@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wavesim.reconstruction import total_variation
 from wavesim.reconstruction.total_variation import prox_tv
 
 
@@ -69,7 +70,12 @@ def in_numpy(values: np.ndarray, weight: float, iterations: int) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", [(12, 9), (1, 7), (7, 1), (2, 2), (3, 50), (131, 20)])
 @pytest.mark.parametrize("iterations", [1, 12])
-def test_threads_do_what_all_rows_together_do(shape: tuple[int, int], iterations: int) -> None:
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_do_what_all_rows_together_do(
+    monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int], iterations: int, threads: int
+) -> None:
+    monkeypatch.setattr(total_variation, "THREADS", threads)
+    monkeypatch.setattr(total_variation, "SAMPLES_PER_THREAD", 1)
     rng = np.random.default_rng(8)
     values = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     before = values.copy()

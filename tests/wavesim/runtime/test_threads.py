@@ -2,23 +2,71 @@
 
 from __future__ import annotations
 
+import os
+import time
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.runtime.threads import for_blocks, rows_in
+from wavesim.runtime import threads
+from wavesim.runtime.threads import for_blocks, rows_in, share
 
 
-@given(st.integers(0, 50), st.integers(1, 20))
-def test_blocks_cover_all_in_order(count: int, block: int) -> None:
-    found = for_blocks(lambda start, stop: (start, stop), count, block)
+@given(st.integers(0, 50), st.integers(1, 20), st.integers(1, 4))
+def test_blocks_cover_all_in_order(count: int, block: int, threads: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wavesim.runtime.threads.THREADS", threads)
+        found = for_blocks(lambda start, stop: (start, stop), count, block)
     assert [k for start, stop in found for k in range(start, stop)] == list(range(count))
     assert all(stop - start <= block for start, stop in found)
 
 
-def test_what_goes_wrong_in_a_thread_is_told() -> None:
+@pytest.mark.parametrize("count", [1, 3])
+def test_parts_cover_a_range(count: int) -> None:
+    touched = np.zeros(10, int)
+
+    def work(start: int, stop: int) -> None:
+        touched[start:stop] += 1
+
+    share(work, len(touched), count)
+    assert touched.tolist() == [1] * 10
+
+
+@pytest.mark.parametrize("wrong", range(10))
+def test_what_goes_wrong_in_a_thread_is_told_when_all_have_ended(
+    monkeypatch: pytest.MonkeyPatch, wrong: int
+) -> None:
+    monkeypatch.setattr(threads, "THREADS", 3)
+    running = []
+
+    def work(start: int, _: int) -> None:
+        running.append(start)
+        time.sleep(1e-3)
+        running.remove(start)
+        if start == wrong:
+            raise ZeroDivisionError
+
     with pytest.raises(ZeroDivisionError):
-        for_blocks(lambda start, _: 1 // (start - 3), 10, 1)
+        for_blocks(work, 10, 1)
+    assert not running
+
+
+def test_work_in_a_thread_may_share_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "THREADS", 3)
+    found = for_blocks(lambda a, _: for_blocks(lambda c, _: (a, c), 4, 1), 4, 1)
+    assert found == [[(a, c) for c in range(4)] for a in range(4)]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that are forked")
+def test_a_forked_process_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "THREADS", 2)
+    for_blocks(lambda a, _: a, 4, 1)
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if for_blocks(lambda a, _: a, 4, 1) == [0, 1, 2, 3] else 1)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_a_block_has_a_row_at_least() -> None:

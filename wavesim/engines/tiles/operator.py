@@ -44,6 +44,9 @@ where maps are not held to rays."""
 
 ROWS = 64
 
+POINTS_PER_THREAD = 2**16
+"""Of a transform: with fewer, threads wait for each other longer than they work."""
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -212,7 +215,8 @@ class TileOperator:
 
 def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[Any, Any]:
     """Transforms of types 2 and 1 that are each other's conjugate transpose."""
-    points, threads = folded(angles, precision.dtype), THREADS if len(shape) == 3 else 1
+    points = folded(angles, precision.dtype)
+    threads = min(THREADS, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
     first, second = (fourier_plan(kind, shape, precision, threads) for kind in (2, 1))
     for plan in (first, second):
         plan.setpts(*points)
