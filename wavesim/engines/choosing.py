@@ -133,9 +133,10 @@ def engine_for(
             )
     if name != AUTO:
         return engine_class(name)(scene, **settings)
+    built: dict[int, Engine] = {}
     most = DEFAULT_ERROR if error is None else error
-    chosen = choose(scene, most, memory_gb, runs=runs, light=light).chosen
-    return engine_class(chosen.engine)(scene, **chosen.settings)
+    chosen = _chosen(scene, most, memory_gb, LONGEST_SECONDS, runs, light, built).chosen
+    return built[id(chosen)]
 
 
 def predict(scene: Scene, engine: str, light: Light | None = None, **settings: Any) -> Prediction:
@@ -155,17 +156,20 @@ def predict(scene: Scene, engine: str, light: Light | None = None, **settings: A
     InputError
         If there is no such engine or setting, or the light is not that of the scene.
     """
-    built = engine_for(scene, engine, **settings)
+    return _predicted(engine_for(scene, engine, **settings), settings, light)
+
+
+def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> Prediction:
     if light is not None:
-        light.refuse_beside(scene)
+        light.refuse_beside(built.scene)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
             cost, parts = built.cost(), built.neglected_of(light)
         except (InputError, SamplingError) as problem:
-            return Prediction(engine, settings, refused=str(problem))
+            return Prediction(built.name, settings, refused=str(problem))
     return Prediction(
-        engine,
+        built.name,
         settings,
         upper_bound(parts),
         cost.seconds,
@@ -175,13 +179,22 @@ def predict(scene: Scene, engine: str, light: Light | None = None, **settings: A
     )
 
 
-def predictions(scene: Scene, error: float, light: Light | None = None) -> Iterator[Prediction]:
-    """Predictions of all engines, each with its candidates up to the first that holds or brings no gain."""
+def predictions(
+    scene: Scene, error: float, light: Light | None = None, built: dict[int, Engine] | None = None
+) -> Iterator[Prediction]:
+    """Predictions of all engines, each with its candidates up to the first that holds or brings no gain.
+
+    `built` takes the engines that hold, by the identity of their predictions: what they have found out about
+    the scene need not be found out again.
+    """
     for name in ENGINES:
         engine, before = engine_class(name), math.inf
         for settings in engine.candidates(scene, error):
-            found = predict(scene, name, light, **settings)
+            one = engine(scene, **settings)
+            found = _predicted(one, settings, light)
             yield found
+            if built is not None and found.relative_error <= error:
+                built[id(found)] = one
             if found.refused or found.relative_error <= error or found.relative_error > engine.gain * before:
                 break
             before = found.relative_error
@@ -217,6 +230,18 @@ def choose(
     SamplingError
         If no engine holds; the message has the figures of each.
     """
+    return _chosen(scene, error, memory_gb, seconds, runs, light, None)
+
+
+def _chosen(
+    scene: Scene,
+    error: float,
+    memory_gb: float,
+    seconds: float,
+    runs: int,
+    light: Light | None,
+    built: dict[int, Engine] | None,
+) -> Choice:
     if not 0.0 < error < 2.0:
         raise InputError(f"error = {error!r}: must be above 0 and below 2")
     for name, value in (("memory_gb", memory_gb), ("seconds", seconds)):
@@ -224,7 +249,7 @@ def choose(
             raise InputError(f"{name} = {value!r}: must be above 0")
     refuse_not_whole("runs", runs, 1)
     allowed = Allowed(error, 1e9 * memory_gb, seconds, runs)
-    weighed = tuple(predictions(scene, error, light))
+    weighed = tuple(predictions(scene, error, light, built))
     holding = [p for p in weighed if allowed.fault(p) is None]
     if not holding:
         listed = "; ".join(f"{p.label}: {allowed.fault(p)}" for p in weighed)

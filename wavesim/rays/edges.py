@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.ray_bundles import STEP, OpenPupil, RayBundle, shoot, trace_bundle
+from wavesim.rays.ray_bundles import STEP, OpenPupil, RayBundle, inverses, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
 SHADOW = 8.0
@@ -45,6 +45,8 @@ FRINGES = 3.0
 """Most that x times the movement of x over neighbouring points may be, where F is told."""
 
 AIMED_MM = 1e-5
+MET_MM = 1e-13
+"""Rounding: nearer rays do not come."""
 LEAST = 1e-9
 """Way in stop coordinates over which a rate can be told."""
 
@@ -199,6 +201,8 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
         rate, bend = np.where(new, found[0], rate), np.where(new, found[1], bend)
         x = np.sign(inner[1]) * np.sqrt(np.abs(inner[1]))
         moves = np.where(new, x / np.linalg.norm(step, axis=1), moves)
+        if not np.any((rate == SHARPEST) & base.ok):
+            break
     turned = moves < 0.0
     return Edge(pupil, np.minimum(rate, SHARPEST), bend, turned, float(np.max(np.abs(moves))))
 
@@ -261,9 +265,11 @@ class _Rim:
         moves = [STEP * np.eye(2)[axis] for axis in axes]
         ends = [[self.reached(points, stop + sign * move)[0] for sign in (1.0, -1.0)] for move in moves]
         slopes = np.stack([(a - b)[:, axes] / (2.0 * STEP) for a, b in ends], axis=-1)
-        inverse, found = np.linalg.pinv(slopes), stop.copy()
+        inverse, found = inverses(slopes), stop.copy()
         for _ in range(AIM_STEPS):
             miss = (at - self.reached(points, found)[0])[:, axes]
+            if not np.any(np.abs(miss) > MET_MM):
+                break
             found[:, axes] += np.einsum("nij,nj->ni", inverse, miss)
         return found
 
@@ -283,11 +289,13 @@ def _aimed(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Stop points of rays that meet the plane at targets (x, y, z), their paths, and whether they do."""
     axes = [1] if scene.object_grid.is_line else [1, 0]
-    stop, inverse = base.pupil.copy(), np.linalg.pinv(np.where(base.ok[:, None, None], base.jacobian, 1.0))
+    stop, inverse = base.pupil.copy(), inverses(np.where(base.ok[:, None, None], base.jacobian, 1.0))
     index = float(scene.system.index[0, -1])
     for _ in range(AIM_STEPS):
         rays = shoot(scene, points, stop, plane_z_mm, clip=False)
         miss = np.where(rays.ok[:, None], (target - rays.position)[:, axes], 0.0)
+        if not np.any(np.abs(miss) > MET_MM):
+            break
         stop[:, axes] += np.einsum("nij,nj->ni", inverse, miss)
     rays = shoot(scene, points, stop, plane_z_mm, clip=False)
     miss = (target - rays.position)[:, axes]

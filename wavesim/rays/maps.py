@@ -8,7 +8,7 @@ decentered or perturbed. The order of the polynomials is raised until rays that 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -255,7 +255,9 @@ def ray_map(
         bundle = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order), plane_z_mm)
         caustics = refuse_fold(bundle, point_mm, plane_z_mm)
         check = trace_bundle(scene, np.asarray(point_mm), sample_points(traced, order, 0.37), plane_z_mm)
-        maps = fit_map(bundle.sensor_mm[bundle.ok], _carried(bundle)[:, bundle.ok], order)
+        told = _carried(bundle)[:, bundle.ok]
+        both = fit_map(bundle.sensor_mm[bundle.ok], np.concatenate([told, _stop_of(bundle)]), order)
+        maps = replace(both, coefficients=both.coefficients[: len(told)])
         difference = np.abs(maps.at(check.sensor_mm) - _carried(check))[:, check.ok]
         errors = np.array(
             [
@@ -266,7 +268,7 @@ def ray_map(
         )
         if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
             borders = [_border_mm(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
-            stop = None if drawn is None else _stop_map(bundle, order)
+            stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(told) :])
             return RayMap(
                 plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop
             )
@@ -302,9 +304,9 @@ def _border_mm(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
     return ends[:, [1] if pupil.is_line else [1, 0]]
 
 
-def _stop_map(bundle: RayBundle, order: int) -> SmoothMap:
-    stop = bundle.pupil[bundle.ok][:, [1] if bundle.sensor_mm.shape[1] == 1 else [1, 0]]
-    return fit_map(bundle.sensor_mm[bundle.ok], stop.T, order)
+def _stop_of(bundle: RayBundle) -> Array:
+    """Stop coordinates, y (and x), of the rays that arrive."""
+    return bundle.pupil[bundle.ok][:, [1] if bundle.sensor_mm.shape[1] == 1 else [1, 0]].T
 
 
 def _carried(bundle: RayBundle) -> Array:

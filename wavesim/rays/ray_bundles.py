@@ -257,6 +257,17 @@ def determinants(matrices: Array) -> Array:
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
+def inverses(matrices: Array) -> Array:
+    """Of matrices of one or two rows, shape (n, d, d), as :func:`determinants`; 0 where there is none."""
+    size = determinants(matrices)
+    with np.errstate(divide="ignore"):
+        share = np.where(size != 0.0, 1.0 / size, 0.0)[:, None, None]
+    if matrices.shape[-1] == 1:
+        return np.asarray(share)
+    (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
+    return np.asarray(share * np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0))
+
+
 def _part(rays: RayTrace, part: slice) -> RayTrace:
     """Some rays of a trace."""
     return replace(rays, **{f.name: getattr(rays, f.name)[part] for f in fields(rays)})

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.rays.maps import RayMap, RayMapError, SmoothMap, fit_map, sample_points
-from wavesim.rays.ray_bundles import shoot, trace_bundle
+from wavesim.rays.ray_bundles import inverses, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
@@ -133,15 +133,17 @@ class Residual:
         return Separable(None, self.mean, one, self.spans_mm, self.mean_error())
 
     @cached_property
-    def _singular(self) -> tuple[ComplexArray, Array, ComplexArray]:
+    def _singular(self) -> tuple[Array, ComplexArray]:
+        """Singular values and, as rows, right vectors."""
         values, shares = self.fine
-        scaled = np.sqrt(self.weights)[:, None] * values * np.sqrt(shares)
-        return np.linalg.svd(scaled, full_matrices=False)
+        lit = self.weights > 0.0
+        scaled = np.sqrt(self.weights[lit])[:, None] * values[lit] * np.sqrt(shares)
+        return np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=False)[1:]
 
     @cached_property
     def _left(self) -> Array:
         """Relative error that 0, 1, ... terms leave."""
-        rest = np.cumsum(self._singular[1][::-1] ** 2)[::-1]
+        rest = np.cumsum(self._singular[0][::-1] ** 2)[::-1]
         return np.asarray(np.sqrt(np.append(rest, 0.0) / rest[0]))
 
     def left_by(self, rank: int) -> float:
@@ -161,7 +163,7 @@ class Residual:
             If polynomials cannot follow its factors over the footprint.
         """
         rank = min(self.rank_for(error), MAX_RANK)
-        right = self._singular[2]
+        right = self._singular[1]
         values, shares = self.fine
         # Of points without weight too, in the shadow behind the rim.
         factors = (values * np.sqrt(shares) @ right[:rank].conj().T).T
@@ -212,7 +214,7 @@ def tile_residual(scene: Scene, point_mm: tuple[float, float], spans_mm: Array, 
     n, m = len(pupil), len(offsets)
     points = np.asarray(point_mm) + np.repeat(_as_xy(offsets), n, axis=0)
     stop = np.tile(pupil, (m, 1))
-    inverse = np.tile(np.linalg.pinv(base.jacobian), (m, 1, 1))
+    inverse = np.tile(inverses(base.jacobian), (m, 1, 1))
     target = np.tile(base.sensor_mm, (m, 1))
     axes = [1] if d == 1 else [1, 0]
     for _ in range(AIM_STEPS):
