@@ -183,8 +183,8 @@ def test_each_phase_holds_what_is_listed(
 def test_memory_of_a_wide_source_and_a_tilted_sensor_is_told_beforehand(
     width_deg: float, tilt_deg: tuple[float, float]
 ) -> None:
-    engine, distances_mm = Nothing((600, 640)), (0.0, 20.0)
-    modes = Source(width_deg).modes(0.532)
+    engine, distances_mm = Nothing((300, 320)), (0.0, 20.0)
+    modes = Source(width_deg).modes(0.532, rings=1)
     expected = reconstruction_bytes(
         engine, distances_mm, active_width=1.0, modes=len(modes), tilted=any(tilt_deg)
     ).most_bytes
@@ -224,7 +224,7 @@ def run(shape, room):
 run((64, 64), Scratch())  # compiles and loads all
 status = pathlib.Path("/proc/self/status").read_text()
 used = 1024 * int(status.split("VmData:")[1].split()[0])
-shape = (1600, 1700)
+shape = (1100, 1200)
 told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", active_width=1.0)
 limit = (told.least_bytes + told.most_bytes) // 2
 resource.setrlimit(resource.RLIMIT_DATA, (used + limit, used + limit))
