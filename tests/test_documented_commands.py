@@ -19,6 +19,7 @@ from typing import NamedTuple
 import pytest
 from places import ROOT
 from short_studies import copy_designs
+from small_pictures import draw_few_dots
 from typer.main import get_command
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -192,6 +193,7 @@ def runner() -> Runner:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder with the designs in it."""
     copy_designs(tmp_path)
+    draw_few_dots(monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     return tmp_path

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
+from small_pictures import draw_few_dots
 
 from lensdesign import Pose, load_design
 from lensdesign.cli.commands import main
@@ -259,8 +260,10 @@ def test_optimize_leaves_its_specification_alone(
     assert specification.read_text() == text
 
 
-def test_draw_writes_pictures(command: Command, paper_design: Path, tmp_path: Path) -> None:
-    pytest.importorskip("lensdesign.pictures.plots")
+def test_draw_writes_pictures(
+    command: Command, paper_design: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw_few_dots(monkeypatch)
     code, out, _ = command("draw", paper_design, "-o", tmp_path / "pictures", "--format", "svg", "--json")
     assert code == 0
     files = [Path(f) for f in json.loads(out)["files"]]

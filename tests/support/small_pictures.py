@@ -1,0 +1,17 @@
+"""Pictures of few dots, where it is not pictures that are tested: they are drawn sooner."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+from lensdesign.pictures import plots, scene3d
+from wavesim.pictures import frames
+
+
+def draw_few_dots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of this process draw small pictures."""
+    monkeypatch.setattr(plots, "DOTS_PER_INCH", 40)
+    monkeypatch.setattr(plots, "render_lens", partial(scene3d.render_lens, window_size_px=(300, 200)))
+    monkeypatch.setattr(frames, "DPI", 40)
