@@ -21,8 +21,8 @@ from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
 from wavesim.engines.tiles.operator import Tile, TileOperator, precision_for
-from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion
-from wavesim.engines.tiles.residual import Quadratic, Separable, tile_residual
+from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
+from wavesim.engines.tiles.residual import Quadratic, Separable
 from wavesim.engines.tiles.rim_light import rim_light
 from wavesim.fields.field import Field
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
@@ -160,13 +160,10 @@ class EikonalTiles(Engine):
     @cached_property
     def _expansions(self) -> tuple[Separable, ...]:
         allowed = max(self._allowed, self.probe.error(self._quadratic, self._allowed))
+        known = dict(zip(self.probe.looked_at, self.probe.residuals, strict=True))
         return tuple(
-            expansion(
-                tile_residual(self.scene, t.centre_mm, t.spans_mm, self._map(t.centre_mm)),
-                self._quadratic,
-                allowed,
-            )
-            for t in self.probe.tiles
+            expansion(known.get(number) or residual_of(self.scene, tile, self._map), self._quadratic, allowed)
+            for number, tile in enumerate(self.probe.tiles)
         )
 
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:

@@ -58,12 +58,15 @@ class Probe:
         Tiles along each side of the object.
     tiles : tuple of Tile
         All of them.
+    looked_at : tuple of int
+        Which of them: the middle tile and those in the corners.
     residuals : tuple of Residual
-        Of the middle tile and of those in the corners.
+        Of those.
     """
 
     counts: tuple[int, ...]
     tiles: tuple[Tile, ...]
+    looked_at: tuple[int, ...]
     residuals: tuple[Residual, ...]
 
     @cached_property
@@ -98,9 +101,13 @@ def probe(scene: Scene, counts: tuple[int, ...], mapper: Mapper) -> Probe:
     """
     tiles = cut(scene.object_grid, counts)
     corners = set(product(*((0, c - 1) for c in counts))) | {tuple(c // 2 for c in counts)}
-    chosen = [tiles[int(np.ravel_multi_index(place, counts))] for place in sorted(corners)]
-    residuals = tuple(tile_residual(scene, t.centre_mm, t.spans_mm, mapper(t.centre_mm)) for t in chosen)
-    return Probe(counts, tiles, residuals)
+    chosen = tuple(int(np.ravel_multi_index(place, counts)) for place in sorted(corners))
+    return Probe(counts, tiles, chosen, tuple(residual_of(scene, tiles[number], mapper) for number in chosen))
+
+
+def residual_of(scene: Scene, tile: Tile, mapper: Mapper) -> Residual:
+    """What the Fourier transform leaves out of one tile."""
+    return tile_residual(scene, tile.centre_mm, tile.spans_mm, mapper(tile.centre_mm))
 
 
 def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mapper) -> Probe:
