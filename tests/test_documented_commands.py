@@ -47,6 +47,8 @@ SHORTER = {
     r"^(wavesim reconstruct .*)": r"\1 --iterations 2",
     r"^(wavesim calibrate .*)": r"\1 --iterations 1 --most-mountings 1",
     r"^(wavesim plan .*)": r"\1 --most-planes 1 --exposures 1",
+    # Engines weighed for a small error take longer than those few iterations.
+    r"^(wavesim (?:reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
     # The whole field of the full-size lens (half an hour): of a tiny twin.
     r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
     # Nobody runs a cluster here: the whole field of another page in its place.
