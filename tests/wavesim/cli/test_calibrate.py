@@ -12,8 +12,10 @@ from wavesim_command import frames_and_design, run_wavesim, write_frames
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
+from wavesim.calibration import bench_search
 from wavesim.calibration.calibrated import read_calibration
 from wavesim.calibration.joint_search import JointSearch, Stand, Told
+from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import from_frames
 from wavesim.scene.bench import Bench
 
@@ -127,14 +129,18 @@ def test_both_in_one_run(
     searched = JointSearch.run
 
     def one_step(search: JointSearch, stand: Stand) -> Told:
-        """Of a few parameters of each part: the search has tests of its own."""
-        return searched(replace(search, most_benches=2, parameters=search.parameters[::4]), stand)
+        return searched(replace(search, most_benches=2), stand)
+
+    def few(*asked: object) -> tuple[object, ...]:
+        """Of each part: the search has tests of its own."""
+        return chosen_parameters(*asked)[::4]  # type: ignore[arg-type]
 
     def taken(*arguments: object, **settings: object) -> object:
         given.append(settings["calibration"])
         return reconstruct_frames(*arguments, **settings)  # type: ignore[arg-type]
 
     monkeypatch.setattr(JointSearch, "run", one_step)
+    monkeypatch.setattr(bench_search, "chosen_parameters", few)
     reconstruct_frames = from_frames.reconstruct_frames
     monkeypatch.setattr(from_frames, "reconstruct_frames", taken)
     command = (
