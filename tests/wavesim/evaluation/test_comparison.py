@@ -4,6 +4,7 @@ import csv
 import json
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -116,16 +117,30 @@ def assert_speaks_first(found: FailureMap, largest_silent: float) -> None:
     assert len(rows) == found.error.size
 
 
-@pytest.fixture
-def few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of each range of settings both ends and the middle."""
-    for name in ("APERTURES", "SLICES", "TILES_MM", "FIELD_SHARES", "STEPS_UM", "INCIDENCES_DEG"):
-        values = getattr(failures, name)
-        monkeypatch.setattr(failures, name, (values[0], values[len(values) // 2], values[-1]))
+RANGES = (
+    "APERTURES",
+    "SLICES",
+    "TILES_MM",
+    "FIELD_SHARES",
+    "STEPS_UM",
+    "INCIDENCES_DEG",
+    "DISTANCES_MM",
+    "PITCHES_UM",
+)
 
 
 @pytest.fixture(scope="module")
-def free_space() -> list[FailureMap]:
+def few_cells() -> Iterator[None]:
+    """Of each range of settings both ends and the middle."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in RANGES:
+            values = getattr(failures, name)
+            patch.setattr(failures, name, (values[0], values[len(values) // 2], values[-1]))
+        yield
+
+
+@pytest.fixture(scope="module")
+def free_space(few_cells: None) -> list[FailureMap]:
     return list(free_space_maps())
 
 
