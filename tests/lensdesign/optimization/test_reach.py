@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lensdesign.errors import DesignError
+from lensdesign.optimization import result
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.reach import largest_that_can
 from lensdesign.optimization.search import optimize
@@ -34,7 +35,9 @@ def with_object(**changes: float) -> Specification:
     return ASKED.replaced(object=ASKED.object.replaced(**changes))
 
 
-def test_the_largest_field_and_aperture_can_be_met_and_a_little_more_cannot() -> None:
+def test_the_largest_field_and_aperture_can_be_met_and_a_little_more_cannot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Held against searches of their own; both lie within the etendue bound, which the whole does, too."""
     found = optimize(ASKED)
     assert not found.feasible
@@ -44,6 +47,7 @@ def test_the_largest_field_and_aperture_can_be_met_and_a_little_more_cannot() ->
     bound = 5472 * 2.4e-3 * 0.532 / (2.0 * 2.4)
     assert reach.field_diameter_mm * 0.4 < bound
     assert 3.0 * reach.numerical_aperture < 3.0 * 0.4 < bound
+    monkeypatch.setattr(result, "largest_that_can", lambda *_: None)  # once is enough
     for key, value in vars(reach).items():
         assert optimize(with_object(**{key: 0.999 * value})).feasible
         assert not optimize(with_object(**{key: 1.01 * value})).feasible

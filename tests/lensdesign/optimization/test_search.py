@@ -12,8 +12,9 @@ from places import DESIGNS
 from lensdesign.analysis.check import check_design
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import DesignError
-from lensdesign.optimization import search
+from lensdesign.optimization import result, search
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
+from lensdesign.optimization.reach import Reach
 from lensdesign.optimization.requirements import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.result import Tried
 from lensdesign.optimization.search import optimize
@@ -255,6 +256,13 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
     assert largest_spread(found.lens, 0.532, field_heights_mm=[0.0]).spread_deg <= 0.2
 
 
+@pytest.fixture
+def no_reach(monkeypatch):
+    """Without a search for what can be met: it has tests of its own, and takes longer than the one before."""
+    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach(None, None))
+
+
+@pytest.mark.usefixtures("no_reach")
 def test_infeasible_specifications_say_what_is_violated(thinnest):
     settings = thinnest.optimize.replaced(starts=1)
     specification = changed(thinnest, optimize=settings, constraints=Constraints(max_spread_deg=4.0))
@@ -298,6 +306,7 @@ def test_results_pickle_and_become_json(thinnest):
     assert "lens" not in data
 
 
+@pytest.mark.usefixtures("no_reach")
 def test_the_smallest_spread_is_held_against_its_limit(smallest_spread):
     """What the goal makes small must still keep the limit for the result to count as feasible."""
     wide, narrow = (Constraints(max_spread_deg=d, max_footprint_radius_mm="none") for d in (4.6, 4.4))
@@ -309,6 +318,7 @@ def test_the_smallest_spread_is_held_against_its_limit(smallest_spread):
     assert violation.endswith("exceeds the limit of 4.4000 deg, by 4.1 % in its sine")  # of 4.58 deg
 
 
+@pytest.mark.usefixtures("no_reach")
 def test_a_result_that_is_no_lens_is_an_error(thinnest):
     """A plate of 0.1 mm cannot bend light as asked without its surfaces crossing."""
     thin = VariableRange(parameter="thickness_mm", surface=1, bounds=(0.001, 0.1))
@@ -392,6 +402,7 @@ FLINT = {
 }
 
 
+@pytest.mark.usefixtures("no_reach")
 def test_one_start_may_miss_what_starts_that_agree_find():
     """The first random start ends at 20 degrees, in a minimum of its own; three others at 8.9."""
     specification = Specification.model_validate(
