@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +16,20 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.runtime import threads
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.scene import Scene
 from wavesim.scene.source import Source
 
 PITCH = 3.2e-3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_threads() -> Iterator[None]:
+    """Whatever number of cores there is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threads, "THREADS", 2)
+        yield
 
 
 @pytest.fixture(scope="module")

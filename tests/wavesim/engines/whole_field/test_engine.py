@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import SurfacePerturbation
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.whole_field import ray_maps
+from wavesim.engines.whole_field import cost, on_cpu, ray_maps
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.ray_maps import maps_over_object, region_of_object
 from wavesim.fields.field import Field, Grid, relative_error
@@ -38,6 +39,15 @@ def noise(grid: Grid, seed: int = 1) -> Field:
     rng = np.random.default_rng(seed)
     values = rng.normal(size=grid.shape) + 1j * rng.normal(size=grid.shape)
     return Field(grid, values.astype(np.complex64), WAVELENGTH_UM)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_threads() -> Iterator[None]:
+    """Whatever number of cores there is."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (cost, on_cpu):
+            patch.setattr(module, "THREADS", 2)
+        yield
 
 
 @pytest.fixture(scope="module")
