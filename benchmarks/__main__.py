@@ -22,6 +22,7 @@ SCRIPTS = (
     "phase_retrieval",
     "refocusing",
     "uncertainty",
+    "verdicts",
     "patch_chain",
     "focus_rule",
     "study_speed",

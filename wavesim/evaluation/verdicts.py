@@ -34,9 +34,9 @@ FEW, MORE = 3, 10
 """So few iterations tell nothing. Of more, the misfit may go on to fall as in the last one, so many times:
 where it then comes to the noise, iterations are what is wanted."""
 
-FREER = {"shift": 1.05}
-"""By how much trials must be better that change more than others: each plane's shift, in place of the two
-angles of the light, which shift all planes."""
+FREER = {"shift": 1.15, "mounting": 1.2}
+"""By how much trials must be better that change more than others, or resemble them: each plane's shift, in
+place of the two angles of the light, which shift all planes, and the lens's decenter, which does so too."""
 
 LEAST_AGREEMENT = 0.9
 """Correlation of the objects of several starts, below which frames do not tell the object."""
@@ -44,6 +44,10 @@ LEAST_AGREEMENT = 0.9
 ADVICE = {
     "planes swapped": "give the frames the distances of their planes in the other order",
     "shift": "run `wavesim calibrate`: it finds the shift of each plane",
+    "mounting": "run `wavesim calibrate`: it finds decenter and tilt of the lens",
+    "working distance": "measure the object's distance anew, or run `wavesim calibrate`",
+    "pixel pitch": "compare the pitch that frames and design state with the camera's data sheet",
+    "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
     "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
     "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",

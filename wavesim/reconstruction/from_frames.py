@@ -242,6 +242,7 @@ def _verdict(
             settings.tv_weight,
             settings.scale,
             settings.active_width,
+            case.diversity,
             case.modes,
         )
         return verdict(planes, doubts.trials(), curve, agreement)
