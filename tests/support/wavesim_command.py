@@ -22,7 +22,7 @@ from wavesim.fields.files import write_field
 from wavesim.objects.patch import make_illumination, make_target, object_patch
 from wavesim.pictures import frames as pictures
 
-PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 219
+PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 216
 
 ENDED = (0, 1)
 """Statuses of a reconstruction that ended: a few iterations need not explain the frames."""

@@ -21,7 +21,7 @@ from tolerancing.study.files import load_study
 
 SCRIPT = Path(stored_rows.__file__).with_name("run_into_store.py")
 TRIALS = 3000
-KILLS = 8
+KILLS = 6
 
 
 @pytest.fixture

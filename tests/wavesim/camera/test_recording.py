@@ -56,7 +56,7 @@ class Scenery:
         light = make_illumination(patch)
         chart = make_target(patch, "usaf", "bright", numerical_aperture=0.5)
         self.behind = light.with_values(light.values * chart.transmission.values)
-        self.sensor = sensor_window(self.lens, patch, PLANES_MM, 219)
+        self.sensor = sensor_window(self.lens, patch, PLANES_MM, 216)
         self.windows = [light_window(self.lens, patch, self.sensor, z, Pose()) for z in PLANES_MM]
         self.scene = exit_scene(self.lens, patch, self.windows[0], PLANES_MM[0], oversampling=OVERSAMPLING)
 

@@ -133,7 +133,7 @@ def test_both_in_one_run(
 
     def few(*asked: object) -> tuple[object, ...]:
         """Of each part: the search has tests of its own."""
-        return chosen_parameters(*asked)[::4]  # type: ignore[arg-type]
+        return chosen_parameters(*asked)[::8]  # type: ignore[arg-type]
 
     def taken(*arguments: object, **settings: object) -> object:
         given.append(settings["calibration"])

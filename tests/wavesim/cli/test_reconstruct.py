@@ -318,5 +318,5 @@ def test_a_map_of_another_size_is_refused(
         monkeypatch, capsys, *usual(data), f"--{option}", tmp_path / "map.npy", "-o", tmp_path / "out"
     )
     assert code == 2
-    assert "4 x 3 pixels; the frames have 219 x 219" in " ".join(err.split())
+    assert "4 x 3 pixels; the frames have 216 x 216" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
