@@ -21,7 +21,7 @@ from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint_step import JointStep
 from wavesim.calibration.lens_changes import Changed, lens_changes
 from wavesim.calibration.linearised import Linearised, RealArray
-from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
+from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
 from wavesim.calibration.turned_tiles import TurnedTiles
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded
@@ -29,6 +29,7 @@ from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.scene.bench import Orders, light_mode
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.settings import Kind
@@ -289,12 +290,19 @@ class JointSearch:
         carried = [p for p in parameters if p.part in ("lens", "mounting")]
         steps = [Changed(self._placed(_moved(unknowns, p)), p.small) for p in carried]
         changes = iter(lens_changes(engine, linear.lit, steps, self.make) if steps else [])
+        through: dict[Orders, NDArray[Any]] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
             if parameter.part in ("lens", "mounting"):
                 result[n] = linear.of_exit(next(changes))
             elif parameter.part == "light":
-                result[n] = linear.of_light(self._light_change(unknowns, parameter))
+                # Amplitude and phase of one mode go through the lens alike.
+                orders, change = light_orders(parameter.name), self._light_change(unknowns, parameter)
+                mode = light_mode(orders, change.shape)
+                if orders not in through:
+                    through[orders] = linear.exit_of_light(mode)
+                share = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
+                result[n] = linear.of_exit(share * through[orders])
             else:
                 result[n] = _of_camera(linear, parameter.name)
         return result

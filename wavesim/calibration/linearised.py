@@ -90,10 +90,10 @@ class Linearised:
         """With one of the transmission."""
         return self.of_exit(self.model.engine.forward(self._behind_object(self.model, change)).values)
 
-    def of_light(self, change: ComplexArray) -> RealArray:
-        """With one of the illumination, relative to it."""
+    def exit_of_light(self, change: NDArray[Any]) -> ComplexArray:
+        """Change of the field on the exit grid with one of the illumination, relative to it."""
         lit = self.lit.with_values((self.lit.values * change).astype(self.lit.values.dtype))
-        return self.of_exit(self.model.engine.forward(lit).values)
+        return self.model.engine.forward(lit).values
 
     def of_distance(self, plane: int) -> RealArray:
         """With a mm of a plane's distance."""

@@ -230,6 +230,14 @@ def chosen_parameters(text: str, allowed: Sequence[Parameter]) -> tuple[Paramete
 SENSOR_TILTS = ("sensor_tilt_x_deg", "sensor_tilt_y_deg")
 
 
+def light_orders(name: str) -> Orders:
+    """Of the mode of the light that a parameter changes: a tilt is a mode of the phase, too."""
+    match = LIGHT_MODE.fullmatch(name)
+    if match is None:
+        return (1, 0) if name == "light_tilt_x_deg" else (0, 1)
+    return int(match[2]), int(match[3])
+
+
 def _of_light(patch_mm: float, wavelength_um: float, order: int) -> list[Parameter]:
     tilt_deg = math.degrees(1e-3 * LIGHT_WAVES * wavelength_um / patch_mm)
     return [
@@ -267,7 +275,7 @@ def _with_light(unknowns: Unknowns, bench: Bench) -> Bench:
     modes = {"amplitude": dict(light.amplitude), "phase": dict(light.phase_waves)}
     for name, value in told.items():
         if match := LIGHT_MODE.fullmatch(name):
-            modes[match[1]][int(match[2]), int(match[3])] = value
+            modes[match[1]][light_orders(name)] = value
     found = replace(light, tilt_deg=(x, y), amplitude=modes["amplitude"], phase_waves=modes["phase"])
     return replace(bench, light=found)
 
