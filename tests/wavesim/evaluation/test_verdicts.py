@@ -65,6 +65,12 @@ def test_the_best_trial_names_the_cause_and_what_to_do() -> None:
     assert "in the other order" in found.next_step
 
 
+@pytest.mark.parametrize(("shift", "cause"), [(0.29, "light"), (0.2, "shift")])
+def test_what_changes_more_must_be_better(shift: float, cause: str) -> None:
+    trials = [Trial("shift", "frames shifted", shift), Trial("light", "light tilted", 0.3)]
+    assert verdict([plane(3.0)], trials).cause == cause
+
+
 def test_trials_that_gain_little_name_nothing() -> None:
     found = verdict([plane(3.0)], [Trial("light", "light tilted", 0.95)])
     assert found.cause == "lens or light"
