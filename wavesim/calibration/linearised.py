@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
-from wavesim.reconstruction.pixel_means import PixelMeans, tilt_changes
+from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 from wavesim.reconstruction.recording_model import RecordingModel
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]

@@ -15,7 +15,7 @@ from wavesim.calibration.motion import gradient, motion
 from wavesim.camera.mounting import WORKING_DISTANCE, plane_of
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
-from wavesim.reconstruction.pixel_means import PixelMeans
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.placement import Placement
 

@@ -1,8 +1,9 @@
 """Mean intensity on the pixels of a sensor, from a field whose rows come band by band.
 
-Exact for light that its samples hold. The reconstruction's square (:mod:`wavesim.reconstruction.pixel_means`)
-is another on purpose: what is reconstructed from simulated frames shall not rest on the very model that made
-them. On a frame of the 1/32 twin the two differ by 0.05 %.
+Exact for light that its samples hold. The reconstruction's square
+(:mod:`wavesim.reconstruction.recording.pixel_means`) is another on purpose: what is reconstructed from
+simulated frames shall not rest on the very model that made them. On a frame of the 1/32 twin the two differ
+by 0.05 %.
 """
 
 from __future__ import annotations

@@ -6,7 +6,9 @@ n. Steps
     t <- prox( t + mean over n of conj(u) A_n*( P_n(A_n(u t)) - A_n(u t) ) / max |u|^2 ),
 
 with P_n the replacement of the amplitude by the recorded one, go down the misfit of amplitudes. Engine and
-free space are nearly unitary: the curvature is 1 at most, and steps with momentum are safe up to 4/3. The
+free space are nearly unitary: the curvature is 1 at most, and steps with momentum are safe up to 4/3. Each
+step is made of a few rounds of the same kind behind the lens, where planes cost little, before it comes back
+to the object: an alternating descent of the field that the planes ask for and of the object behind it. The
 proximal map of the total variation keeps edges and takes noise out; steps are accelerated (FISTA), and
 momentum begins anew where it leads uphill. Where the illumination is dark, so is the object: a field stop is
 a support.
@@ -62,11 +64,16 @@ much larger than stated as the misfit is: what the model does not explain, or no
 STEP, FRICTION = 1.3, 1.0
 """Length of a step, and how soon momentum grows: after j steps it is j / (j + friction)."""
 
+ROUNDS, FARTHER, FAR = 4, 2.0, 1.2
+"""Rounds of the field behind the lens in a step while the misfit is more than so many times what noise would
+leave, which rounds would fit; how much farther than one they lead, and with them the total variation."""
+
 FEW_ROWS = 8
 """Of the object, compared at a time."""
 
 AT_NOISE = 1.01
-"""Misfit over that of noise alone, down to which the noise has been reached."""
+"""Misfit over that of noise alone, down to which two iterations in a row have reached the noise: the first
+has yet to bring back to the object what it found."""
 
 EARLY, EARLY_GAIN = 5, 1e-3
 """At rest: over so many iterations the misfit changes by less than this share."""
@@ -304,8 +311,9 @@ class _Descent:
     def _stepped(self, state: Progressed, kind: Kind) -> Progressed:
         self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
-        point, misfit = self._farther(state.ahead, kind)
-        point = prox_tv(point, STEP * self._tv_weight(misfit))
+        far = self._is_far(state)
+        point, misfit = self._farther(state.ahead, kind, ROUNDS if far else 1)
+        point = prox_tv(point, STEP * (FARTHER if far else 1.0) * self._tv_weight(misfit))
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0, out=point)
         step = step_array(self.sizes, kind)
@@ -321,9 +329,14 @@ class _Descent:
             after, ahead, steps + 1.0, (*state.misfit, misfit), self.model.scale, state.stage, state.began
         )
 
-    def _farther(self, ahead: Array, kind: Kind) -> tuple[Array, float]:
+    def _is_far(self, state: Progressed) -> bool:
+        """Whether the misfit was more than noise leaves, as far as that is known."""
+        known = self.misfit_of_noise is not None and state.misfit
+        return not known or state.misfit[-1] > FAR * (self.misfit_of_noise or 0.0)
+
+    def _farther(self, ahead: Array, kind: Kind, rounds: int) -> tuple[Array, float]:
         """Down the misfit from the point ahead, and the misfit there."""
-        point, misfit = self.model.step(ahead)
+        point, misfit = self.model.step(ahead, rounds, STEP)
         point *= point.real.dtype.type(STEP)
         if kind == "amplitude":
             return point.real + ahead.real, misfit
@@ -342,7 +355,7 @@ class _Descent:
             return None
         misfit = state.misfit[-1]
         noise = self.misfit_of_noise
-        if self.until_noise and noise is not None and misfit <= AT_NOISE * noise:
+        if self.until_noise and noise is not None and max(state.misfit[-2:]) <= AT_NOISE * noise:
             return "noise"
         if len(state.misfit) - state.began <= EARLY:
             return None

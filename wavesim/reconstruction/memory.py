@@ -134,13 +134,11 @@ def given_arrays(
     sizes: Sizes, *, with_sigma: bool = True, backgrounds: int = 0, truth: bool = False
 ) -> Inventory:
     """What is reconstructed from: `backgrounds` planes have one; `truth`: with a true object, to compare."""
-    source, behind, held = sizes.source, sizes.behind, AFTER_MOVING
+    source, behind, held, stated = sizes.source, sizes.behind, AFTER_MOVING, sizes.planes * with_sigma
     return (
         Listed("the illumination", source, sizes.dtype, held, lies="scratch"),
         Listed("the recorded amplitudes", behind, sizes.real, held, sizes.planes, lies="scratch"),
-        Listed(
-            "the standard deviations", behind, sizes.real, held, sizes.planes * with_sigma, lies="scratch"
-        ),
+        Listed("the standard deviations", behind, sizes.real, held, stated, lies="scratch"),
         Listed("the backgrounds", behind, sizes.real, held, backgrounds, lies="scratch"),
         Listed("the true object", source, sizes.dtype, held, int(truth), lies="scratch"),
     )
@@ -205,6 +203,7 @@ def _of_modes(sizes: Sizes, modes: int) -> Inventory:
     seen, all_through = PLANES | Phase.ENDING, Phase.LENS | PLANES | Phase.BACK | Phase.ENDING
     return (
         Listed("spectra of modes at the exit", behind, dtype, all_through, modes),
+        Listed("what rounds have changed of modes", behind, dtype, PLANES | Phase.BACK, modes),
         Listed("means over pixels", behind, real, all_through, sizes.planes),
         work("light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.source), Phase.LENS | Phase.BACK),
         Listed("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
@@ -223,6 +222,7 @@ def _of_pixels(sizes: Sizes) -> Inventory:
         Listed("rows through pixels and their edges", behind, dtype, seen, 2),
         Listed("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
         Listed("means over pixels", behind, real, PLANES),
+        Listed("what rounds before have changed", behind, dtype, PLANES),
         Listed("what planes before have changed", behind, dtype, Phase.SEEING, int(sizes.planes > 1)),
         Listed("what planes have changed", behind, dtype, Phase.CHANGING),
     )
@@ -240,6 +240,7 @@ def _of_points(sizes: Sizes) -> Inventory:
         Listed("squares of its parts", behind, real, Phase.SEEING, 2),
         Listed("a square of its parts", behind, real, Phase.ENDING),
         Listed("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),
+        Listed("what rounds before have changed", behind, dtype, Phase.CHANGING),
         Listed("what planes before have changed", behind, dtype, Phase.CHANGING, changed_before),
     )
 

@@ -15,8 +15,7 @@ sum of their intensities, and each mode is changed by the ratio of the recorded 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,9 +25,9 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.camera.recorded import Recorded, full_weight_sigma, weights_of
 from wavesim.fields.field import Field
-from wavesim.fields.slight_tilts import Way, way_to
-from wavesim.reconstruction.pixel_means import PixelMeans
-from wavesim.reconstruction.recording_kernel import change_pixels, change_samples, weighted_products
+from wavesim.fields.slight_tilts import way_to
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.reconstruction.recording.planes import ROWS, FieldBehind, PlaneRecord, add_share
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.bench import LightErrors
@@ -37,12 +36,6 @@ from wavesim.scene.source import SourceMode
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
-
-DARK = 1e-6
-"""Of a plane's mean intensity: added to recorded and modelled means of pixels, to bound their ratio."""
-
-ROWS = 64
-"""Of a plane, for a thread at a time."""
 
 
 class RecordingModel:
@@ -88,7 +81,7 @@ class RecordingModel:
         ]
         least = full_weight_sigma(recorded)
         self._planes = [
-            _Plane.of(one, way, least, self.real, scratch or Scratch())
+            PlaneRecord.of(one, way, least, self.real, scratch or Scratch())
             for one, way in zip(recorded, self.ways, strict=True)
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
@@ -99,14 +92,25 @@ class RecordingModel:
         """Weights of all planes' pixels; None where all weigh 1."""
         return [None if w is None else w.astype(self.real, copy=False) for w in weights_of(self.recorded)]
 
-    def step(self, transmission: NDArray[Any]) -> tuple[ComplexArray, float]:
-        """The change of the transmission, and the misfit before it."""
+    def step(
+        self, transmission: NDArray[Any], rounds: int = 1, length: float = 1.0
+    ) -> tuple[ComplexArray, float]:
+        """The change of the transmission, and the misfit before it.
+
+        That of one round is the misfit's slope. In more, the field behind the lens goes down the misfit by
+        itself, each round as far as a step of this length, and the sum of its changes comes back to the
+        object: planes cost little, and the way through the lens much.
+        """
         if self.modes:
-            return self._step_of_modes(transmission)
-        behind = _Behind(self._at_exit(transmission, self.illumination), self.pixels)
+            return self._step_of_modes(transmission, rounds, length)
+        behind = FieldBehind(self._at_exit(transmission, self.illumination), self.pixels)
         if self.fits_scale:
             self._fit_scale(plane.products(behind.intensity(plane)) for plane in self._planes)
         missed = sum(behind.replace(plane, self.scale) for plane in self._planes)
+        for _ in range(rounds - 1):
+            behind.go_on(length / len(self.recorded))
+            for plane in self._planes:
+                behind.replace(plane, self.scale)
         change = self._to_object(behind.changed(), self.illumination)
         return change, self.scale * math.sqrt(missed) / self.size
 
@@ -158,10 +162,10 @@ class RecordingModel:
         if self.modes:
             found = self._intensities(self._spectra(transmission))
             if self.fits_scale:
-                self._fit_scale(map(_Plane.products, self._planes, found))
+                self._fit_scale(map(PlaneRecord.products, self._planes, found))
             intensities = iter(found)
         else:
-            behind = _Behind(self._at_exit(transmission, self.illumination), self.pixels)
+            behind = FieldBehind(self._at_exit(transmission, self.illumination), self.pixels)
             if self.fits_scale:
                 self._fit_scale(plane.products(behind.intensity(plane)) for plane in self._planes)
             intensities = (behind.intensity(plane) for plane in self._planes)
@@ -216,184 +220,41 @@ class RecordingModel:
             found.append(total)
         return found
 
-    def _step_of_modes(self, transmission: NDArray[Any]) -> tuple[ComplexArray, float]:
-        assert self.pixels is not None
-        spectra = self._spectra(transmission)
-        changes = self._intensities(spectra)
-        if self.fits_scale:
-            self._fit_scale(map(_Plane.products, self._planes, changes))
-        missed = sum(
-            plane.change_pixels(change, self.scale)
-            for plane, change in zip(self._planes, changes, strict=True)
-        )
-        result, rows = np.zeros(self.lit.shape, self.dtype), None
+    def _step_of_modes(
+        self, transmission: NDArray[Any], rounds: int, length: float
+    ) -> tuple[ComplexArray, float]:
+        spectra, missed = self._spectra(transmission), 0.0
+        totals = [np.zeros_like(spectrum) for spectrum in spectra]
+        for number in range(rounds):
+            ratios = self._intensities(spectra)
+            if self.fits_scale and number == 0:
+                self._fit_scale(map(PlaneRecord.products, self._planes, ratios))
+            here = sum(
+                plane.change_pixels(ratio, self.scale)
+                for plane, ratio in zip(self._planes, ratios, strict=True)
+            )
+            missed = missed if number else here
+            for spectrum, total in zip(spectra, totals, strict=True):
+                change = self._change_of_mode(spectrum, ratios)
+                add_share(spectrum, change, length / len(self.recorded))
+                total += change
+        del spectra
+        result = np.zeros(self.lit.shape, self.dtype)
         for mode in self.modes:
-            spectrum = spectra.pop(0)
-            change = np.zeros_like(spectrum)
-            for plane, ratios in zip(self._planes, changes, strict=True):
-                rows = self.pixels.carried(spectrum, plane.way, rows)
-                self.pixels.add_back(rows, ratios, plane.way, change)
-            del spectrum
-            behind = scipy.fft.ifftn(change, workers=-1, overwrite_x=True)
+            behind = scipy.fft.ifftn(totals.pop(0), workers=-1, overwrite_x=True)
             result += self.real.type(mode.share) * self._to_object(behind, self._light(mode))
         return result, self.scale * math.sqrt(missed) / self.size
+
+    def _change_of_mode(self, spectrum: ComplexArray, ratios: Sequence[RealArray]) -> ComplexArray:
+        assert self.pixels is not None
+        change, rows = np.zeros_like(spectrum), None
+        for plane, ratio in zip(self._planes, ratios, strict=True):
+            rows = self.pixels.carried(spectrum, plane.way, rows)
+            self.pixels.add_back(rows, ratio, plane.way, change)
+        return change
 
     def _fit_scale(self, products: Iterable[tuple[float, float]]) -> None:
         met = own = 0.0
         for here in products:
             met, own = met + here[0], own + here[1]
         self.scale = met / own if met > 0.0 < own else 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Plane:
-    """What was recorded on a plane, in the model's precision; a line is one row.
-
-    `sigma` has no samples where all pixels are alike, `background` where there is none; up to `least` sigma
-    weighs 1.
-    """
-
-    way: Way
-    amplitude: RealArray
-    sigma: RealArray
-    background: RealArray
-    least: float
-
-    @classmethod
-    def of(cls, one: Recorded, way: Way, least: float, dtype: np.dtype[Any], scratch: Scratch) -> _Plane:
-        def kept(values: RealArray, what: str) -> RealArray:
-            values = np.atleast_2d(values)
-            if values.dtype == dtype:
-                return values
-            result = scratch.array(values.shape, dtype, what)
-            result[:] = values
-            return result
-
-        none = np.empty((0, 0), dtype)
-        sigma = none if one.sigma is None else kept(one.sigma, "the standard deviations")
-        background = none if one.background is None else kept(one.background, "the backgrounds")
-        return cls(way, kept(one.amplitude, "the recorded amplitudes"), sigma, background, least)
-
-    @property
-    def energy(self) -> float:
-        """Weighted sum of squared amplitudes."""
-        return sum(self._by_rows(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
-
-    def products(self, intensity: RealArray) -> tuple[float, float]:
-        """Weighted sums of modelled times recorded amplitudes without background, and of modelled powers."""
-        found = self._by_rows(lambda part: self._products(intensity[part], part))
-        return sum(met for met, _ in found), sum(own for _, own in found)
-
-    def change_pixels(self, intensity: RealArray, scale: float) -> float:
-        """Replace pixels' mean intensities by the relative changes wanted; gives the misfit."""
-        real = intensity.dtype.type
-        mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
-        dark = real(DARK * mean)
-
-        def rows(part: slice) -> float:
-            told = (*self._recorded(part), real(scale), dark, self._background(part))
-            return float(change_pixels(intensity[part], *told))
-
-        return sum(self._by_rows(rows))
-
-    def change_samples(self, field: ComplexArray, scale: float) -> float:
-        """Replace a field by the change wanted; gives the misfit."""
-        factor = self.amplitude.dtype.type(scale)
-
-        def rows(part: slice) -> float:
-            told = (*self._recorded(part), factor, self._background(part))
-            return float(change_samples(field[part], *told))
-
-        return sum(self._by_rows(rows))
-
-    def _products(self, intensity: RealArray, part: slice) -> tuple[float, float]:
-        amplitude, *others = self._recorded(part)
-        if self.background.size:
-            amplitude = np.sqrt(np.maximum(amplitude * amplitude - self.background[part], 0.0))
-        return weighted_products(intensity, amplitude, *others)
-
-    def _background(self, part: slice) -> RealArray:
-        return self.background[part] if self.background.size else self.background
-
-    def _recorded(self, part: slice) -> tuple[RealArray, RealArray, Any]:
-        return self.amplitude[part], self.sigma[part], self.amplitude.dtype.type(self.least)
-
-    def _by_rows(self, work: Callable[[slice], Any]) -> list[Any]:
-        return for_blocks(lambda start, stop: work(slice(start, stop)), len(self.amplitude), ROWS)
-
-
-class _Behind:
-    """The field on the exit grid, seen on one plane after the other, and what planes change of it.
-
-    Parameters
-    ----------
-    values
-        Of the field; used up.
-    pixels
-        None for samples at points.
-    """
-
-    def __init__(self, values: ComplexArray, pixels: PixelMeans | None) -> None:
-        self.pixels = pixels
-        self.values: ComplexArray | None = np.atleast_2d(values)
-        self._spectrum: ComplexArray | None = None
-        self._change: ComplexArray | None = None
-        self._spectrum_change: ComplexArray | None = None
-        self._rows: tuple[ComplexArray, ComplexArray] | None = None
-        if pixels is not None:
-            self._spectrum, self.values = self.spectrum, None
-
-    @property
-    def spectrum(self) -> ComplexArray:
-        """Of the field; computed where it is first needed."""
-        if self._spectrum is None:
-            assert self.values is not None
-            # The values themselves go where pixels integrate, for then no plane needs them.
-            self._spectrum = scipy.fft.fftn(self.values, workers=-1, overwrite_x=self.pixels is not None)
-        return self._spectrum
-
-    def intensity(self, plane: _Plane) -> RealArray:
-        """On a plane: pixels' means, or at points."""
-        if self.pixels is not None:
-            self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
-            return self.pixels.intensity(self._rows)
-        field = self._samples(plane)
-        return np.asarray(field.real**2 + field.imag**2)
-
-    def replace(self, plane: _Plane, scale: float) -> float:
-        """Take the amplitudes recorded on a plane, and give the misfit before."""
-        if self.pixels is not None:
-            change = self.intensity(plane)
-            assert self._rows is not None
-            missed = plane.change_pixels(change, scale)
-            if self._spectrum_change is None:
-                self._spectrum_change = np.zeros_like(self.spectrum)
-            self.pixels.add_back(self._rows, change, plane.way, self._spectrum_change)
-            return missed
-        field = self._samples(plane)
-        missed = plane.change_samples(field, scale)
-        if plane.way.is_none:
-            self._change = _added(self._change, field)
-        else:
-            self._spectrum_change = _added(self._spectrum_change, plane.way.back(field))
-        return missed
-
-    def changed(self) -> ComplexArray:
-        """The sum of all changes, at the exit; uses up all else, and keeps nothing."""
-        self.values = self._spectrum = self._rows = None
-        change, spectrum = self._change, self._spectrum_change
-        self._change = self._spectrum_change = None
-        if spectrum is None:
-            assert change is not None
-            return change
-        return _added(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
-
-    def _samples(self, plane: _Plane) -> ComplexArray:
-        if plane.way.is_none:
-            assert self.values is not None
-            return self.values.copy()
-        return plane.way.there(self.spectrum)
-
-
-def _added(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:
-    return part if total is None else np.add(total, part, out=total)

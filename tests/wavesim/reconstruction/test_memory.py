@@ -22,7 +22,7 @@ from wavesim.camera.recorded import Recorded
 from wavesim.evaluation.judgement import truth_metrics
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import LIGHT_BYTES, Patch, make_illumination
-from wavesim.reconstruction import from_object, pixel_means, recording_model
+from wavesim.reconstruction import from_object, recording_model
 from wavesim.reconstruction.from_field import retrieve
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.memory import (
@@ -38,7 +38,8 @@ from wavesim.reconstruction.memory import (
     retrieval_bytes,
     run_arrays,
 )
-from wavesim.reconstruction.pixel_means import PixelMeans
+from wavesim.reconstruction.recording import pixel_means, planes
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
@@ -88,17 +89,18 @@ def arrays_of(
     grid, random = engine.scene.object_grid, np.random.default_rng(1)
     light = Field(grid, room.moved(np.ones(grid.shape, np.complex64)), 0.532)
 
-    def noise() -> np.ndarray:
-        return room.moved(random.random(grid.shape, np.float32) + np.float32(1.0))
+    def noise(size: float) -> np.ndarray:
+        return room.moved(np.float32(size) * (random.random(grid.shape, np.float32) + np.float32(1.0)))
 
-    return light, [Recorded(d, noise(), noise() if with_sigma else None) for d in distances_mm]
+    # So little noise that the misfit is far above it, where steps take most.
+    return light, [Recorded(d, noise(1.0), noise(1e-3) if with_sigma else None) for d in distances_mm]
 
 
 STEPS = {
     (RecordingModel, "noise_of_step"): (STARTING, Phase.READING),
     (RecordingModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
     (RecordingModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
-    (recording_model._Plane, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
+    (planes.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
     (PixelMeans, "add_back"): (Phase.CHANGING, Phase.SEEING),
     (RecordingModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
     (from_object, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
@@ -156,7 +158,11 @@ def test_each_phase_holds_what_is_listed(
     with_sigma: bool,
     in_files: bool,
 ) -> None:
-    for place, name, value in ((recording_model, "ROWS", 2), (pixel_means, "COLUMNS", 4)):
+    for place, name, value in (
+        (recording_model, "ROWS", 2),
+        (planes, "ROWS", 2),
+        (pixel_means, "COLUMNS", 4),
+    ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
     shape = 400, 420
@@ -324,15 +330,15 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
 def test_the_paper_s_way_takes_what_is_told(engine: Nothing) -> None:
     grid = engine.scene.object_grid
     light = Field(grid, np.ones(SHAPE, np.complex64), 0.532)
-    planes = [Recorded(distance, 64.0 * noise(seed), noise(3)) for seed, distance in enumerate((0.0, 20.0))]
+    given = [Recorded(distance, 64.0 * noise(seed), noise(3)) for seed, distance in enumerate((0.0, 20.0))]
     small = Nothing((8, 8))
     retrieve_resumably(
         small,
         Field(small.scene.object_grid, np.ones((8, 8), np.complex64), 0.532),
-        [Recorded(one.distance_mm, one.amplitude[:8, :8], one.sigma[:8, :8]) for one in planes],
+        [Recorded(one.distance_mm, one.amplitude[:8, :8], one.sigma[:8, :8]) for one in given],
         iterations=1,
     )
-    taken = peak(lambda: retrieve_resumably(engine, light, planes, iterations=2)) + 8.0 + 16.0
+    taken = peak(lambda: retrieve_resumably(engine, light, given, iterations=2)) + 8.0 + 16.0
     sizes = Sizes.of(engine, (0.0, 20.0))
     arrays = given_arrays(sizes) + _paper_arrays(sizes)
     most = need_during(arrays, Phase.PASSING).most_bytes / engine.scene.object_grid.size
@@ -346,12 +352,12 @@ def test_appendix_a_takes_what_is_listed(distances: tuple[float, ...], masked: b
     rng, grid = np.random.default_rng(5), Grid(shape, 3.2e-3, 0.0)
     sigma = np.ones(shape, np.float32)
     sigma[5, 7] = np.inf
-    planes = [
+    given = [
         Recorded(d, 60.0 + rng.random(shape, dtype=np.float32), sigma if masked else None) for d in distances
     ]
     retrieve(Grid((8, 8), 3.2e-3, 0.0), 0.532, [Recorded(d, np.ones((8, 8))) for d in (0.0, 1.0)], tv_step=0)
     tracemalloc.start()
-    retrieve(grid, 0.532, planes, iterations=3)
+    retrieve(grid, 0.532, given, iterations=3)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert retrieval_bytes(shape, distances, masked=masked) == pytest.approx(peak, rel=0.3)

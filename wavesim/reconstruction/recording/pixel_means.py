@@ -22,7 +22,7 @@ from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay, axial_wavenumbers, fft_frequencies
 from wavesim.fields.slight_tilts import TiltedWay, Way, band_wavenumbers
-from wavesim.reconstruction.recording_kernel import (
+from wavesim.reconstruction.recording.kernel import (
     add_columns,
     carried_columns,
     means_along_columns,

@@ -1,5 +1,5 @@
 """Compiled loops of :mod:`wavesim.reconstruction.recording_model` and
-:mod:`wavesim.reconstruction.pixel_means`.
+:mod:`wavesim.reconstruction.recording.pixel_means`.
 
 Each does some rows, or columns, for a thread. All borders are periodic, as those of spectra are.
 """

@@ -12,7 +12,7 @@ from wavesim.camera.sensor import light_on_pixels
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
 from wavesim.fields.slight_tilts import TiltedWay, way_to
-from wavesim.reconstruction.pixel_means import PixelMeans, tilt_changes
+from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 
 PITCH = 3.2e-3
 GRID = Grid((48, 40), PITCH, 1.0)
