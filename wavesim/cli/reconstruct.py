@@ -285,6 +285,8 @@ def _print(summary: dict[str, Any], output: Path) -> None:
 
 def _figures(summary: dict[str, Any]) -> list[str]:
     lines = []
+    if "source_deg" in summary:
+        lines.append(f"source {summary['source_deg']:.3g} deg wide")
     if summary["region_mm"] is not None:
         x, y, width, height = summary["region_mm"]
         lines.append(f"of the object {width:.4g} mm x {height:.4g} mm about {x:.4g}, {y:.4g} mm")

@@ -43,9 +43,6 @@ from wavesim.scene.source import Source, SourceMode
 CHECKPOINT = "checkpoint.npz"
 """File in which a run keeps where it stands."""
 
-RINGS, ANGLES = 1, 6
-"""Of a wide source: the directions from which the model's light comes."""
-
 FOLDS = 2.0
 """Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
 
@@ -73,7 +70,7 @@ class FramesCase(NamedTuple):
 
     patch: Patch
     light: Field
-    modes: tuple[SourceMode, ...]
+    source: Source
     planes: tuple[PlaneFrames, ...]
     recorded: tuple[Recorded, ...]
     held: tuple[HeldOut, ...]
@@ -90,6 +87,11 @@ class FramesCase(NamedTuple):
     scratch: Scratch
     memory: Memory
     predicted_error: float
+
+    @property
+    def modes(self) -> tuple[SourceMode, ...]:
+        """Of the light, by which a wide source's is added up."""
+        return tuple(self.source.few_modes(self.light.wavelength_um))
 
     @property
     def given(self) -> list[Recorded]:
@@ -127,7 +129,9 @@ def frames_case(
         recorded = planes_at(recorded, bench)
     recorded, held = hold_out(recorded, settings.hold_out_plane)
     behind = light_of_frames(scene, framed.frames, light)
-    modes = source_modes(settings.source_deg, light.wavelength_um)
+    # One that is to be found is wide until it is known.
+    source = Source(1.0 if settings.source_deg == "find" else settings.source_deg)
+    modes = source.few_modes(light.wavelength_um)
     runs = 2 * settings.most_iterations * len(modes) if settings.method == "object" else 2
     engine = _engine(scene, settings, runs, limit, behind)
     if settings.cluster is not None:
@@ -143,7 +147,7 @@ def frames_case(
     return FramesCase(
         patch,
         lit,
-        modes,
+        source,
         planes_of_frames(frames),
         tuple(_held_plane(scratch, plane) for plane in recorded),
         held,
@@ -163,11 +167,6 @@ def frames_case(
         memory,
         predicted_error,
     )
-
-
-def source_modes(width_deg: float, wavelength_um: float) -> tuple[SourceMode, ...]:
-    """Modes of the light by which a reconstruction adds up a wide source's."""
-    return tuple(Source(width_deg).modes(wavelength_um, RINGS, ANGLES))
 
 
 def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:

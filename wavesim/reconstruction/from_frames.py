@@ -26,11 +26,13 @@ from wavesim.reconstruction.frames_case import FramesCase, frames_case
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
+from wavesim.reconstruction.source_width import found_width
 from wavesim.runtime.memory import Memory
 from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.source import Source
 
 NEAR = 1.4
 """Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
@@ -173,7 +175,15 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         own = case.engine.scene.object_grid
         return _ready(case.engine if grid == own else case.engine_on(grid), take, told)
 
-    found = (_paper if settings.method == "paper" else _object)(case, settings, engine_on, told)
+    start = None
+    if settings.source_deg == "find":
+        with engine_on(case.light.grid) as engine:
+            width_deg, start = found_width(engine, case.light, case.given, settings, told.step)
+        case = case._replace(source=Source(width_deg))
+    if settings.method == "paper":
+        found = _paper(case, settings, engine_on, told)
+    else:
+        found = _object(case, settings, engine_on, told, start)
     transmission, behind, maps, curve, of_method, agreement = found
     del found
     judged = _verdict(case, settings, engine_on, maps, curve, agreement, told)
@@ -248,7 +258,13 @@ def _verdict(
         return verdict(planes, doubts.trials(), curve, agreement)
 
 
-def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
+def _object(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    told: _Told,
+    start: Field | None,
+) -> _Found:
     with engine_on(case.light.grid) as engine:
         found = reconstruct(
             engine,
@@ -259,7 +275,7 @@ def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: Engin
             iterations=settings.most_iterations,
             until_noise=True,
             scale=settings.scale,
-            start="amplitude" if settings.first == "amplitude" else None,
+            start="amplitude" if settings.first == "amplitude" else start,
             active_width=settings.active_width,
             progress=told.iteration,
             resume=progress_kept(case.checkpoint, case.scratch),
@@ -273,7 +289,13 @@ def _object(case: FramesCase, settings: ReconstructionSettings, engine_on: Engin
         maps = found.residual_maps
         if len(maps) < len(case.recorded):
             maps = maps_of_all(engine, case.light, case.recorded, settings.active_width, found, case.modes)
-    said = {"scale": found.scale, "misfit": found.misfit[-1], "stopped_because": found.stopped_because}
+    said: dict[str, Any] = {
+        "scale": found.scale,
+        "misfit": found.misfit[-1],
+        "stopped_because": found.stopped_because,
+    }
+    if settings.source_deg:
+        said["source_deg"] = case.source.width_deg
     part = cut_field(found.transmission, case.carried)
     if settings.focus_mm is None:
         return _Found(part, None, maps, found.misfit, said, agreement)

@@ -267,7 +267,10 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         None, description="object: number of a plane that is not used, but compared with the result."
     )
     starts: int = Field(1, ge=1, description="object: how many starts must come to one object.")
-    source_deg: float = Field(0.0, description="object: diameter of the light's source: partial coherence.")
+    source_deg: float | Literal["find"] = Field(
+        0.0,
+        description="object: diameter of the light's source (partial coherence), or find.",
+    )
     region_mm: Annotated[tuple[float, float, float, float], BeforeValidator(tuples)] | None = Field(
         None, description="x,y,width,height: the part of the object that is judged and written."
     )
@@ -296,9 +299,9 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
 
     @field_validator("source_deg")
     @classmethod
-    def _of_objects(cls, width_deg: float, info: ValidationInfo) -> float:
-        if not 0.0 <= width_deg < 90.0:
-            raise ValueError("must be from 0 to below 90")
+    def _of_objects(cls, width_deg: float | str, info: ValidationInfo) -> float | str:
+        if not isinstance(width_deg, str) and not 0.0 <= width_deg < 90.0:
+            raise ValueError("must be from 0 to below 90, or 'find'")
         if width_deg and info.data.get("method") == "paper":
             raise SettingError("{source_deg}: means nothing with {method} paper, whose light is coherent")
         return width_deg

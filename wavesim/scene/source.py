@@ -79,6 +79,26 @@ class Source:
             SourceMode(share * part, tilt, colour) for part, colour in colours for share, tilt in directions
         ]
 
+    def few_modes(self, wavelength_um: float) -> list[SourceMode]:
+        """Seven directions of one wavelength, right for polynomials of the direction up to the degree 5.
+
+        The middle and a hexagon: A. H. Stroud, "Approximate calculation of multiple integrals" (1971),
+        S2 5-1. A point source is one mode.
+
+        Parameters
+        ----------
+        wavelength_um
+            Of the light.
+        """
+        if not self.width_deg:
+            return [SourceMode(1.0, (0.0, 0.0), wavelength_um)]
+        radius = 0.5 * self.width_deg * math.sqrt(2.0 / 3.0)
+        angles = [math.pi * place / 3.0 for place in range(6)]
+        ring = [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+        return [SourceMode(0.25, (0.0, 0.0), wavelength_um)] + [
+            SourceMode(0.125, tilt, wavelength_um) for tilt in ring
+        ]
+
     def _directions(self, rings: int, angles: int) -> list[tuple[float, tuple[float, float]]]:
         if not self.width_deg:
             return [(1.0, (0.0, 0.0))]

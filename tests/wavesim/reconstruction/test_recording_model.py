@@ -144,3 +144,30 @@ def test_a_tilt_of_the_sensor_changes_what_it_sees_as_in_simulated_frames(
     change = after - before
     assert np.linalg.norm(change) > 1e-3 * np.linalg.norm(after)
     assert np.linalg.norm(tilted**2 - upright**2 - change) < 0.05 * np.linalg.norm(change)
+
+
+def test_once_a_plane_has_its_amplitudes_more_rounds_change_nothing(model_parts: tuple) -> None:
+    """Of one plane at points, a round of length 1 replaces the amplitudes, and leaves none to replace."""
+    engine, lit = model_parts
+    amplitude = 0.1 + np.random.default_rng(8).random(engine.scene.exit_grid.shape)
+    model = RecordingModel(engine, lit, [Recorded(0.0, amplitude)], 1.0)
+    once, misfit = model.step(lit.values)
+    for rounds in (2, 4):
+        again, same = model.step(lit.values, rounds)
+        assert np.allclose(again, once, atol=1e-12 * np.abs(once).max())
+        assert same == misfit
+    short, _ = model.step(lit.values, 2, 0.5)
+    assert np.allclose(short, 1.5 * once, atol=1e-12 * np.abs(once).max())
+
+
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_directions_that_are_all_the_same_are_one(model_parts: tuple, rounds: int) -> None:
+    engine, lit = model_parts
+    random = np.random.default_rng(9)
+    planes = [Recorded(d, 0.1 + random.random(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
+    one, many = (
+        RecordingModel(engine, lit, planes, 1.0, 1.0, modes=modes).step(lit.values, rounds, 1.3)
+        for modes in ((), Source(1e-9).few_modes(0.532))
+    )
+    assert np.allclose(many[0], one[0], atol=1e-8 * np.abs(one[0]).max())
+    assert many[1] == pytest.approx(one[1])

@@ -25,6 +25,17 @@ def test_a_disc_has_the_coherence_of_its_closed_form(distance: float) -> None:
     assert found == pytest.approx(2.0 * j1(distance) / distance, abs=2e-3)
 
 
+@pytest.mark.parametrize("distance", [0.5, 1.5, 3.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_seven_directions_have_nearly_the_coherence_of_a_disc(distance: float, axis: int) -> None:
+    modes = Source(width_deg=2.0).few_modes(0.5)
+    assert len(modes) == 7
+    assert sum(mode.share for mode in modes) == pytest.approx(1.0)
+    found = sum(mode.share * np.exp(1j * distance * mode.tilt_deg[axis]) for mode in modes)
+    assert found == pytest.approx(2.0 * j1(distance) / distance, abs=0.015)
+    assert POINT.few_modes(0.5) == POINT.modes(0.5)
+
+
 def test_a_band_has_the_coherence_of_its_closed_form() -> None:
     modes = Source(bandwidth_nm=20.0).modes(0.5)
     for waves in (10.0, 30.0):  # of delay
