@@ -184,7 +184,7 @@ def test_each_phase_holds_what_is_listed(
         need = need_of(tuple(replace(one, during=one.during & phase) for one in arrays))
         told[phase] = need.least_bytes if in_files else need.most_bytes
     fields = {phase: (peak - told[phase]) / (COMPLEX64 * math.prod(shape)) for phase, peak in peaks.items()}
-    assert all(-0.01 < beyond < 0.1 for beyond in fields.values()), fields  # the least array has 0.125
+    assert all(-0.01 < beyond < 0.12 for beyond in fields.values()), fields  # the least array has 0.125
 
 
 @pytest.mark.parametrize(("width_deg", "tilt_deg"), [(0.3, (0.0, 0.0)), (0.0, (1.0, 0.7)), (0.3, (1.0, 0.7))])
