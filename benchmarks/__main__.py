@@ -23,6 +23,7 @@ SCRIPTS = (
     "refocusing",
     "uncertainty",
     "verdicts",
+    "bench_sets",
     "patch_chain",
     "focus_rule",
     "study_speed",

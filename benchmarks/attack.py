@@ -127,8 +127,9 @@ def mutated_data(folder: Path, rng: np.random.Generator, count: int) -> Tally:
     from malformed import malformed
     from PIL import Image
 
+    from lensdesign import load_design
+    from wavesim.calibration.calibrated import read_calibration
     from wavesim.camera.frames import read_frame
-    from wavesim.camera.mounting import read_mounting
     from wavesim.fields.field import Field, Grid
     from wavesim.fields.files import read_field, write_field
     from wavesim.objects.targets import read_grey
@@ -141,7 +142,13 @@ def mutated_data(folder: Path, rng: np.random.Generator, count: int) -> Tally:
     )
     numbers = {"decenter_x_mm": 0.01, "tilt_x_deg": 0.1}
     (folder / "whole.json").write_text(json.dumps({"mounting": numbers, **numbers}))
-    readers = {".tif": read_frame, ".png": read_grey, ".npz": read_field, ".json": read_mounting}
+    lens = load_design(DESIGNS / "paper_singlet.toml")
+    readers = {
+        ".tif": read_frame,
+        ".png": read_grey,
+        ".npz": read_field,
+        ".json": lambda path: read_calibration(path, lens),
+    }
     tally = Tally()
     for _ in range(count):
         suffix = list(readers)[rng.integers(len(readers))]

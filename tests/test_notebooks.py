@@ -15,7 +15,7 @@ import nbformat
 import pytest
 from jupyter_client import KernelManager
 from nbclient import NotebookClient
-from places import DESIGNS, ROOT
+from places import DESIGNS, GOLDEN, ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 MOST_BYTES = 600_000
@@ -41,6 +41,7 @@ SHORTER = {
     },
     "start_phase": {"1 / 32": "1 / 64", "iterations=500": "iterations=4", "iterations=20": "iterations=2"},
     "store_questions": {"trials=300": "trials=20"},
+    "through_focus": {"calibrates=True, iterations=200": "iterations=3", "iterations=200": "iterations=3"},
 }
 
 
@@ -59,6 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder for notebooks, with the designs beside it."""
     top = tmp_path_factory.mktemp("top")
     shutil.copytree(DESIGNS, top / "designs")
+    shutil.copytree(GOLDEN / "through_focus", top / "tests" / "golden" / "through_focus")
     (top / "notebooks").mkdir()
     return top / "notebooks"
 
