@@ -29,7 +29,7 @@ def test_more_planes_tell_more_of_a_complex_object(monkeypatch: pytest.MonkeyPat
     )
     near, far = LENS.sensor.plane_distances_mm
     assert [plan.planes_mm for plan in found.plans] == [(near,), (near, far), (near, (near + far) / 2, far)]
-    assert found.plans[2].error < found.plans[0].error
+    assert found.plans[1].error < 0.5 < found.plans[0].error
     assert {plan.iterations for plan in found.plans} == {15}
     assert [done for _, done, _ in told] == [0, 0, 1, 2, 3]
     assert found.twin.scale == 1.0
