@@ -18,7 +18,7 @@ LIMIT = 1.3
 """Times the noise up to which residuals count as explained. Healthy frames come to 0.9 to 1.26: pixels are
 averaged in another way than they were made, and the iterations end."""
 
-HELD_LIMIT = 1.6
+HELD_LIMIT = 1.45
 """The same of pixels that were held out, which nothing was fitted to."""
 
 MODEL_ERROR = 0.005
@@ -34,7 +34,7 @@ FEW, MORE = 3, 10
 """So few iterations tell nothing. Of more, the misfit may go on to fall as in the last one, so many times:
 where it then comes to the noise, iterations are what is wanted."""
 
-FREER = {"shift": 1.15, "mounting": 1.2}
+FREER = {"shift": 1.15, "mounting": 1.65}
 """By how much trials must be better that change more than others, or resemble them: each plane's shift, in
 place of the two angles of the light, which shift all planes, and the lens's decenter, which does so too."""
 

@@ -111,7 +111,8 @@ def test_an_interrupted_run_goes_on_and_ends_as_an_unbroken_one(
     monkeypatch.setattr(*step, counted)
     code, _, err = run(monkeypatch, capsys, *options, "-o", tmp_path / "cut")
     assert code in ENDED, err
-    assert len(taken) == json.loads((tmp_path / "whole" / "reconstruction.json").read_text())["iterations"] - 3
+    told = json.loads((tmp_path / "whole" / "reconstruction.json").read_text())
+    assert len(taken) == told["iterations"] - 3
     whole, cut = (np.load(tmp_path / name / "reconstruction.npz")["values"] for name in ("whole", "cut"))
     np.testing.assert_allclose(cut, whole, atol=1e-5)
     assert not (tmp_path / "cut" / "checkpoint.npz").exists()
