@@ -1,10 +1,9 @@
 """Light, lens, mounting and camera from the frames alone, together with the object.
 
 A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
-object leaves. Each step of the
-search takes its direction from the normal equations of object and bench about that object, and its length
-from such reconstructions along it. Light's unevenness comes last: until the rest is right, anything explains
-it.
+object leaves. Each step of the search takes its direction from the normal equations of object and bench about
+that object, and its length from such reconstructions along it. Light's unevenness comes last: until the rest
+is right, anything explains it.
 """
 
 from __future__ import annotations
