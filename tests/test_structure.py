@@ -56,8 +56,6 @@ LEVEL = {
     for level, rooms in enumerate(levels)
     for room in rooms.split()
 }
-# Where a command reads a file of the package above its own, and hands plain numbers down.
-MEETINGS = {("wavesim.cli.bench_files", "tolerancing.study.priors")}
 # Tests of how the parts behave together, and of what is done to all of them.
 ELSEWHERE = ("attack", "support")
 
@@ -106,9 +104,7 @@ def test_packages_and_rooms_import_only_what_stands_before_them() -> None:
         package = name.split(".")[0]
         for other in others:
             theirs, (here, there) = other.split(".")[0], (room_of(name), room_of(other))
-            if (name, other) in MEETINGS:
-                upward = False
-            elif theirs != package:
+            if theirs != package:
                 upward = PACKAGES.index(theirs) > PACKAGES.index(package)
             else:
                 upward = here != there and LEVEL.get(there, -1) >= LEVEL.get(here, len(LEVEL))

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 FRAMES = "frame_*.tif"
 """In a folder of `wavesim image`."""
 
+PRIORS = "wavesim.priors"
+"""Entry points that read what a lens's tolerances are: a package above this one gives them."""
+
 
 class PriorsWarning(UserWarning):
     """A tolerance study perturbs what no calibration seeks."""
@@ -40,12 +43,14 @@ def read_empty(
 
 def read_priors(path: Path | None, lens: Lens) -> dict[str, float] | None:
     """Standard deviations of what a calibration seeks, as a tolerance study has them."""
-    # The one place where a command looks above its package: what it hands down are plain numbers.
-    from tolerancing.study.priors import calibration_priors
+    from importlib.metadata import entry_points
 
     if path is None:
         return None
-    found = calibration_priors(path, lens)
+    readers = tuple(entry_points(group=PRIORS, name="study"))
+    if not readers:
+        raise SettingError(f"{{priors}}: no package that reads a study is installed (entry point {PRIORS})")
+    found = readers[0].load()(path, lens)
     if found.not_sought:
         warnings.warn(
             f"{path}: no calibration seeks {', '.join(found.not_sought)}: where they differ, it does not "

@@ -11,9 +11,10 @@ import pytest
 from places import DESIGNS
 from wavesim_command import ENDED, run_wavesim
 
-from lensdesign import load_design, save_design, scaled
+from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
 from wavesim.camera.frames import write_frame
+from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field
 from wavesim.scene.bench import Bench, LightErrors
 
@@ -115,3 +116,9 @@ def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_pa
     assert code == 2
     assert "--empty: a smooth light leaves" in err
     assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_priors_need_a_package_that_reads_studies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wavesim.cli.bench_files.PRIORS", "nobody.gives.this")
+    with pytest.raises(InputError, match="no package that reads a study is installed"):
+        read_priors(Path("study.toml"), load_design("designs/paper_singlet.toml"))
