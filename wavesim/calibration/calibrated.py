@@ -77,10 +77,14 @@ class Calibrated:
         return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
 
     @property
+    def over_noise(self) -> float:
+        """What is left, over the noise and what engine and pixels may err."""
+        return self.misfit / math.hypot(self.misfit_of_noise or 0.0, MODEL_ERROR)
+
+    @property
     def explained(self) -> bool:
-        """Whether what is left is the noise, and what engine and pixels may err."""
-        noise = math.hypot(self.misfit_of_noise or 0.0, MODEL_ERROR)
-        return self.misfit <= LIMIT * noise
+        """Whether what is left is that noise."""
+        return self.over_noise <= LIMIT
 
     def table(self) -> dict[str, Any]:
         """What :func:`read_calibration` reads, and all figures, ready for JSON."""

@@ -21,7 +21,6 @@ from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
 from wavesim.camera.recording import Progress
-from wavesim.evaluation.verdicts import MODEL_ERROR
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
 from wavesim.scene.bench import Bench
@@ -152,7 +151,7 @@ def calibrate_empty(
     begin = Unknowns(lens, Bench(start or seen.start))
     found = searched(seen, sought, begin, None, tell, np.ones(seen.framed.light.grid.shape, np.float32))
     noise = found.misfit_of_noise or 0.0
-    over = found.misfit / math.hypot(noise, MODEL_ERROR)
+    over = found.over_noise
     if over > SEEN_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > SEEN:
         raise SettingError(
             f"{{empty}}: a smooth light leaves {over:.1f} times the noise of these frames: must be frames "
