@@ -53,6 +53,13 @@ def _finite_positive(value: float) -> float:
     return value
 
 
+def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
+    """In order."""
+    if not exposures or min(exposures) <= 0.0:
+        raise ValueError("must be greater than 0")
+    return tuple(sorted(exposures))
+
+
 Size = Annotated[float, AfterValidator(_finite_positive)]
 Count = Annotated[int, AfterValidator(_finite_positive)]
 Numbers = Annotated[tuple[float, ...], BeforeValidator(tuples)]
@@ -186,12 +193,7 @@ class CameraSettings(Section):
             raise ValueError("must be greater than 0, and differ")
         return tuple(sorted(planes))
 
-    @field_validator("exposures")
-    @classmethod
-    def _lit(cls, exposures: tuple[float, ...]) -> tuple[float, ...]:
-        if not exposures or min(exposures) <= 0.0:
-            raise ValueError("must be greater than 0")
-        return tuple(sorted(exposures))
+    _lit = field_validator("exposures")(_bracket)
 
 
 class ObjectSettings(Section):
@@ -369,12 +371,7 @@ class PlanSettings(Section):
             raise ValueError("must be two numbers, increasing and greater than 0")
         return planes
 
-    @field_validator("exposures")
-    @classmethod
-    def _lit(cls, exposures: tuple[float, ...]) -> tuple[float, ...]:
-        if not exposures or min(exposures) <= 0.0:
-            raise ValueError("must be greater than 0")
-        return tuple(sorted(exposures))
+    _lit = field_validator("exposures")(_bracket)
 
 
 class CalibrationSettings(FramedSettings):
