@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_twins import bars_under_stop
 
-from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated
@@ -43,20 +43,9 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    grid = Grid((144, 144), 4.2e-4, lens.object_z_mm)
-    exit_grid = Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08)
-    scene = Scene(lens, grid, exit_grid, 0.532)
-    y, x = grid.y_mm[:, None], grid.x_mm
-    light = Field(grid, (np.hypot(y, x) < 0.029).astype(np.complex64), 0.532)
-    rng = np.random.default_rng(7)
-    bars = np.ones(grid.shape)
-    for _ in range(12):
-        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
-        for bar in range(3):
-            bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
-    known = Field(grid, bars.astype(np.complex64), 0.532)
-    blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    scene, light, bars, _ = bars_under_stop()
+    known = Field(scene.object_grid, bars.astype(np.complex64), 0.532)
+    blank = [Recorded(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
     model = RecordingModel(tiles(placed_scene(scene, TRUE)), light_on(light, TRUE), blank, 1.0)
     seen = [
         Recorded(plane.distance_mm, amplitude.astype(np.float32))

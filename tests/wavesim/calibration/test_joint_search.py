@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_twins import bars_under_stop
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
@@ -17,7 +18,6 @@ from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_pa
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_scene
@@ -46,19 +46,9 @@ def lens() -> Lens:
 @pytest.fixture(scope="module")
 def search(lens: Lens) -> JointSearch:
     """Bars on a small twin's bench, with noise; its light, lens and camera differ from the design."""
-    grid = Grid((144, 144), 4.2e-4, lens.object_z_mm)
-    exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
-    scene = Scene(lens, grid, exit_grid, 0.532)
-    y, x = grid.y_mm[:, None], grid.x_mm
-    light = Field(grid, (np.hypot(y, x) < 0.029).astype(np.complex64), 0.532)
-    rng = np.random.default_rng(7)
-    bars = np.ones(grid.shape)
-    for _ in range(12):
-        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
-        for bar in range(3):
-            bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
+    scene, light, bars, rng = bars_under_stop()
     bench = Unknowns(lens, values=TRUE).bench
-    blank = [Recorded(d, np.ones(exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
+    blank = [Recorded(d, np.ones(scene.exit_grid.shape, np.float32)) for d in (0.0, 0.6)]
     model = RecordingModel(
         tiles(placed_scene(scene, bench.placement)), light_on(light, bench), planes_at(blank, bench), 1.0, 1.0
     )

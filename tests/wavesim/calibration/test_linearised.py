@@ -6,14 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_twins import small_twin
 
-from lensdesign import load_design, scaled
 from wavesim.calibration.linearised import Linearised
 from wavesim.camera.recorded import Recorded
-from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.scene import Scene
 
 PITCH = 3.2e-3
 
@@ -21,15 +18,10 @@ PITCH = 3.2e-3
 @pytest.fixture(scope="module")
 def parts() -> tuple:
     """A model with two planes, and a transmission that is not the one that they recorded."""
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    grid = Grid((60, 60), 4.2e-4, lens.object_z_mm)
-    exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
-    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
+    engine, lit = small_twin()
     rng = np.random.default_rng(1)
-    stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(complex)
-    lit = Field(grid, stop, 0.532)
-    truth, now = (0.7 + 0.2 * rng.standard_normal(grid.shape) for _ in range(2))
-    blank = [Recorded(d, np.ones(exit_grid.shape)) for d in (0.0, 0.6)]
+    truth, now = (0.7 + 0.2 * rng.standard_normal(lit.grid.shape) for _ in range(2))
+    blank = [Recorded(d, np.ones(engine.scene.exit_grid.shape)) for d in (0.0, 0.6)]
     seen = RecordingModel(engine, lit, blank, 1.0, 1.0).amplitudes(truth.astype(complex))
     planes = [
         replace(p, amplitude=2.0 * a, sigma=1.0 + rng.random(a.shape), background=np.full(a.shape, 0.01))

@@ -7,18 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_twins import small_twin
 
-from lensdesign import load_design, scaled
 from lensdesign.lens.lens import Sensor
 from wavesim.camera.recorded import Recorded
 from wavesim.camera.sensor import light_on_pixels, on_sensor
-from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field, Grid
 from wavesim.fields.passage import propagate
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime import threads
 from wavesim.scene.bench import LightErrors
-from wavesim.scene.scene import Scene
 from wavesim.scene.source import Source
 
 PITCH = 3.2e-3
@@ -34,12 +31,7 @@ def two_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def model_parts() -> tuple:
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    grid = Grid((60, 60), 4.2e-4, lens.object_z_mm)
-    exit_grid = Grid((216, 216), PITCH, lens.exit_vertex_z_mm + 0.08)
-    engine = engine_for(Scene(lens, grid, exit_grid, 0.532), "eikonal", error=0.3)
-    stop = (np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.012).astype(complex)
-    return engine, Field(grid, stop, 0.532)
+    return small_twin()
 
 
 @pytest.mark.parametrize(("active_width", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])

@@ -1,0 +1,47 @@
+"""A small twin of the paper's lens, and bars under its field stop: what calibrations are tried on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lensdesign import load_design, scaled
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field, Grid
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
+
+WAVELENGTH_UM = 0.532
+PIXEL_MM = 3.2e-3
+
+
+def twin_scene(samples: int) -> Scene:
+    """So many samples a side of the object of a 1/32 twin, and 216 pixels near its lens."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
+    grid = Grid((samples, samples), 4.2e-4, lens.object_z_mm)
+    return Scene(lens, grid, Grid((216, 216), PIXEL_MM, lens.exit_vertex_z_mm + 0.08), WAVELENGTH_UM)
+
+
+def lit_within(scene: Scene, radius_mm: float) -> np.ndarray:
+    """The field stop."""
+    return np.hypot(scene.object_grid.y_mm[:, None], scene.object_grid.x_mm) < radius_mm
+
+
+def small_twin() -> tuple[Engine, Field]:
+    """Tiles of a small scene, and even light within its field stop, in double precision."""
+    scene = twin_scene(60)
+    light = Field(scene.object_grid, lit_within(scene, 0.012).astype(complex), WAVELENGTH_UM)
+    return engine_for(scene, "eikonal", error=0.3), light
+
+
+def bars_under_stop() -> tuple[Scene, Field, np.ndarray, np.random.Generator]:
+    """The scene, even light within its field stop, sets of dark bars, and the generator that drew them."""
+    scene = twin_scene(144)
+    light = Field(scene.object_grid, lit_within(scene, 0.029).astype(np.complex64), WAVELENGTH_UM)
+    y, x = scene.object_grid.y_mm[:, None], scene.object_grid.x_mm
+    rng = np.random.default_rng(7)
+    bars = np.ones(scene.object_grid.shape)
+    for _ in range(12):
+        width, cy, cx = rng.uniform(0.9e-3, 3e-3), *rng.uniform(-0.02, 0.02, 2)
+        for bar in range(3):
+            bars[(np.abs(x - cx - 2 * bar * width) < 0.5 * width) & (np.abs(y - cy) < 2.5 * width)] = 0.0
+    return scene, light, bars, rng
