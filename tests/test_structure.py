@@ -46,6 +46,7 @@ ORDER = {
         "study",
         "store",
         "analysis",
+        "wavefronts",
         "report run",
         "cli",
     ),

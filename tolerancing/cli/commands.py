@@ -12,6 +12,7 @@ import typer
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
+from tolerancing.cli import predict as cli_predict
 from tolerancing.cli import tolerances as cli_tolerances
 from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath, Trust
@@ -172,6 +173,7 @@ def export(
     print(f"wrote {output}")
 
 
+app.command()(cli_predict.predict)
 app.command()(cli_tolerances.sensitivity)
 app.command()(cli_tolerances.inverse)
 app.command()(cli_tolerances.budget)

@@ -1,0 +1,235 @@
+"""Derivatives of reconstruction pupils by perturbations, from the rays of the nominal lens.
+
+The pupil's path difference dV(p) (:mod:`wavesim.pupil.pupil`) is a change of path between fixed object and
+sensor points, which is what :mod:`tolerancing.wavefronts.paths` differentiates. Means over the pupil are by
+Gauss-Legendre rings over the stop (Forbes, J. Opt. Soc. Am. A 5, 1943, 1988), weighted by the direction
+cosines at the object that each part of the stop stands for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.zernikes import zernike
+from lensdesign.tracing.bundles import PupilSamples, launch_compiled, pupil_rings
+from lensdesign.tracing.compiled import compile_system
+from lensdesign.tracing.rays import trace_compiled
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.wavefronts.paths import Figures, Paths
+from tolerancing.wavefronts.system import Changes, changes_of
+
+RINGS, ARMS = 6, 14
+"""Of rays over the stop."""
+
+POLYNOMIALS = 28
+"""Of Zernike, to the sixth radial order: direction cosines are followed over the stop by them."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldDifferentials:
+    """Derivatives at one object point; n rays, d changes.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (n,)
+        Of means over the pupil; they sum to 1.
+    basis : ndarray, shape (4, n)
+        What registration and refocusing take out: 1 and the direction cosines.
+    first : ndarray, shape (n, d)
+        Of the path difference in waves, by the changes.
+    second : ndarray, shape (n, d, d)
+        Empty along the first axis where it was not asked for.
+    """
+
+    weights: Array
+    basis: Array
+    first: Array
+    second: Array
+
+    @cached_property
+    def registered(self) -> Array:
+        """First derivatives with shift and focus taken out, shape (n, d)."""
+        return self.without_focus(self.first)
+
+    @cached_property
+    def registered_second(self) -> Array:
+        """Second derivatives with shift and focus taken out, shape (n, d, d)."""
+        flat = self.second.reshape(len(self.second), -1)
+        return self.without_focus(flat).reshape(self.second.shape)
+
+    def without_focus(self, waves: Array) -> Array:
+        """Path differences, shape (n, ...), less the piston, shift and refocus that fit them best."""
+        basis = self.basis
+        heavy = basis * self.weights
+        return np.asarray(waves - basis.T @ np.linalg.solve(heavy @ basis.T, heavy @ waves))
+
+
+@dataclass(frozen=True, eq=False)
+class Differentials:
+    """Derivatives of a lens's pupils by its perturbations.
+
+    Attributes
+    ----------
+    changes : Changes
+        What the perturbations are.
+    fields : tuple of FieldDifferentials
+        One for each object point.
+    """
+
+    changes: Changes
+    fields: tuple[FieldDifferentials, ...]
+
+
+def differentials(
+    lens: Lens,
+    parameters: Sequence[PerturbedParameter],
+    sizes: Array,
+    fields_mm: Sequence[tuple[float, float]],
+    *,
+    wavelength_um: float | None = None,
+    plane_distance_mm: float = 3.0,
+    pivot_z_mm: float = 0.0,
+    second: bool = True,
+) -> Differentials:
+    """Differentiate the reconstruction pupils of a lens by perturbations.
+
+    What it neglects: that the perturbed stop lets other rays through.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    parameters
+        What is perturbed.
+    sizes : ndarray, shape (parameters,)
+        Roughly by how much.
+    fields_mm
+        Object points (x, y).
+    wavelength_um
+        Vacuum wavelength; the lens's first by default.
+    plane_distance_mm
+        From the exit vertex to the plane to which paths are taken.
+    pivot_z_mm
+        Where on the axis the whole lens turns, from its front vertex.
+    second
+        Whether second derivatives are asked for.
+
+    Raises
+    ------
+    InputError
+        If a perturbation is none of this lens.
+    DesignError
+        If not all rays pass.
+    """
+    wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
+    changes = changes_of(lens, parameters, sizes, pivot_z_mm, wavelength, second)
+    stop = pupil_rings(RINGS, ARMS)
+    paths = nominal_paths(lens, fields_mm, stop, wavelength, plane_distance_mm)
+    figures = figures_on(paths, changes)
+    waves = 1e3 / wavelength
+    first = waves * first_by(paths, changes, figures)
+    n, d = len(stop.points), changes.count
+    by_second = (
+        waves * paths.second(changes.first, changes.second, figures) if second else np.zeros((0, d, d))
+    )
+    cosines = paths.cosines
+    fields = []
+    for k in range(len(fields_mm)):
+        part = slice(k * n, (k + 1) * n)
+        fields.append(
+            FieldDifferentials(
+                weights_over_stop(cosines[part], stop), basis_of(cosines[part]), first[part], by_second[part]
+            )
+        )
+    return Differentials(changes, tuple(fields))
+
+
+def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Array:
+    """First derivatives of paths in mm by changes, shape (n, d)."""
+    found = paths.by_numbers @ changes.first
+    for figure in figures:
+        found[:, figure.columns] += paths.by_figure(figure.surface, figure.sag)
+    return np.asarray(found)
+
+
+def figures_on(paths: Paths, changes: Changes) -> list[Figures]:
+    """The sag errors of irregularities at the rays."""
+    found = []
+    for surface, columns, figure in changes.figures:
+        x, y = paths.heights_mm[:, surface, 0], paths.heights_mm[:, surface, 1]
+        sag, across, down = (part.T for part in figure.sag_and_slopes(x, y))
+        found.append(Figures(surface, columns, sag, across, down))
+    return found
+
+
+def nominal_paths(
+    lens: Lens,
+    fields_mm: Sequence[tuple[float, float]],
+    stop: PupilSamples,
+    wavelength_um: float,
+    plane_distance_mm: float,
+) -> Paths:
+    """Trace rays from object points, one after the other, through the stop.
+
+    Raises
+    ------
+    DesignError
+        If not all of them arrive.
+    """
+    system = compile_system(lens, wavelength_um)
+    plane_z = lens.exit_vertex_z_mm + plane_distance_mm
+    origins, directions = launch_compiled(
+        system, fields_mm, stop.points, lens.object_z_mm, lens.stop_index, lens.stop_semi_diameter_mm
+    )
+    rays = trace_compiled(system, origins, directions, plane_z, record_hits=True)
+    assert rays.hits is not None  # they were asked for
+    if not np.all(rays.ok):
+        lost = np.flatnonzero(~rays.ok)[0] // len(stop.points)
+        raise DesignError(
+            f"rays from the object point ({fields_mm[lost][0]:g}, {fields_mm[lost][1]:g}) mm do not all pass "
+            "the lens: its wavefront has no derivatives there"
+        )
+    return Paths(
+        system.shapes,
+        system.vertex[0, :, 2],
+        system.index[0],
+        origins,
+        rays.hits[..., :2],
+        rays.position,
+    )
+
+
+def basis_of(cosines: Array) -> Array:
+    """1 and the direction cosines, less their means, shape (4, n)."""
+    rows = cosines.T - np.mean(cosines, axis=0)[:, None]
+    return np.concatenate([np.ones_like(rows[:1]), rows])
+
+
+def weights_over_stop(cosines: Array, stop: PupilSamples) -> Array:
+    """Shares of the pupil, which is evenly filled in direction cosines, that rays stand for; shape (n,)."""
+    across, down = _slopes_over_stop()
+    by_x, by_y = across @ cosines[:, :2], down @ cosines[:, :2]
+    area = stop.weights * (by_x[:, 0] * by_y[:, 1] - by_x[:, 1] * by_y[:, 0])
+    return np.asarray(area / np.sum(area))
+
+
+@lru_cache(maxsize=1)
+def _slopes_over_stop() -> tuple[Array, Array]:
+    """Matrices that take values at the rings' points to derivatives along x and y of the stop."""
+    points = pupil_rings(RINGS, ARMS).points
+    ways = [np.zeros(2), *(step * axis for axis in np.eye(2) for step in (1e-4, -1e-4))]
+    here, right, left, up, low = (_polynomials(points + way) for way in ways)
+    fit = np.linalg.pinv(here)
+    return (right - left) / 2e-4 @ fit, (up - low) / 2e-4 @ fit
+
+
+def _polynomials(points: Array) -> Array:
+    rho, theta = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
+    return np.stack([zernike(index, rho, theta) for index in range(POLYNOMIALS)], axis=1)
