@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 from benchmarks.timing import DESIGNS, Row, interleaved, print_table
+from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.result import OptimizationResult
 from lensdesign.optimization.search import optimize
-from lensdesign.optimization.specification import Specification, load_specification
 
 ROUNDS = 7
 SEEDS = (0, 1, 2)

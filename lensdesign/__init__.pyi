@@ -16,9 +16,9 @@ from .lens.lens import Lens, ObjectSpace, Sensor
 from .lens.poses import Pose, SurfacePerturbation
 from .lens.scaling import scaled
 from .lens.surface import Surface
+from .optimization.asked.specification import Specification, load_specification
 from .optimization.result import OptimizationResult
 from .optimization.search import optimize
-from .optimization.specification import Specification, load_specification
 from .pictures.glb import write_scene
 from .pictures.page import write_view
 from .pictures.plots import draw_all

@@ -13,7 +13,7 @@ from short_studies import copy_designs
 
 from lensdesign.common.toml_files import validate
 from lensdesign.fabrication.drawing.sheets import DrawingOptions
-from lensdesign.optimization.specification import Specification
+from lensdesign.optimization.asked.specification import Specification
 from tolerancing.study.files import study_from_tables
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -5,29 +5,25 @@ from __future__ import annotations
 import os
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import making as cli_making
+from lensdesign.cli import searching as cli_searching
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
 from lensdesign.cli.making import Design, Json
-from lensdesign.common.console import make_app, message_console, print_json, run_app
+from lensdesign.cli.tables import print_tables, table
+from lensdesign.common.console import make_app, print_json, run_app
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError, atomic_path
+from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
     from lensdesign.analysis.report import CheckReport
-    from lensdesign.optimization.result import OptimizationResult
-    from lensdesign.optimization.specification import Specification
 
 app = make_app("Design non-imaging spatial information transfer lenses.")
-
-
-WIDEST_TITLE = 100
-"""Up to which a table is made as wide as its title."""
 
 
 class PictureFormat(StrEnum):
@@ -66,8 +62,8 @@ def check(
 
         report = check_design(lens)
     else:
+        from lensdesign.optimization.asked.specification import load_specification
         from lensdesign.optimization.compliance import check_against
-        from lensdesign.optimization.specification import load_specification
 
         report = check_against(lens, load_specification(against))
     if as_json:
@@ -75,64 +71,6 @@ def check(
     else:
         _print_check(report)
     raise typer.Exit(0 if report.feasible else 1)
-
-
-@app.command()
-def optimize(
-    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
-    as_json: Json = False,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
-    algorithm: Annotated[
-        str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
-    ] = None,
-    starts: Annotated[
-        int | None,
-        typer.Option(help="Most starts of each glass, in place of the specification's.", show_default=False),
-    ] = None,
-    max_evaluations: Annotated[
-        int | None,
-        typer.Option(help="Limit of each glass, in place of the specification's.", show_default=False),
-    ] = None,
-    max_seconds: Annotated[
-        float | None,
-        typer.Option(
-            help="Time limit; what it cuts depends on the machine. None if left out here and there.",
-            show_default=False,
-        ),
-    ] = None,
-) -> None:
-    """Search for the lens that a specification asks for.
-
-    Starts are made until several agree. What was found is checked against the specification in the end.
-
-    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut the search (the lens is
-    written all the same), 2 for bad input.
-    """
-    from lensdesign.files.design import design_text
-    from lensdesign.optimization.search import optimize as search
-    from lensdesign.optimization.specification import load_specification
-
-    asked = _with_settings(
-        load_specification(specification),
-        algorithm=algorithm,
-        starts=starts,
-        max_evaluations=max_evaluations,
-        max_seconds=max_seconds,
-    )
-    if os.path.exists(output) and output.samefile(specification):
-        raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
-    # Opened before the search: a place that cannot be written shows at once, not after it.
-    with atomic_path(output) as temporary:
-        with message_console().status("searching") as status:
-            result = search(asked, report=status.update, seed=seed)
-        temporary.write_text(design_text(result.lens, output.parent), encoding="utf-8")
-    if as_json:
-        print_json(result.as_dict() | {"design": str(output)})
-    else:
-        _print_optimization(result)
-        typer.echo(f"wrote {output}")
-    raise typer.Exit(0 if result.feasible and not result.unfinished else 1)
 
 
 @app.command()
@@ -155,6 +93,7 @@ def draw(
     _report_files(draw_all(lens, output, chosen, report=lambda note: typer.echo(note, err=True)), as_json)
 
 
+app.command()(cli_searching.optimize)
 app.command("import")(cli_making.import_file)
 app.command()(cli_making.export)
 app.command()(cli_making.scene)
@@ -250,16 +189,6 @@ def _print_matches(name: str, catalogs: list[Path], as_json: bool) -> None:
     typer.echo(f"{len(found)} names contain {name!r}")
 
 
-def _with_settings(specification: Specification, **changes: object) -> Specification:
-    """The specification with what the command line changes."""
-    from lensdesign.common.toml_files import validate
-    from lensdesign.optimization.specification import Settings
-
-    given = {key: value for key, value in changes.items() if value is not None}
-    settings = validate(Settings, specification.optimize.model_dump() | given, "command line")
-    return specification.model_copy(update={"optimize": settings})
-
-
 def _report_files(files: list[Path], as_json: bool) -> None:
     if as_json:
         print_json({"files": [str(f) for f in files]})
@@ -269,12 +198,12 @@ def _report_files(files: list[Path], as_json: bool) -> None:
 
 
 def _print_check(report: CheckReport) -> None:
-    table = _table(report.title, "constraint", "value", "limit", "")
+    constraints = table(report.title, "constraint", "value", "limit", "")
     for c in report.constraints:
-        table.add_row(
+        constraints.add_row(
             c.name, _number(c.value, c.unit), f"{c.relation} {_number(c.limit, c.unit)}", _met(c.met)
         )
-    figures = _table("", "figure", "value")
+    figures = table("", "figure", "value")
     heights = ", ".join(f"{h:g}" for h in report.spot_heights_mm)
     spots = ", ".join(f"{d:.2f}" for d in report.rms_spot_diameter_mm)
     rows = [
@@ -288,7 +217,7 @@ def _print_check(report: CheckReport) -> None:
     ]
     for row in rows:
         figures.add_row(*row)
-    _print_tables(table, figures)
+    print_tables(constraints, figures)
     for f in report.figures:
         typer.echo(
             f"surface {f.surface} as measured: PV {f.pv_waves:.3f}, RMS {f.rms_waves:.3f} waves at "
@@ -301,41 +230,6 @@ def _print_check(report: CheckReport) -> None:
         typer.echo(f"not met: {sentence}")
 
 
-def _print_optimization(result: OptimizationResult) -> None:
-    from rich.markup import escape
-
-    for sentence in result.unfinished:
-        typer.echo(f"not finished: {visible(sentence)}")
-    variables = _table(result.lens.title, "variable", "value")
-    for name, value in result.variables.items():
-        shown = "plane" if value is None else f"{value:.8g}" if isinstance(value, float) else str(value)
-        variables.add_row(name, escape(visible(shown)))
-    variables.add_section()
-    goal = f"{result.goal}, share of its limit" if result.goal_unit == "%" else result.goal
-    variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
-    if len(result.spreads) > 1:
-        for s in result.spreads:
-            shown = f"{s.spread_deg:.4f} deg, {100.0 * s.share:.2f} % of {s.limit_deg:.4f} deg"
-            variables.add_row(f"spread at {s.wavelength_um:g} um", shown)
-    _print_tables(variables)
-    for name in result.binding:
-        typer.echo(f"binding: {name}")
-    for sentence in result.violations:
-        typer.echo(f"not met: {sentence}")
-    if result.reach is not None:
-        typer.echo(result.reach.in_words(result.lens.object))
-    if result.feasible:
-        typer.echo("checked: every constraint of the specification is met")
-    typer.echo(
-        f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because of "
-        f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
-    )
-    if not result.agreed:
-        typer.echo(
-            "hint: no other start came to this, which says little; allow more starts, or narrow the bounds"
-        )
-
-
 def _number(value: float, unit: str) -> str:
     text = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.4f}"
     return f"{text} {unit}".rstrip()
@@ -343,25 +237,3 @@ def _number(value: float, unit: str) -> str:
 
 def _met(met: bool) -> str:
     return "[green]met[/green]" if met else "[red]not met[/red]"
-
-
-def _table(title: str, *columns: str) -> Any:
-    from rich.markup import escape
-    from rich.table import Table
-
-    shown = visible(title)
-    width = min(len(shown), WIDEST_TITLE)
-    table = Table(title=escape(shown) or None, title_justify="left", title_style="bold", min_width=width)
-    for column in columns:
-        # A name that were cut could look like another one: it goes on below.
-        side: Any = "right" if column in ("value", "limit") else "left"
-        table.add_column(column, justify=side, overflow="fold")
-    return table
-
-
-def _print_tables(*tables: Any) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    for table in tables:
-        console.print(table)

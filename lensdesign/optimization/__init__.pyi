@@ -1,8 +1,9 @@
+from .asked.sections import Settings
+from .asked.specification import Specification, load_specification
 from .compliance import check_against
 from .reach import Reach
 from .result import OptimizationResult
 from .search import optimize
-from .specification import Settings, Specification, load_specification
 
 __all__ = [
     "OptimizationResult",

@@ -18,16 +18,29 @@ from lensdesign.analysis.spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
-from lensdesign.optimization.specification import Specification
+from lensdesign.optimization.as_built import AsBuiltReport, read_as_built
+from lensdesign.optimization.asked.specification import Specification
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.extremes import extremes
 
 
-def check_against(lens: Lens, specification: Specification) -> CheckReport:
+def check_against(
+    lens: Lens, specification: Specification, built: AsBuiltReport | None = None
+) -> CheckReport:
     """Check a lens against the constraints of a specification.
 
     Field, numerical aperture, wavelengths and sensor are those of the specification, whatever the lens was
-    written with; its surfaces, edges and working distance are its own.
+    written with; its surfaces, edges and working distance are its own. What is asked of it as built is judged
+    by Monte Carlo trials, whose statistical error speaks for the lens.
+
+    Parameters
+    ----------
+    lens
+        What is checked.
+    specification
+        What is asked.
+    built
+        Trials of the lens, where they are known.
 
     Returns
     -------
@@ -52,6 +65,7 @@ def check_against(lens: Lens, specification: Specification) -> CheckReport:
         _aperture(judged, specification, report),
         *_thicknesses(judged, specification),
         *_slopes(judged, specification),
+        *_as_built(judged, specification, built),
     )
     return replace(
         report,
@@ -160,6 +174,27 @@ def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
         steepest = math.degrees(math.atan(float(np.max(np.hypot(*slopes)))))
         limit = specification.constraints.max_edge_slope_deg
         rows.append(_at_most(f"slope at the edge of surface {number}", steepest, limit, "deg"))
+    return rows
+
+
+def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | None) -> list[Constraint]:
+    limits, tolerances = specification.constraints, specification.tolerances
+    if (limits.min_yield is None and limits.max_as_built_rms_waves is None) or tolerances is None:
+        return []
+    if built is None:
+        built = read_as_built(tolerances.study).trials([("", lens)], tolerances.trials)
+    found, rows = built.rows[-1], []
+    if limits.min_yield is not None:
+        met = found.high >= limits.min_yield
+        words = f"yield: {found.good:.3f} ({found.low:.3f} to {found.high:.3f}) of {found.trials} trials"
+        miss = f"{words} is less than the {limits.min_yield:g} that the specification asks for"
+        rows.append(constraint("yield", found.good, ">=", limits.min_yield, "", met, miss))
+    if limits.max_as_built_rms_waves is not None:
+        most = limits.max_as_built_rms_waves
+        for (x, y), rms, error in zip(built.points_mm, found.rms_waves, found.rms_errors_waves, strict=True):
+            name = f"as-built rms at ({x:g}, {y:g}) mm"
+            miss = f"{name}: {rms:.4f} +- {2.0 * error:.4f} waves exceeds the limit of {most:g} waves"
+            rows.append(constraint(name, rms, "<=", most, "waves", rms - 2.0 * error <= most, miss))
     return rows
 
 

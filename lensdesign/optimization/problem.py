@@ -13,6 +13,9 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.registry import class_with
+from lensdesign.optimization.as_built import AsBuiltValues
+from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.requirements import (
     LIMIT_MARGIN,
@@ -22,9 +25,8 @@ from lensdesign.optimization.requirements import (
     constraint_rows,
     goal_rows,
 )
-from lensdesign.optimization.specification import Specification, VariableRange
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
-from lensdesign.tracing.gradients import Variable, gradient_trace
+from lensdesign.tracing.gradients import GradientTrace, Variable, gradient_trace
 
 
 @dataclass(frozen=True)
@@ -100,14 +102,14 @@ class DesignProblem:
 
     def __init__(self, specification: Specification, base: Lens) -> None:
         self.specification, self.base = specification, base
-        self.ranges: tuple[VariableRange, ...] = tuple(
-            v for v in specification.variables if v.parameter != "material"
-        )
+        self.ranges: tuple[VariableRange, ...] = tuple(v for v in specification.variables if not v.discrete)
         self.variables: tuple[Variable, ...] = tuple(v.variable() for v in self.ranges)
         limits = np.array([v.limits() for v in self.ranges]).reshape(-1, 2)
         self.lower, self.width = limits[:, 0], limits[:, 1] - limits[:, 0]
         self.planes = np.array(base.sensor.plane_distances_mm)
         self.rotational = all(surface.shape.ROTATIONAL for surface in base.surfaces)
+        self._tolerances = specification.as_built
+        self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
 
     def sample_rays(self, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()) -> Rays:
         """As :func:`sample_rays`, all round where a surface is none of revolution."""
@@ -146,28 +148,50 @@ class DesignProblem:
         """Trace rays through the lens at a point of the unit box, with derivatives or none."""
         variables = self.variables if derivatives else ()
         lens = self.lens_at(point)
-        fixed = self.specification.optimize.stop == "fixed"
-        traces = tuple(
-            gradient_trace(
-                _shaped(base, lens),
-                lens.object_z_mm,
-                self.planes,
-                lens.stop_index,
-                self.base.stop_semi_diameter_mm if fixed else None,
-                lens.object.numerical_aperture,
-                rays.fields_mm,
-                rays.pupil,
-                variables,
-            )
-            for base in self.compiled
-        )
+        traces = tuple(self._trace(lens, base, rays, variables, self.planes) for base in self.compiled)
         return State(lens, variables, rays.fields_mm, traces)
+
+    def trace(
+        self, point: Array, rays: Rays, variables: tuple[Variable, ...], planes_mm: Array
+    ) -> GradientTrace:
+        """Trace rays at the first wavelength, to planes of one's own."""
+        return self._trace(self.lens_at(point), self.compiled[0], rays, variables, planes_mm)
+
+    def _trace(
+        self,
+        lens: Lens,
+        base: CompiledSystem,
+        rays: Rays,
+        variables: tuple[Variable, ...],
+        planes_mm: Array,
+    ) -> GradientTrace:
+        fixed = self.specification.optimize.stop == "fixed"
+        return gradient_trace(
+            _shaped(base, lens),
+            lens.object_z_mm,
+            planes_mm,
+            lens.stop_index,
+            self.base.stop_semi_diameter_mm if fixed else None,
+            lens.object.numerical_aperture,
+            rays.fields_mm,
+            rays.pupil,
+            variables,
+        )
+
+    def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
+        """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""
+        if self._tolerances is None:
+            return None
+        key = point.tobytes(), derivatives
+        if self._as_built is None or self._as_built[0] != key:
+            self._as_built = key, self._tolerances.evaluate(self, point, derivatives)
+        return self._as_built[1]
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
     ) -> tuple[list[Row], list[Row]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
-        state = self.state(point, rays, derivatives)
+        state = replace(self.state(point, rays, derivatives), as_built=self.as_built(point, derivatives))
         return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:

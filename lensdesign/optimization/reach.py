@@ -1,17 +1,19 @@
-"""How much of a specification that could not be met can be: the largest field, and the largest aperture."""
+"""How much of a specification that could not be met can be: field, aperture, lenses as built."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens, ObjectSpace
+from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.budget import Budget
 from lensdesign.optimization.local_search import search_from
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.requirements import KEPT
-from lensdesign.optimization.specification import Specification
 
 FIRST_STEP = 0.01
 """By which share field or aperture is lowered first; the next steps are twice as large each."""
@@ -30,14 +32,24 @@ class Reach:
         Largest field at the numerical aperture asked for.
     numerical_aperture
         Largest numerical aperture over the field asked for.
+    good
+        Largest share of good lenses as built that was predicted, where it is this that was missed.
+    as_built_rms_waves
+        Smallest root mean square, likewise.
     """
 
-    field_diameter_mm: float | None
-    numerical_aperture: float | None
+    field_diameter_mm: float | None = None
+    numerical_aperture: float | None = None
+    good: float | None = None
+    as_built_rms_waves: float | None = None
 
     def in_words(self, asked: ObjectSpace) -> str:
         """What can be met of what was asked, as messages say it."""
         parts = []
+        if self.good is not None:
+            parts.append(f"a yield of {self.good:.3f}")
+        if self.as_built_rms_waves is not None:
+            parts.append(f"an as-built rms of {self.as_built_rms_waves:.4f} waves")
         if self.field_diameter_mm is not None:
             parts.append(f"a field of {self.field_diameter_mm:.4g} mm at NA {asked.numerical_aperture:g}")
         if self.numerical_aperture is not None:
@@ -61,6 +73,11 @@ def largest_that_can(specification: Specification, base: Lens, point: Array, eva
     evaluations
         Most that each of the two may take.
     """
+    if specification.as_built is not None:
+        found = _best_as_built(specification, base, point, evaluations)
+        if found is not None:
+            return found
+        specification = _nominal(specification)
     shares = [
         _largest_share(specification, base, point, key, evaluations)
         for key in ("field_diameter_mm", "numerical_aperture")
@@ -71,6 +88,32 @@ def largest_that_can(specification: Specification, base: Lens, point: Array, eva
         None if field is None else field * scene.field_diameter_mm,
         None if aperture is None else aperture * scene.numerical_aperture,
     )
+
+
+def _nominal(specification: Specification, goal: str = "thinnest lens") -> Specification:
+    """The specification with another goal, and nothing asked of lenses as built."""
+    limits = specification.constraints.replaced(min_yield=None, max_as_built_rms_waves=None)
+    settings = specification.optimize.replaced(goal=goal)
+    return specification.model_copy(update={"constraints": limits, "optimize": settings})
+
+
+def _best_as_built(specification: Specification, base: Lens, point: Array, evaluations: int) -> Reach | None:
+    """What was missed as built, as good as it gets; None where it is not that alone."""
+    asked, best = specification.constraints, {}
+    for key, goal, wanted in (
+        ("good", "yield", asked.min_yield),
+        ("as_built_rms_waves", "as-built rms", asked.max_as_built_rms_waves),
+    ):
+        if wanted is None:
+            continue
+        problem = DesignProblem(_nominal(specification, goal), base)
+        found = search_from(problem, point, Budget(evaluations), 0, lambda *_: None)
+        if found.outcome.violation > KEPT:
+            return None
+        built = problem.as_built(found.outcome.point, False)
+        assert built is not None  # the goal asks for it
+        best[key] = 1.0 - built.failing if key == "good" else float(np.max(built.rms_waves))
+    return Reach(**best) if best else None
 
 
 def _largest_share(

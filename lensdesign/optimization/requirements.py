@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import Shape, directions
+from lensdesign.optimization.as_built import AsBuiltValues
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
-from lensdesign.optimization.specification import Specification
 from lensdesign.tracing.gradients import GradientTrace, Variable
 
 LIMIT_MARGIN = 3e-5
@@ -25,6 +27,9 @@ LIMIT_MARGIN = 3e-5
 
 KEPT = 2.0 * LIMIT_MARGIN
 """A scaled square that exceeds its narrowed limit by no more than this keeps the limit as given."""
+
+AS_BUILT_SCALE_WAVES = 0.1
+"""Root mean square by which as-built goals are scaled."""
 
 SEMI_DIAMETER_STEP_MM = 0.01
 """Semi-diameters that a specification leaves open are rounded up to this."""
@@ -47,12 +52,15 @@ class State:
         Object point of each ray.
     traces
         One for each wavelength of the lens.
+    as_built
+        What is predicted of it as built, where goals or constraints ask for that.
     """
 
     lens: Lens
     variables: tuple[Variable, ...]
     fields_mm: Array
     traces: tuple[GradientTrace, ...]
+    as_built: AsBuiltValues | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +87,8 @@ def goal_rows(specification: Specification, state: State) -> list[Row]:
     """What the largest value of is to be made small."""
     goal = specification.optimize.goal
     lens: Lens = specification  # as it was at the start
+    if goal in AS_BUILT_GOALS:
+        return [_as_built_goal(goal, state)]
     if goal.startswith("smallest spread"):
         widest = _sine(lens, max(lens.wavelengths_um))
         own = goal == "smallest spread"
@@ -126,7 +136,29 @@ def constraint_rows(specification: Specification, state: State, final: bool = Fa
         if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
             rows += _rectangle_rows(specification, wavelength, trace)
         rows += _throughput_rows(specification, state, wavelength, trace)
-    return rows + _glass_rows(specification, state)
+    return rows + _glass_rows(specification, state) + _as_built_rows(specification, state)
+
+
+def _as_built_goal(goal: str, state: State) -> Row:
+    assert state.as_built is not None  # the goal asked for it
+    if goal == "yield":
+        return _finite(goal, np.array([state.as_built.failing]), state.as_built.failing_by[None])
+    scale = AS_BUILT_SCALE_WAVES
+    return _finite(goal, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
+
+
+def _as_built_rows(specification: Specification, state: State) -> list[Row]:
+    """How many lenses may fail, and how large their wavefront errors may be."""
+    limits, found, rows = specification.constraints, state.as_built, []
+    if found is None:
+        return []
+    if limits.min_yield is not None:
+        excess = found.failing - (1.0 - limits.min_yield)
+        rows.append(_finite("yield", np.array([excess]), found.failing_by[None]))
+    if limits.max_as_built_rms_waves is not None:
+        most = limits.max_as_built_rms_waves
+        rows.append(_finite("as-built rms", found.rms_waves / most - 1.0, found.rms_by / most))
+    return rows
 
 
 def _limits_its_goal(specification: Specification) -> bool:

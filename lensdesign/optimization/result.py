@@ -12,14 +12,15 @@ import numpy as np
 from lensdesign.analysis.report import CheckReport, WavelengthCheck
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none
-from lensdesign.errors import DesignError
+from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
+from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport
+from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.local_search import Found
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.reach import Reach, largest_that_can
-from lensdesign.optimization.requirements import KEPT, Row
-from lensdesign.optimization.specification import Specification
+from lensdesign.optimization.requirements import AS_BUILT_SCALE_WAVES, KEPT, Row
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
@@ -105,6 +106,9 @@ class OptimizationResult:
         A sentence for each thing that a limit cut short; empty where the search ended by itself.
     not_tried
         Choices of glasses that no start was made with.
+    as_built
+        Where goal or constraints are about lenses as built: the start, the tolerance study's lens and the
+        result, by trials that the search did not know. None elsewhere.
     reach
         Where the specification could not be met: the largest field and aperture that can. None elsewhere.
     evaluations, seconds
@@ -128,6 +132,7 @@ class OptimizationResult:
     binding: list[str]
     unfinished: list[str]
     not_tried: list[str]
+    as_built: AsBuiltReport | None
     reach: Reach | None
     evaluations: int
     seconds: float
@@ -165,10 +170,13 @@ class OptimizationResult:
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data, without the lens."""
-        plain = {k: v for k, v in vars(self).items() if k not in ("lens", "check", "spreads", "reach")}
+        plain = {
+            k: v for k, v in vars(self).items() if k not in ("lens", "check", "spreads", "reach", "as_built")
+        }
         return plain | {
             "title": self.lens.title,
             "spreads": [asdict(s) for s in self.spreads],
+            "as_built": None if self.as_built is None else asdict(self.as_built),
             "reach": None if self.reach is None else asdict(self.reach),
             "constraints": [
                 {k: finite_or_none(v) for k, v in asdict(c).items()} for c in self.check.constraints
@@ -205,7 +213,8 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
         can = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
         said = "; ".join([*unfinished, str(error), can.in_words(specification.object)])
         raise DesignError(said) from None
-    check = check_against(lens, specification)
+    built = _as_built(specification, lens)
+    check = check_against(lens, specification, built)
     if not check.feasible and not unfinished:
         reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
     value, unit = _goal(specification, goals)
@@ -222,6 +231,7 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
         check=check,
         binding=_binding(problem, best, constraints),
         unfinished=unfinished,
+        as_built=built,
         not_tried=[t.glasses for t in tried if not t.found and t.limit],
         reach=reach,
         evaluations=sum(f.outcome.evaluations for t in tried for f in t.found),
@@ -232,6 +242,27 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
         starts=starts,
         starts_at_best=chosen.at_best,
     )
+
+
+def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
+    """Start, where it is a lens that was asked about, the study's own lens, and what was found, by trials."""
+    tolerances, study = specification.tolerances, specification.as_built
+    if tolerances is None or study is None:
+        return None
+    lenses = []
+    if specification.optimize.start == "design":
+        lenses.append(("start", specification.lens))
+    lenses.append(("lens of the study", study.reference))
+    kept = [(name, own) for name, own in lenses if _can_be_tried(study, own)]
+    return study.trials([*kept, ("result", lens)], tolerances.trials)
+
+
+def _can_be_tried(study: AsBuilt, lens: Lens) -> bool:
+    try:
+        study.trials([("", lens)], 1)
+    except TransferLensError:
+        return False
+    return True
 
 
 def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried) -> list[str]:
@@ -267,7 +298,9 @@ def _variables(specification: Specification, lens: Lens) -> dict[str, float | st
     values: dict[str, float | str | None] = {}
     for v in specification.variables:
         surface = lens.surfaces[(v.surface or 1) - 1]
-        if v.parameter == "working_distance_mm":
+        if v.parameter == "stop":
+            values["stop on surface"] = str(lens.stop_index + 1)
+        elif v.parameter == "working_distance_mm":
             values[v.name] = lens.object.working_distance_mm
         elif hasattr(surface, v.parameter):
             values[v.name] = getattr(surface, v.parameter)
@@ -287,6 +320,10 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
+    if goal == "as-built rms":
+        return largest * AS_BUILT_SCALE_WAVES, "waves"
+    if goal == "yield":
+        return 100.0 * (1.0 - largest), "%"
     return largest * specification.exit_vertex_z_mm, "mm"
 
 

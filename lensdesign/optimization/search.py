@@ -14,12 +14,12 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
+from lensdesign.optimization.asked.specification import Specification, refuse_impossible
 from lensdesign.optimization.budget import Budget
 from lensdesign.optimization.local_search import search_from
 from lensdesign.optimization.nlopt_driver import FEASIBLE, UNTRACEABLE
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.result import OptimizationResult, Tried, result_of
-from lensdesign.optimization.specification import Specification, refuse_impossible
 
 Report = Callable[[str], None]
 
@@ -76,6 +76,8 @@ def _try(problem: DesignProblem, budget: Budget, seed: int, report: Report | Non
     """One choice of glasses: starts until several agree."""
     settings = problem.specification.optimize
     glasses = ", ".join(str(s.material) for s in problem.base.surfaces if s.material is not None)
+    if any(v.parameter == "stop" for v in problem.specification.variables):
+        glasses += f", stop on surface {problem.base.stop_index + 1}"
     tried = Tried(glasses, (), "")
     for number, start in enumerate(_starts(problem, seed)):
         if budget.used_up:
@@ -89,13 +91,30 @@ def _try(problem: DesignProblem, budget: Budget, seed: int, report: Report | Non
 
 
 def _glasses(specification: Specification) -> Iterator[Lens]:
-    """The start with each combination of the material choices."""
-    materials = [v for v in specification.variables if v.parameter == "material"]
-    for choice in itertools.product(*(v.choices for v in materials)):
+    """The start with each combination of glasses and stops."""
+    choices = [v for v in specification.variables if v.discrete]
+    for choice in itertools.product(*(v.choices for v in choices)):
         lens = specification.lens
-        for variable, glass in zip(materials, choice, strict=True):
-            lens = lens.with_surface((variable.surface or 1) - 1, material=glass)
+        for variable, chosen in zip(choices, choice, strict=True):
+            if variable.parameter == "stop":
+                lens = with_stop(lens, int(chosen) - 1)
+            else:
+                lens = lens.with_surface((variable.surface or 1) - 1, material=chosen)
         yield lens
+
+
+def with_stop(lens: Lens, surface: int) -> Lens:
+    """The lens with its stop, and that stop's size, on another surface, counted from 0."""
+    if surface == lens.stop_index:
+        return lens
+    semi = lens.surfaces[surface].semi_diameter_mm or lens.stop_semi_diameter_mm
+    surfaces = [
+        s.model_copy(update={"stop": i == surface, "semi_diameter_mm": semi if i == surface else None})
+        if i in (surface, lens.stop_index)
+        else s
+        for i, s in enumerate(lens.surfaces)
+    ]
+    return lens.replaced(surfaces=tuple(surfaces))
 
 
 def _starts(problem: DesignProblem, seed: int) -> Iterator[Array]:

@@ -39,7 +39,7 @@ from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
 from lensdesign.files.zemax import read_zmx, write_zmx
 from lensdesign.lens.agf import read_agf
-from lensdesign.optimization.specification import load_specification
+from lensdesign.optimization.asked.specification import load_specification
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical
 from tolerancing.store.file import check_is_store

@@ -23,7 +23,7 @@ from lensdesign.files.draft import Supplement
 from lensdesign.files.figures import read_figure_grid
 from lensdesign.files.zemax import read_zmx
 from lensdesign.lens.agf import read_agf
-from lensdesign.optimization.specification import Specification, load_specification
+from lensdesign.optimization.asked.specification import Specification, load_specification
 
 CATALOGUE = b"""CC Test catalogue
 NM N-BK7 2 517642.251 1.516800 64.17 0 1 1

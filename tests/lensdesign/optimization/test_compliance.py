@@ -7,8 +7,9 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import Lens, load_design
+from lensdesign.optimization.asked.sections import Constraints
+from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.compliance import check_against
-from lensdesign.optimization.specification import Constraints, Specification, load_specification
 
 
 @pytest.fixture(scope="module")

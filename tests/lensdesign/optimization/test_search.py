@@ -13,19 +13,14 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result, search
+from lensdesign.optimization.asked.sections import Constraints, FieldSpread, Settings
+from lensdesign.optimization.asked.specification import Specification, load_specification
+from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.reach import Reach
 from lensdesign.optimization.requirements import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.result import Tried
 from lensdesign.optimization.search import optimize
-from lensdesign.optimization.specification import (
-    Constraints,
-    FieldSpread,
-    Settings,
-    Specification,
-    VariableRange,
-    load_specification,
-)
 from lensdesign.optimization.worst_rays import worse_rays
 
 GOALS = ("smallest spread", "thinnest lens", "smallest aperture", "shortest track")
@@ -451,3 +446,33 @@ def test_the_edge_asked_for_is_that_of_the_lens_that_is_written(thinnest):
     radius = max(front.semi_diameter_mm, back.semi_diameter_mm)
     edge = front.thickness_mm + float(back.sag_mm(radius) - front.sag_mm(radius))
     assert 3.5 <= edge < 3.52
+
+
+def test_each_surface_may_be_the_stop(thinnest: Specification) -> None:
+    """Each choice is a search of its own; the best names its stop."""
+    stop = VariableRange(parameter="stop", choices=(1, 2))
+    asked = thinnest.model_copy(
+        update={
+            "variables": (*thinnest.variables, stop),
+            "optimize": thinnest.optimize.replaced(starts=1, goal="smallest aperture"),
+        }
+    )
+    found = optimize(asked)
+    assert found.feasible
+    assert found.variables["stop on surface"] == str(found.lens.stop_index + 1)
+    assert found.glasses == f"N-BK7, stop on surface {found.lens.stop_index + 1}"
+    alone = [
+        optimize(asked.model_copy(update={"variables": (*thinnest.variables, stop.replaced(choices=(k,)))}))
+        for k in (1, 2)
+    ]
+    assert found.goal_value == pytest.approx(min(one.goal_value for one in alone))
+
+
+@pytest.mark.parametrize("choices", [(3,), (0,), ("front",)])
+def test_a_stop_that_is_no_surface_is_refused(thinnest: Specification, choices: tuple) -> None:
+    stop = VariableRange(parameter="stop", choices=choices)
+    with pytest.raises(ValueError, match=r"variable stop: choices = .* there is no surface"):
+        Specification.model_validate(
+            thinnest.model_dump(by_alias=True)
+            | {"variable": [*(v.model_dump() for v in thinnest.variables), stop.model_dump()]}
+        )

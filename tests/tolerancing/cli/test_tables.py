@@ -2,7 +2,7 @@
 
 import pytest
 
-from lensdesign.cli import commands
+from lensdesign.cli import tables
 from tolerancing.cli.tables import print_table
 from wavesim.cli import runs
 
@@ -10,10 +10,10 @@ NAMES = [f"coarse_contrast_of_the_edge_of_the_field_{axis}" for axis in "xy"]
 
 
 def by_lensdesign(rows):
-    table = commands._table("title", "constraint", "value", "")
+    table = tables.table("title", "constraint", "value", "")
     for row in rows:
         table.add_row(*row)
-    commands._print_tables(table)
+    tables.print_tables(table)
 
 
 @pytest.mark.parametrize("columns", [44, 80, 120])

@@ -9,7 +9,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign.errors import DesignError, InputError, MaterialError
-from lensdesign.optimization.specification import load_specification
+from lensdesign.optimization.asked.specification import load_specification
 
 SPECIFICATIONS = sorted(DESIGNS.glob("*_spec.toml"))
 

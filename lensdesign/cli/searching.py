@@ -1,0 +1,139 @@
+"""Commands that search for lenses."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lensdesign.cli.making import Json
+from lensdesign.cli.tables import print_tables, table
+from lensdesign.common.console import message_console, print_json
+from lensdesign.common.text import visible
+from lensdesign.errors import InputError, atomic_path
+
+if TYPE_CHECKING:
+    from lensdesign.optimization.as_built import AsBuiltReport
+    from lensdesign.optimization.asked.specification import Specification
+    from lensdesign.optimization.result import OptimizationResult
+
+
+def optimize(
+    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
+    as_json: Json = False,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
+    algorithm: Annotated[
+        str | None, typer.Option(help="Algorithm, in place of the specification's.", show_default=False)
+    ] = None,
+    starts: Annotated[
+        int | None,
+        typer.Option(help="Most starts of each glass, in place of the specification's.", show_default=False),
+    ] = None,
+    max_evaluations: Annotated[
+        int | None,
+        typer.Option(help="Limit of each glass, in place of the specification's.", show_default=False),
+    ] = None,
+    max_seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="Time limit; what it cuts depends on the machine. None if left out here and there.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Search for the lens that a specification asks for.
+
+    Starts are made until several agree. What was found is checked against the specification in the end;
+    where it asks for lenses as built, by Monte Carlo trials that the search did not know.
+
+    Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut the search (the lens is
+    written all the same), 2 for bad input.
+    """
+    from lensdesign.files.design import design_text
+    from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.search import optimize as search
+
+    asked = _with_settings(
+        load_specification(specification),
+        algorithm=algorithm,
+        starts=starts,
+        max_evaluations=max_evaluations,
+        max_seconds=max_seconds,
+    )
+    if os.path.exists(output) and output.samefile(specification):
+        raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
+    # Opened before the search: a place that cannot be written shows at once, not after it.
+    with atomic_path(output) as temporary:
+        with message_console().status("searching") as status:
+            result = search(asked, report=status.update, seed=seed)
+        temporary.write_text(design_text(result.lens, output.parent), encoding="utf-8")
+    if as_json:
+        print_json(result.as_dict() | {"design": str(output)})
+    else:
+        _print_optimization(result)
+        typer.echo(f"wrote {output}")
+    raise typer.Exit(0 if result.feasible and not result.unfinished else 1)
+
+
+def _with_settings(specification: Specification, **changes: object) -> Specification:
+    """The specification with what the command line changes."""
+    from lensdesign.common.toml_files import validate
+    from lensdesign.optimization.asked.sections import Settings
+
+    given = {key: value for key, value in changes.items() if value is not None}
+    settings = validate(Settings, specification.optimize.model_dump() | given, "command line")
+    return specification.model_copy(update={"optimize": settings})
+
+
+def _print_optimization(result: OptimizationResult) -> None:
+    from rich.markup import escape
+
+    for sentence in result.unfinished:
+        typer.echo(f"not finished: {visible(sentence)}")
+    variables = table(result.lens.title, "variable", "value")
+    for name, value in result.variables.items():
+        shown = "plane" if value is None else f"{value:.8g}" if isinstance(value, float) else str(value)
+        variables.add_row(name, escape(visible(shown)))
+    variables.add_section()
+    of_limit = result.goal_unit == "%" and result.goal != "yield"
+    goal = f"{result.goal}, share of its limit" if of_limit else result.goal
+    variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
+    if len(result.spreads) > 1:
+        for s in result.spreads:
+            shown = f"{s.spread_deg:.4f} deg, {100.0 * s.share:.2f} % of {s.limit_deg:.4f} deg"
+            variables.add_row(f"spread at {s.wavelength_um:g} um", shown)
+    print_tables(variables, *([] if result.as_built is None else [_as_built(result.as_built)]))
+    for name in result.binding:
+        typer.echo(f"binding: {name}")
+    for sentence in result.violations:
+        typer.echo(f"not met: {sentence}")
+    if result.reach is not None:
+        typer.echo(result.reach.in_words(result.lens.object))
+    if result.feasible:
+        typer.echo("checked: every constraint of the specification is met")
+    typer.echo(
+        f"{result.algorithm}: {result.evaluations} evaluations in {result.seconds:.2f} s, stopped because of "
+        f"{result.stopped_because}; {result.starts_at_best} of {result.starts} starts came to this"
+    )
+    if not result.agreed:
+        typer.echo(
+            "hint: no other start came to this, which says little; allow more starts, or narrow the bounds"
+        )
+
+
+def _as_built(report: AsBuiltReport) -> Any:
+    """Start and result beside each other, by trials."""
+    points = [f"rms at ({x:g}, {y:g}) mm" for x, y in report.points_mm]
+    trials = report.rows[0].trials
+    found = table(f"As built: waves over {trials} trials each, and as predicted", "lens", *points, "good")
+    for row in report.rows:
+        waves = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
+        found.add_row(
+            visible(row.name),
+            *(f"{rms:.4f} +- {2.0 * error:.4f} ({told:.4f})" for rms, error, told in waves),
+            f"{100.0 * row.good:.1f} % ({100.0 * row.low:.1f} to {100.0 * row.high:.1f})",
+        )
+    return found

@@ -1,0 +1,146 @@
+"""What a search asks of tolerances: how a lens will be as built.
+
+Tolerance studies are read by a package above this one, which gives its reader as an entry point.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError
+
+if TYPE_CHECKING:
+    from lensdesign.lens.lens import Lens
+
+READERS = "lensdesign.as_built"
+"""Entry points that read a tolerance study."""
+
+
+@dataclass(frozen=True)
+class AsBuiltValues:
+    """What is predicted of a lens; p object points, v variables.
+
+    Attributes
+    ----------
+    rms_waves, rms_by : ndarray, shapes (p,) and (p, v)
+        Root of the mean square of the wavefront error over pupil and lenses, and its derivatives.
+    failing, failing_by : float, and ndarray of shape (v,)
+        Share of lenses that miss a limit at some point, smoothed so that it has derivatives.
+    """
+
+    rms_waves: Array
+    rms_by: Array
+    failing: float
+    failing_by: Array
+
+
+@dataclass(frozen=True)
+class TrialsOf:
+    """What fresh Monte Carlo trials make of a lens.
+
+    Attributes
+    ----------
+    name
+        Which lens it is.
+    trials
+        How many.
+    rms_waves : tuple of float
+        At each object point, over pupil and lenses.
+    rms_errors_waves : tuple of float
+        Their standard errors.
+    predicted_rms_waves : tuple of float
+        The same from derivatives.
+    good, low, high
+        Share of lenses that are good at all points, and its 95 % interval.
+    """
+
+    name: str
+    trials: int
+    rms_waves: tuple[float, ...]
+    rms_errors_waves: tuple[float, ...]
+    predicted_rms_waves: tuple[float, ...]
+    good: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class AsBuiltReport:
+    """Start and result beside each other, by trials that the search did not know.
+
+    Attributes
+    ----------
+    points_mm : tuple of (x, y)
+        Object points.
+    limits_waves : tuple of float
+        Largest root mean square of a good lens at each.
+    rows : tuple of TrialsOf
+        The result stands last.
+    """
+
+    points_mm: tuple[tuple[float, float], ...]
+    limits_waves: tuple[float, ...]
+    rows: tuple[TrialsOf, ...]
+
+
+class AsBuilt(Protocol):
+    """A tolerance study, as searches use it."""
+
+    @property
+    def points_mm(self) -> tuple[tuple[float, float], ...]:
+        """Object points that are judged."""
+
+    def check(self, lens: Lens) -> None:
+        """Refuse, with a DesignError, tolerances of what a lens does not have."""
+
+    def evaluate(self, problem: Any, point: Array, derivatives: bool) -> AsBuiltValues:
+        """Predict the lens at a point of the unit box of a `DesignProblem`.
+
+        Derivatives are by the variables' own values.
+        """
+
+    @property
+    def reference(self) -> Lens:
+        """The lens that the study was written for."""
+
+    def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
+        """Try named lenses by so many fresh trials each."""
+
+
+def read_as_built(path: str | os.PathLike[str]) -> AsBuilt:
+    """Read a tolerance study for a search.
+
+    Raises
+    ------
+    DesignError
+        If there is no such file, it is no study, or no package that reads one is installed.
+    """
+    study = Path(path)
+    if not study.is_file():
+        raise DesignError(f"tolerances: study = {str(path)!r}: there is no such file")
+    return _read(study, study.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed: int) -> AsBuilt:
+    from importlib.metadata import entry_points
+
+    readers = tuple(entry_points(group=READERS, name="study"))
+    if not readers:
+        raise DesignError(f"tolerances: no package that reads a study is installed (entry point {READERS})")
+    found: AsBuilt = readers[0].load()(path)
+    return found
+
+
+def untraceable(points: int, variables: int) -> AsBuiltValues:
+    """Values of a lens that has no wavefronts."""
+    nowhere = np.full(points, np.inf)
+    return AsBuiltValues(nowhere, np.zeros((points, variables)), np.inf, np.zeros(variables))

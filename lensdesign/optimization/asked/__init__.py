@@ -1,0 +1,1 @@
+"""What a search is asked for: the specification and its parts."""

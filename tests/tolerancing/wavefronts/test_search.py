@@ -1,0 +1,132 @@
+"""Searches for lenses as built: exact gradients, what they find, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DESIGNS
+from typer.testing import CliRunner
+
+from lensdesign import load_design
+from lensdesign.cli.commands import app
+from lensdesign.errors import DesignError
+from lensdesign.optimization import load_specification
+from lensdesign.optimization.as_built import read_as_built
+from lensdesign.optimization.problem import DesignProblem
+
+CONIC = """
+[[variable]]
+surface = 1
+parameter = "conic"
+bounds = [-20.0, 20.0]
+
+[[variable]]
+parameter = "working_distance_mm"
+bounds = [12.0, 14.0]
+"""
+WEDGE = """
+[[perturbation]]
+name = "figure"
+target = "surface 1"
+parameter = "irregularity_pv_waves"
+distribution = "normal"
+sigma = 0.1
+"""
+
+
+def specified(study: Path, name: str, more: str = "", **changes: str) -> Path:
+    """The thinnest lens's specification with other lines, beside a study."""
+    text = (DESIGNS / "thinnest_singlet_spec.toml").read_text(encoding="utf-8")
+    text = text.replace(
+        "[constraints]", f'[tolerances]\nstudy = "{study.name}"\ntrials = 200\n\n[constraints]'
+    )
+    for old, new in {"bounds = [2.0, 20.0]": "bounds = [2.0, 9.7]", **changes}.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    path = study.parent / name
+    path.write_text(text + more, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def figured_study(wavefront_study: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(wavefront_study.read_text(encoding="utf-8") + WEDGE, encoding="utf-8")
+    (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+    return path
+
+
+def test_gradients_are_those_of_differences(figured_study: Path) -> None:
+    """Of all variables at once, a figure on a surface of open size among the perturbations."""
+    path = specified(figured_study, "spec.toml", CONIC, **{'"thinnest lens"': '"yield"'})
+    problem = DesignProblem(specification := load_specification(path), specification.lens)
+    point = problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml"))
+    here = problem.as_built(point)
+    assert here is not None
+    step = 1e-4
+    for k, axis in enumerate(np.eye(len(point))):
+        ends = [problem.as_built(point + sign * step * axis, False) for sign in (1.0, -1.0)]
+        high, low = (end for end in ends if end is not None)
+        width = 2.0 * step * problem.width[k]
+        np.testing.assert_allclose(here.rms_by[:, k], (high.rms_waves - low.rms_waves) / width, rtol=2e-4)
+        assert here.failing_by[k] == pytest.approx((high.failing - low.failing) / width, rel=2e-3)
+
+
+def test_goal_is_met_from_a_plate_and_told_beside_the_studys_lens(wavefront_study: Path) -> None:
+    """With the stop on the back surface, twice as many lenses are good as of the paper's."""
+    path = specified(
+        wavefront_study,
+        "yield.toml",
+        **{
+            '"thinnest lens"': '"as-built rms"',
+            "semi_diameter_mm = 8.26\nstop = true\n\n[[surface]]": "\n[[surface]]\nsemi_diameter_mm = 8.26\n"
+            "stop = true",
+        },
+    )
+    output = path.with_suffix(".out.toml")
+    shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1", "--json"])
+    assert shown.exit_code == 0, shown.output
+    found = json.loads(shown.output)
+    before, after = found["as_built"]["rows"]
+    assert (before["name"], after["name"]) == ("lens of the study", "result")
+    assert after["good"] > before["good"] + 0.2
+    np.testing.assert_allclose(after["rms_waves"], after["predicted_rms_waves"], rtol=0.15)
+    assert max(after["predicted_rms_waves"]) == pytest.approx(found["goal_value"], rel=1e-2)
+
+
+def test_a_yield_that_no_lens_reaches_ends_with_the_best(wavefront_study: Path) -> None:
+    path = specified(wavefront_study, "most.toml", **{"[constraints]\n": "[constraints]\nmin_yield = 0.99\n"})
+    output = path.with_suffix(".out.toml")
+    shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1"])
+    assert shown.exit_code == 1
+    assert "not met: yield: 0." in shown.output
+    assert "can be met, and no more was found: a yield of 0.7" in shown.output
+    assert load_design(output).surfaces[0].material == "N-BK7"
+
+
+def test_what_a_search_cannot_use_is_refused(wavefront_study: Path, tmp_path: Path) -> None:
+    study = wavefront_study.read_text(encoding="utf-8")
+    (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+    with pytest.raises(DesignError, match="there is no such file"):
+        load_specification(specified(tmp_path / "none.toml", "a.toml", **{'"thinnest lens"': '"yield"'}))
+    far = tmp_path / "far.toml"
+    far.write_text(study.replace("[0.0, 1.4]", "[0.0, 1.45]"), encoding="utf-8")
+    smaller = {'"thinnest lens"': '"yield"', "field_diameter_mm = 3.0": "field_diameter_mm = 2.0"}
+    with pytest.raises(DesignError, match=r"lies 1\.45 mm from the axis"):
+        load_specification(specified(far, "b.toml", **smaller))
+    text = specified(wavefront_study, "c.toml", **{'"thinnest lens"': '"yield"'}).read_text(encoding="utf-8")
+    lone = tmp_path / "d.toml"
+    lone.write_text(text.replace("[tolerances]\n", "").replace('study = "study.toml"\ntrials = 200\n', ""))
+    with pytest.raises(DesignError, match=r"need their tolerances: \[tolerances\] study"):
+        load_specification(lone)
+
+
+def test_tolerances_of_surfaces_that_are_not_there_are_refused(wavefront_study: Path) -> None:
+    study = read_as_built(wavefront_study)
+    lens = load_design(DESIGNS / "thinnest_singlet.toml")
+    one = lens.model_copy(update={"surfaces": lens.surfaces[1:]})
+    with pytest.raises(DesignError, match="surface 2"):
+        study.check(one)

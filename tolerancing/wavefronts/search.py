@@ -1,0 +1,315 @@
+"""A tolerance study as a search for lenses uses it: predictions with exact derivatives, and fresh trials.
+
+First-order path differences are differentiated by design variables by complex step through
+:mod:`tolerancing.wavefronts.paths`, along rays that keep their points on the stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import DesignError, TransferLensError
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.as_built import AsBuiltReport, AsBuiltValues, TrialsOf, untraceable
+from lensdesign.optimization.problem import DesignProblem, Rays
+from lensdesign.tracing.bundles import pupil_rings
+from lensdesign.tracing.gradients import GradientTrace, Variable
+from tolerancing.analysis.yields import yield_of
+from tolerancing.study.evaluate import context_of, realise
+from tolerancing.study.files import check_against, load_study
+from tolerancing.study.study import Study
+from tolerancing.wavefronts.derivatives import (
+    ARMS,
+    RINGS,
+    FieldDifferentials,
+    basis_of,
+    figures_on,
+    first_by,
+    weights_over_stop,
+)
+from tolerancing.wavefronts.paths import Paths
+from tolerancing.wavefronts.prediction import judged_points, predict, replace_draws
+from tolerancing.wavefronts.system import Changes, changes_of
+
+SEARCH_DRAWS = 2048
+"""By which a search knows its yield."""
+
+SOFTNESS = 0.06
+"""Of a limit's square: over so much a lens turns from good to bad where yields are differentiated."""
+
+RIM_POINTS = 16
+"""Of rays that tell the clear height of a surface that has none."""
+
+FLATTEST_PER_MM = 1e-7
+"""Curvature that stands for a plane, whose radius cannot err."""
+
+STEP, SHARE = 1e-30, 1e-4
+"""Of the complex step; and of a variable's range, for differences of what perturbations are."""
+
+SEARCH_SAMPLES = 48
+"""Across the pupil, for fresh trials."""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyAsBuilt:
+    """A study whose wavefronts a search makes small, or good.
+
+    Attributes
+    ----------
+    study : Study
+    reference : Lens
+        The lens that it was written for.
+    source : str
+        Where it comes from.
+    """
+
+    study: Study
+    reference: Lens
+    source: str
+
+    @cached_property
+    def judged(self) -> tuple:
+        """Object points and their limits."""
+        return judged_points(self.study)
+
+    @property
+    def points_mm(self) -> tuple[tuple[float, float], ...]:
+        """Object points that are judged."""
+        return tuple(point.field_mm for point in self.judged)
+
+    @cached_property
+    def _sizes(self) -> Array:
+        return np.array([p.tolerance for p in self.study.perturbations])
+
+    @cached_property
+    def _drawn(self) -> tuple:
+        return (realise(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS)),)
+
+    def check(self, lens: Lens) -> None:
+        """Refuse tolerances of what a lens does not have.
+
+        Raises
+        ------
+        DesignError
+        """
+        if self.study.compensators:
+            raise DesignError(f"{self.source}: compensators: a search knows shift and focus alone")
+        check_against(self.study, _bent(lens), self.source)
+        own = {p.wavelength_um for p in self.judged} - {None, lens.wavelengths_um[0]}
+        if own:
+            raise DesignError(
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own)} um: a search knows the first "
+                f"wavelength alone, {lens.wavelengths_um[0]:g} um"
+            )
+
+    def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:
+        """Predict the lens at a point of the unit box, to first order in the perturbations.
+
+        Derivatives are by the variables' own values.
+        """
+        variables = problem.variables if derivatives else ()
+        try:
+            forms = _Forms(self, problem, point, variables)
+        except (TransferLensError, np.linalg.LinAlgError):
+            return untraceable(len(self.judged), len(variables))
+        if not forms.ok:
+            return untraceable(len(self.judged), len(variables))
+        amounts = forms.changes.amounts(self._drawn[0])
+        moments = amounts.T @ amounts / len(amounts)
+        squares = np.sum(forms.values * moments, axis=(1, 2))
+        rms = np.sqrt(squares)
+        by = np.sum(forms.by * moments, axis=(2, 3)).T / (2.0 * rms[:, None])
+        limits = np.array([p.limit_waves for p in self.judged]) ** 2
+        each = np.einsum("td,pde,te->tp", amounts, forms.values, amounts, optimize=True) / limits
+        worst = np.argmax(each, axis=1)
+        rows = np.arange(len(worst))
+        soft = 1.0 / (1.0 + np.exp(np.clip((1.0 - each[rows, worst]) / SOFTNESS, -500.0, 500.0)))
+        slope = soft * (1.0 - soft) / (SOFTNESS * limits[worst] * len(soft))
+        # Each draw at the point where it is worst, gathered as one moment matrix a point.
+        heavy = np.stack(
+            [(amounts[worst == p].T * slope[worst == p]) @ amounts[worst == p] for p in range(len(limits))]
+        )
+        failing_by = np.einsum("vpde,pde->v", forms.by, heavy)
+        return AsBuiltValues(rms, by, float(np.mean(soft)), failing_by)
+
+    def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
+        """Try lenses by so many fresh trials each, drawn by a seed that is not the study's.
+
+        Raises
+        ------
+        TransferLensError
+            If a lens cannot be scored.
+        """
+        fresh = self.study.model_copy(
+            update={
+                "seed": self.study.seed + 1 + seed,
+                "draws": "random",
+                "trials": count,
+                "all_merits": tuple(m for m in self.study.merits if m.label in self._labels),
+                "sampling": self.study.sampling.replaced(pupil_samples=SEARCH_SAMPLES),
+            }
+        )
+        rows = [_tried(name, lens, fresh) for name, lens in lenses]
+        return AsBuiltReport(self.points_mm, tuple(p.limit_waves for p in self.judged), tuple(rows))
+
+    @cached_property
+    def _labels(self) -> set[str]:
+        from tolerancing.merits.pupil import RmsWaves, Strehl
+
+        return {m.label for m in self.study.merits if isinstance(m, RmsWaves | Strehl) and m.refocus}
+
+
+def read_study(path: Path) -> StudyAsBuilt:
+    """Read a study for a search."""
+    loaded = load_study(path)
+    return StudyAsBuilt(loaded.study, loaded.lens, str(path))
+
+
+def _tried(name: str, lens: Lens, study: Study) -> TrialsOf:
+    context, batch = context_of(lens, study), realise(study, range(study.trials))
+    good, squares = np.ones(study.trials, bool), []
+    for merit in study.merits:
+        for point in merit.points:  # type: ignore[attr-defined]
+            pupils = context.pupils(batch, point, merit.wavelength_um, True, True)
+            squares.append([np.mean(p.opd_waves[p.valid] ** 2) for p in pupils])
+            good &= merit.passed(np.array([merit.score(p) for p in pupils]))  # type: ignore[attr-defined]
+    found = yield_of(good)
+    assert found is not None  # there are trials
+    rms = np.sqrt(np.mean(squares, axis=1))
+    errors = np.std(squares, axis=1) / np.sqrt(study.trials) / (2.0 * rms)
+    predicted = tuple(p.rms_waves for p in predict(lens, study).points)
+    return TrialsOf(
+        name,
+        study.trials,
+        tuple(rms.tolist()),
+        tuple(errors.tolist()),
+        predicted,
+        found.share,
+        found.low,
+        found.high,
+    )
+
+
+class _Forms:
+    """Mean squares as quadratic forms of the drawn amounts, one for each object point, with derivatives."""
+
+    def __init__(
+        self, own: StudyAsBuilt, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]
+    ) -> None:
+        self.own, self.problem = own, problem
+        stop = pupil_rings(RINGS, ARMS)
+        self.stop, self.lens = stop, problem.lens_at(point)
+        rim = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        fields = np.repeat(np.array(own.points_mm), len(stop.points), axis=0)
+        edge = np.tile([0.0, self.lens.half_field_mm], (RIM_POINTS, 1))
+        pupil = np.tile(stop.points, (len(own.points_mm), 1))
+        rays = Rays(
+            np.concatenate([fields, edge]),
+            np.concatenate([pupil, np.column_stack([np.cos(rim), np.sin(rim)])]),
+        )
+        plane_mm = own.study.sampling.plane_distance_mm
+        self.trace = problem.trace(point, rays, variables, np.array([plane_mm]))
+        self.inner = slice(0, len(fields))
+        self.ok = bool(np.all(self.trace.ok))
+        if not self.ok:
+            return
+        self.fields_mm = fields
+        self.changes = self._changes(self.lens, self._clear(None, 0.0))
+        self.values = self._forms(None, None)
+        steps = SHARE * problem.width
+        self.by = np.empty((len(variables), *self.values.shape))
+        for k, variable in enumerate(variables):
+            ends = [
+                self._changes(problem.lens_at(point + sign * SHARE * axis), self._clear(k, sign * steps[k]))
+                for axis in [np.eye(len(point))[k]]
+                for sign in (1.0, -1.0)
+            ]
+            self.by[k] = self._forms((k, variable), (ends[0], ends[1], 2.0 * steps[k])).imag / STEP
+
+    def _clear(self, variable: int | None, step: float) -> Array:
+        """Clear height of each surface, and how it follows a variable."""
+        trace, heights = self.trace, self.trace.heights[self.inner.stop :]
+        squares = np.sum(heights**2, axis=-1)
+        rays = np.argmax(squares, axis=0)
+        surfaces = np.arange(squares.shape[1])
+        clear = np.sqrt(squares[rays, surfaces])
+        if variable is None:
+            return np.asarray(clear)
+        by = trace.heights_by[self.inner.stop :][rays, surfaces, :, variable]
+        return np.asarray(clear + step * np.sum(heights[rays, surfaces] * by, axis=-1) / clear)
+
+    def _changes(self, lens: Lens, clear_mm: Array) -> Changes:
+        """Of a lens whose surfaces all have a clear height and a radius."""
+        own = self.own
+        surfaces = [
+            s if s.semi_diameter_mm is not None else s.model_copy(update={"semi_diameter_mm": float(c)})
+            for s, c in zip(lens.surfaces, clear_mm, strict=True)
+        ]
+        whole = _bent(lens.model_copy(update={"surfaces": tuple(surfaces)}))
+        study, wavelength = own.study, lens.wavelengths_um[0]
+        return changes_of(whole, study.perturbations, own._sizes, study.pivot_z_mm, wavelength, False)
+
+    def _forms(
+        self, moved: tuple[int, Variable] | None, ends: tuple[Changes, Changes, float] | None
+    ) -> Array:
+        """At the lens itself, or a complex step of one variable away."""
+        paths = self._paths(self.trace, moved)
+        changes, figures = self.changes, figures_on(paths, self.changes)
+        if ends is not None:
+            high, low, width = ends
+            first = changes.first + 1j * STEP * (high.first - low.first) / width
+            changes = replace(changes, first=first)
+            still = self._paths(self.trace, None)
+            for k, pair in enumerate(zip(figures_on(still, high), figures_on(still, low), strict=True)):
+                change = 1j * STEP * (pair[0].sag - pair[1].sag) / width
+                figures[k] = replace(figures[k], sag=figures[k].sag + change)
+        wavelength = self.lens.wavelengths_um[0]
+        slopes = 1e3 / wavelength * first_by(paths, changes, figures)
+        cosines, n = paths.cosines, len(self.stop.points)
+        forms = []
+        for k in range(len(self.own.judged)):
+            part = slice(k * n, (k + 1) * n)
+            field = FieldDifferentials(
+                weights_over_stop(cosines[part], self.stop),
+                basis_of(cosines[part]),
+                slopes[part],
+                np.zeros((0, 0, 0)),
+            )
+            forms.append((field.registered.T * field.weights) @ field.registered)
+        return np.stack(forms)
+
+    def _paths(self, trace: GradientTrace, moved: tuple[int, Variable] | None) -> Paths:
+        lens, system = self.lens, self.problem.compiled[0]
+        heights, ends = trace.heights[self.inner], trace.plane_points[self.inner, 0]
+        shapes = [surface.shape for surface in lens.surfaces]
+        vertices: Array = lens.vertex_z_mm
+        object_z: complex = lens.object_z_mm
+        if moved is not None:
+            k, variable = moved
+            heights = heights + 1j * STEP * trace.heights_by[self.inner, ..., k]
+            ends = ends + 1j * STEP * trace.plane_points_by[self.inner, 0, :, k]
+            if variable.of_shape:
+                shapes[variable.surface] = shapes[variable.surface].moved(variable.kind, 1j * STEP)
+            elif variable.kind == "thickness":
+                vertices = vertices + 1j * STEP * (np.arange(len(vertices)) > variable.surface)
+            else:
+                object_z = object_z - 1j * STEP
+        plane_z = vertices[-1] + self.own.study.sampling.plane_distance_mm
+        origins = np.column_stack([self.fields_mm, np.full(len(heights), object_z)])
+        arrivals = np.column_stack([ends, np.full(len(heights), plane_z)])
+        return Paths(tuple(shapes), vertices, system.index[0], origins, heights, arrivals)
+
+
+def _bent(lens: Lens) -> Lens:
+    """The lens with planes that are bent by next to nothing, so that radii may err by nothing."""
+    surfaces = []
+    for surface in lens.surfaces:
+        keys = [k for k in surface.shape_keys if k.startswith("radius") and getattr(surface, k) is None]
+        surfaces.append(surface.model_copy(update=dict.fromkeys(keys, 1.0 / FLATTEST_PER_MM)))
+    return lens.model_copy(update={"surfaces": tuple(surfaces)})
