@@ -25,6 +25,7 @@ ORDER = {
         "optimization",
         "fabrication",
         "pictures",
+        "exploration",
         "cli",
     ),
     "wavesim": (

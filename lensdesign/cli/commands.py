@@ -94,6 +94,8 @@ def draw(
 
 
 app.command()(cli_searching.optimize)
+app.command()(cli_searching.explore)
+app.command()(cli_searching.limits)
 app.command("import")(cli_making.import_file)
 app.command()(cli_making.export)
 app.command()(cli_making.scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
+    from lensdesign.exploration.front import Explored
     from lensdesign.optimization.as_built import AsBuiltReport
     from lensdesign.optimization.asked.specification import Specification
     from lensdesign.optimization.result import OptimizationResult
@@ -76,6 +78,121 @@ def optimize(
         _print_optimization(result)
         typer.echo(f"wrote {output}")
     raise typer.Exit(0 if result.feasible and not result.unfinished else 1)
+
+
+def explore(
+    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    over: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help=(
+                "Two to four of thickness, track, semi_diameter, spread, as_built_rms, yield, field, na; "
+                "with bounds where wanted: field=2:4,thickness. The last is each search's goal."
+            ),
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for what is found.")],
+    lenses: Annotated[int, typer.Option(min=2, max=10000, help="Lenses for each choice of glasses.")] = 50,
+    glasses: Annotated[
+        str | None,
+        typer.Option(
+            help="Glasses of the first element in place of the specification's: names, or catalogue:SCHOTT.",
+            show_default=False,
+        ),
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Start over: replace what the folder holds.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Find lenses of which none is better in everything: a table, charts, and a file for each lens.
+
+    An interrupted exploration goes on where it stopped.
+
+    Exit status: 0, 1 if no lens meets the specification, 2 for bad input.
+    """
+    from lensdesign.common.console import messages_only, progress_bar
+    from lensdesign.exploration.chart import write_charts
+    from lensdesign.exploration.folder import folder_for
+    from lensdesign.exploration.front import Exploration, front_of
+    from lensdesign.exploration.glasses import with_glasses
+    from lensdesign.exploration.objectives import axes_of
+    from lensdesign.optimization.asked.specification import load_specification
+
+    asked = load_specification(specification)
+    if glasses is not None:
+        asked = with_glasses(asked, glasses)
+    axes = axes_of(over, asked)
+    folder = folder_for(output, asked, axes, lenses)
+    known = folder.begin(fresh)
+    try:
+        with messages_only(), progress_bar() as bar:
+            task = bar.add_task("searches", total=None)
+            explored = Exploration(
+                asked,
+                axes,
+                lenses,
+                known,
+                folder.keep,
+                lambda done, total, what: bar.update(
+                    task, completed=done, total=total, description=visible(what)
+                ),
+            ).run()
+    except KeyboardInterrupt:
+        message = f"interrupted; what was found is in {output}, and the same command goes on from there"
+        raise KeyboardInterrupt(message) from None
+    files = [folder.write_front(explored, axes), *write_charts(output, explored, axes)]
+    front = front_of(explored, axes)
+    none = [one.key for one in explored if one.lens is None]
+    if as_json:
+        rows = [{"key": one.key, "glasses": one.glasses, **one.values} for one in front]
+        print_json({"front": rows, "searches": len(explored), "no_lens": none, "files": [*map(str, files)]})
+        return
+    _print_front(front, [axis.objective.column for axis in axes], len(explored))
+    if none:
+        typer.echo(f"no lens for {len(none)} of the searches: {'; '.join(map(visible, none[:3]))}")
+    for file in files:
+        typer.echo(f"wrote {file}")
+
+
+def limits(
+    specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    as_json: Json = False,
+) -> None:
+    """Tell the largest field and aperture, the coarsest pixel and the loosest tolerances that still work.
+
+    One of them is made as large as a search finds a lens for, everything else as the specification asks.
+
+    Exit status: 0, 1 if the specification itself cannot be met, 2 for bad input.
+    """
+    from lensdesign.exploration.limits import find_limits
+    from lensdesign.optimization.asked.specification import load_specification
+
+    with message_console().status("searching") as status:
+        found = find_limits(load_specification(specification), status.update)
+    if as_json:
+        print_json({"limits": [vars(one) for one in found]})
+    else:
+        shown = table("", "what", "asked", "can be met", "share")
+        for one in found:
+            reached = "not met as asked" if one.reached is None else f"{one.reached:.4g} {one.unit}".strip()
+            share = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
+            more = "" if one.ended else ", and more"
+            shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, share)
+        print_tables(shown)
+        typer.echo("each alone, everything else as asked; no more was found, which is no proof")
+    raise typer.Exit(1 if any(one.reached is None for one in found) else 0)
+
+
+def _print_front(front: Sequence[Explored], columns: Sequence[str], searches: int) -> None:
+    shown = table(f"{len(front)} lenses of which none is better in everything", "glasses", *columns)
+    for one in front:
+        shown.add_row(visible(one.glasses), *(f"{one.values[column]:.5g}" for column in columns))
+    print_tables(shown)
+    if len(front) == 1:
+        typer.echo("one lens is best in everything: there is nothing to trade")
+    typer.echo(f"{searches} searches")
 
 
 def _with_settings(specification: Specification, **changes: object) -> Specification:

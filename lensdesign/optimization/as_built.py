@@ -5,7 +5,6 @@ Tolerance studies are read by a package above this one, which gives its reader a
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,6 +15,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
+from lensdesign.optimization.asked.sections import Tolerances
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
@@ -107,6 +107,9 @@ class AsBuilt(Protocol):
         Derivatives are by the variables' own values.
         """
 
+    def scaled(self, factor: float) -> AsBuilt:
+        """The study with all tolerances multiplied."""
+
     @property
     def reference(self) -> Lens:
         """The lens that the study was written for."""
@@ -115,7 +118,7 @@ class AsBuilt(Protocol):
         """Try named lenses by so many fresh trials each."""
 
 
-def read_as_built(path: str | os.PathLike[str]) -> AsBuilt:
+def read_as_built(tolerances: Tolerances) -> AsBuilt:
     """Read a tolerance study for a search.
 
     Raises
@@ -123,21 +126,21 @@ def read_as_built(path: str | os.PathLike[str]) -> AsBuilt:
     DesignError
         If there is no such file, it is no study, or no package that reads one is installed.
     """
-    study = Path(path)
+    study = Path(tolerances.study)
     if not study.is_file():
-        raise DesignError(f"tolerances: study = {str(path)!r}: there is no such file")
-    return _read(study, study.stat().st_mtime_ns)
+        raise DesignError(f"tolerances: study = {tolerances.study!r}: there is no such file")
+    return _read(study, study.stat().st_mtime_ns, tolerances.factor)
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, _changed: int) -> AsBuilt:
+def _read(path: Path, _changed: int, factor: float) -> AsBuilt:
     from importlib.metadata import entry_points
 
     readers = tuple(entry_points(group=READERS, name="study"))
     if not readers:
         raise DesignError(f"tolerances: no package that reads a study is installed (entry point {READERS})")
     found: AsBuilt = readers[0].load()(path)
-    return found
+    return found if factor == 1.0 else found.scaled(factor)
 
 
 def untraceable(points: int, variables: int) -> AsBuiltValues:

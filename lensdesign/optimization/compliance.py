@@ -20,6 +20,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
 from lensdesign.optimization.as_built import AsBuiltReport, read_as_built
 from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.extremes import extremes
 
@@ -64,6 +65,7 @@ def check_against(
         _throughput(specification, report),
         _aperture(judged, specification, report),
         *_thicknesses(judged, specification),
+        *_lengths(judged, specification),
         *_slopes(judged, specification),
         *_as_built(judged, specification, built),
     )
@@ -163,6 +165,22 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
     return rows
 
 
+def _lengths(lens: Lens, specification: Specification) -> list[Constraint]:
+    limits, rows = specification.constraints, []
+    thickness = lens.exit_vertex_z_mm
+    track = lens.object.working_distance_mm + thickness + lens.sensor.plane_distances_mm[-1]
+    widest = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
+    # Semi-diameters are written rounded up.
+    for name, value, most, room in (
+        ("lens thickness", thickness, limits.max_lens_thickness_mm, 0.0),
+        ("track", track, limits.max_track_mm, 0.0),
+        ("largest semi-diameter", widest, limits.max_semi_diameter_mm, SEMI_DIAMETER_STEP_MM),
+    ):
+        if most is not None:
+            rows.append(_at_most(name, value, most + room, "mm"))
+    return rows
+
+
 def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
     """Of each surface at its clear edge, where it has one."""
     rows = []
@@ -182,7 +200,7 @@ def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | N
     if (limits.min_yield is None and limits.max_as_built_rms_waves is None) or tolerances is None:
         return []
     if built is None:
-        built = read_as_built(tolerances.study).trials([("", lens)], tolerances.trials)
+        built = read_as_built(tolerances).trials([("", lens)], tolerances.trials)
     found, rows = built.rows[-1], []
     if limits.min_yield is not None:
         met = found.high >= limits.min_yield

@@ -18,7 +18,7 @@ from lensdesign.optimization.nlopt_driver import (
     stationarity,
 )
 from lensdesign.optimization.problem import DesignProblem, Rays
-from lensdesign.optimization.requirements import KEPT
+from lensdesign.optimization.rows.row import KEPT
 from lensdesign.optimization.worst_rays import worse_rays
 
 EXCHANGES = 12

@@ -13,18 +13,13 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.registry import class_with
-from lensdesign.optimization.as_built import AsBuiltValues
+from lensdesign.optimization.as_built import AsBuiltValues, read_as_built
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.nlopt_driver import Evaluation
-from lensdesign.optimization.requirements import (
-    LIMIT_MARGIN,
-    SEMI_DIAMETER_STEP_MM,
-    Row,
-    State,
-    constraint_rows,
-    goal_rows,
-)
+from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
+from lensdesign.optimization.rows.requirements import constraint_rows, goal_rows
+from lensdesign.optimization.rows.row import LIMIT_MARGIN, Row, State
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.gradients import GradientTrace, Variable, gradient_trace
 
@@ -177,6 +172,19 @@ class DesignProblem:
             rays.pupil,
             variables,
         )
+
+    def predicted(self, point: Array) -> AsBuiltValues:
+        """What the specification's tolerances make of the lens at a point, whether or not that is asked for.
+
+        Raises
+        ------
+        DesignError
+            If the specification names no tolerances.
+        """
+        tolerances = self.specification.tolerances
+        if tolerances is None:
+            raise DesignError("lenses as built need their tolerances: [tolerances] study")
+        return read_as_built(tolerances).evaluate(self, point, False)
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
         """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""

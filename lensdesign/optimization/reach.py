@@ -13,7 +13,7 @@ from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.budget import Budget
 from lensdesign.optimization.local_search import search_from
 from lensdesign.optimization.problem import DesignProblem
-from lensdesign.optimization.requirements import KEPT
+from lensdesign.optimization.rows.row import KEPT
 
 FIRST_STEP = 0.01
 """By which share field or aperture is lowered first; the next steps are twice as large each."""

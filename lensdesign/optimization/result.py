@@ -20,7 +20,8 @@ from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.local_search import Found
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.reach import Reach, largest_that_can
-from lensdesign.optimization.requirements import AS_BUILT_SCALE_WAVES, KEPT, Row
+from lensdesign.optimization.rows.requirements import AS_BUILT_SCALE_WAVES
+from lensdesign.optimization.rows.row import KEPT, Row
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""

@@ -55,11 +55,11 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     settings = specification.optimize
     end = math.inf if settings.max_seconds is None else began + settings.max_seconds
     tried = []
-    bases = list(_glasses(specification))
-    for number, base in enumerate(bases):
+    bases = list(bases_of(specification))
+    for number, (glasses, base) in enumerate(bases):
         now = time.monotonic()
         budget = Budget(settings.max_evaluations, now + (end - now) / (len(bases) - number))
-        tried.append(_try(DesignProblem(specification, base), budget, seed, report, began))
+        tried.append(_try(glasses, DesignProblem(specification, base), budget, seed, report, began))
     if not any(t.found for t in tried):
         raise DesignError(_nothing_tried(tried))
     return result_of(specification, tried, began)
@@ -72,14 +72,13 @@ def _nothing_tried(tried: list[Tried]) -> str:
     return "no start can be traced: no drawn lens lets all rays through; narrow the bounds"
 
 
-def _try(problem: DesignProblem, budget: Budget, seed: int, report: Report | None, began: float) -> Tried:
+def _try(
+    glasses: str, problem: DesignProblem, budget: Budget, seed: int, report: Report | None, began: float
+) -> Tried:
     """One choice of glasses: starts until several agree."""
     settings = problem.specification.optimize
-    glasses = ", ".join(str(s.material) for s in problem.base.surfaces if s.material is not None)
-    if any(v.parameter == "stop" for v in problem.specification.variables):
-        glasses += f", stop on surface {problem.base.stop_index + 1}"
     tried = Tried(glasses, (), "")
-    for number, start in enumerate(_starts(problem, seed)):
+    for number, start in enumerate(starts_of(problem, seed)):
         if budget.used_up:
             return replace(tried, limit=budget.used_up)
         said = _narrator(report, glasses, number, settings.goal, began)
@@ -90,8 +89,8 @@ def _try(problem: DesignProblem, budget: Budget, seed: int, report: Report | Non
     return tried
 
 
-def _glasses(specification: Specification) -> Iterator[Lens]:
-    """The start with each combination of glasses and stops."""
+def bases_of(specification: Specification) -> Iterator[tuple[str, Lens]]:
+    """The start with each combination of glasses and stops, and what to call it."""
     choices = [v for v in specification.variables if v.discrete]
     for choice in itertools.product(*(v.choices for v in choices)):
         lens = specification.lens
@@ -100,7 +99,10 @@ def _glasses(specification: Specification) -> Iterator[Lens]:
                 lens = with_stop(lens, int(chosen) - 1)
             else:
                 lens = lens.with_surface((variable.surface or 1) - 1, material=chosen)
-        yield lens
+        name = ", ".join(str(s.material) for s in lens.surfaces if s.material is not None)
+        if any(v.parameter == "stop" for v in choices):
+            name += f", stop on surface {lens.stop_index + 1}"
+        yield name, lens
 
 
 def with_stop(lens: Lens, surface: int) -> Lens:
@@ -117,7 +119,7 @@ def with_stop(lens: Lens, surface: int) -> Lens:
     return lens.replaced(surfaces=tuple(surfaces))
 
 
-def _starts(problem: DesignProblem, seed: int) -> Iterator[Array]:
+def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
     """Points of the unit box to start from; random ones only where all can be worked out."""
     settings = problem.specification.optimize
     rng = np.random.default_rng(seed)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.optimization.problem import DesignProblem, Rays
-from lensdesign.optimization.requirements import Row
+from lensdesign.optimization.rows.row import Row
 
 TOLERANCE = 3e-5
 """Rays that exceed the working set by less than this (scaled) are not worth another round."""

@@ -73,6 +73,11 @@ class StudyAsBuilt:
     reference: Lens
     source: str
 
+    def scaled(self, factor: float) -> StudyAsBuilt:
+        """The study with all tolerances multiplied."""
+        wide = tuple(p.scaled(factor) for p in self.study.perturbations)
+        return replace(self, study=self.study.model_copy(update={"perturbations": wide}))
+
     @cached_property
     def judged(self) -> tuple:
         """Object points and their limits."""

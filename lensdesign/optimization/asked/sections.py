@@ -45,6 +45,12 @@ class Constraints(Section):
         Between elements, on the axis and at the ground edge: room for a spacer.
     max_edge_slope_deg
         Slope of each surface at its clear edge.
+    max_lens_thickness_mm
+        From the first vertex to the last.
+    max_track_mm
+        From the object to the last sensor plane.
+    max_semi_diameter_mm
+        Largest distance from the axis of any ray on any surface.
     min_yield
         Share of lenses that are good as built, by the tolerances given.
     max_as_built_rms_waves
@@ -62,6 +68,9 @@ class Constraints(Section):
     min_center_thickness_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.5
     min_air_gap_mm: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     max_edge_slope_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 75.0
+    max_lens_thickness_mm: Positive | None = None
+    max_track_mm: Positive | None = None
+    max_semi_diameter_mm: Positive | None = None
     min_yield: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     max_as_built_rms_waves: Positive | None = None
 
@@ -79,11 +88,14 @@ class Tolerances(Section):
         Tolerance study, relative to the specification: its perturbations, and its merits `rms_waves` or
         `strehl`, which say what a good lens is at which object points. The design that it names counts for
         nothing.
+    factor
+        By which all tolerances are multiplied.
     trials
         Monte Carlo trials of each lens that is compared in the end.
     """
 
     study: str
+    factor: Positive = 1.0
     trials: Annotated[int, Field(ge=100, le=100_000)] = 1000
 
 

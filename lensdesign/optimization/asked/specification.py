@@ -93,7 +93,7 @@ class Specification(Lens):
         """
         if self.tolerances is None or not self.asks_as_built:
             return None
-        return read_as_built(self.tolerances.study)
+        return read_as_built(self.tolerances)
 
     @property
     def lens(self) -> Lens:

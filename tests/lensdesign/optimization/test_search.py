@@ -18,8 +18,8 @@ from lensdesign.optimization.asked.specification import Specification, load_spec
 from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
 from lensdesign.optimization.reach import Reach
-from lensdesign.optimization.requirements import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.result import Tried
+from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.search import optimize
 from lensdesign.optimization.worst_rays import worse_rays
 
@@ -367,9 +367,8 @@ def test_every_glass_gets_its_share(thinnest):
 def test_what_was_not_tried_is_named(thinnest, monkeypatch):
     tries = search._try
 
-    def late(problem, *arguments):
-        glass = problem.base.surfaces[0].material
-        return tries(problem, *arguments) if glass == "N-BK7" else Tried(glass, (), "max_seconds")
+    def late(glass, problem, *arguments):
+        return tries(glass, problem, *arguments) if glass == "N-BK7" else Tried(glass, (), "max_seconds")
 
     monkeypatch.setattr(search, "_try", late)
     settings = thinnest.optimize.replaced(max_seconds=60.0)

@@ -15,6 +15,7 @@ from lensdesign.cli.commands import app
 from lensdesign.errors import DesignError
 from lensdesign.optimization import load_specification
 from lensdesign.optimization.as_built import read_as_built
+from lensdesign.optimization.asked.sections import Tolerances
 from lensdesign.optimization.problem import DesignProblem
 
 CONIC = """
@@ -125,7 +126,7 @@ def test_what_a_search_cannot_use_is_refused(wavefront_study: Path, tmp_path: Pa
 
 
 def test_tolerances_of_surfaces_that_are_not_there_are_refused(wavefront_study: Path) -> None:
-    study = read_as_built(wavefront_study)
+    study = read_as_built(Tolerances(study=str(wavefront_study)))
     lens = load_design(DESIGNS / "thinnest_singlet.toml")
     one = lens.model_copy(update={"surfaces": lens.surfaces[1:]})
     with pytest.raises(DesignError, match="surface 2"):

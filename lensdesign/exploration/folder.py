@@ -1,0 +1,139 @@
+"""The folder of an exploration: what was found so far, the front as a table, a design file for each lens."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lensdesign.common.clusters import toolkit_version
+from lensdesign.common.text import safe_cell
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.exploration.front import Explored, front_of
+from lensdesign.exploration.objectives import Axis
+from lensdesign.files.design import design_text, load_design
+from lensdesign.optimization.asked.specification import Specification
+
+ENDS, FRONT = "searches.jsonl", "front.csv"
+
+
+@dataclass(frozen=True)
+class ExplorationFolder:
+    """Where an exploration is kept while it runs, and what it leaves.
+
+    Attributes
+    ----------
+    path : Path
+    fingerprint : str
+        Of what is explored; another exploration's folder is refused.
+    """
+
+    path: Path
+    fingerprint: str
+
+    def begin(self, fresh: bool = False) -> dict[str, Explored]:
+        """Make the folder, or read what it holds of this exploration.
+
+        Raises
+        ------
+        InputError
+            If it holds another exploration, or other files.
+        """
+        ends = self.path / ENDS
+        if fresh and ends.exists():
+            ends.unlink()
+        if not ends.exists():
+            if self.path.exists() and not fresh and any(self.path.iterdir()):
+                raise InputError(
+                    f"{self.path}: holds other files, and no {ENDS}; give an empty or a new folder"
+                )
+            self.path.mkdir(parents=True, exist_ok=True)
+            with atomic_path(ends) as temporary:
+                temporary.write_text(json.dumps({"exploration": self.fingerprint}) + "\n", encoding="utf-8")
+            return {}
+        first, *lines = ends.read_text(encoding="utf-8").splitlines() or [""]
+        if _read(first).get("exploration") != self.fingerprint:
+            raise InputError(
+                f"{self.path}: holds an exploration of another specification, study or objectives, or of "
+                "another version; give another folder, or --fresh to replace it"
+            )
+        # A line that was cut when its writer died is the last; its search is made once more.
+        found = [_explored(self.path, row) for row in map(_read, lines) if "key" in row]
+        return {one.key: one for one in found if one is not None}
+
+    def keep(self, one: Explored) -> None:
+        """Add a search's end, with its lens's file."""
+        name = _name(one)
+        if one.lens is not None:
+            with atomic_path(self.path / name) as temporary:
+                temporary.write_text(design_text(one.lens, self.path), encoding="utf-8")
+        row = {
+            "key": one.key,
+            "glasses": one.glasses,
+            "values": one.values,
+            "point": list(one.point),
+            "design": name if one.lens is not None else None,
+        }
+        with (self.path / ENDS).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def write_front(self, explored: Sequence[Explored], axes: Sequence[Axis]) -> Path:
+        """Write the front, and the lenses behind it, as a table."""
+        front = {one.key for one in front_of(explored, axes)}
+        columns = [axis.objective.column for axis in axes]
+        lenses = [one for one in explored if one.lens is not None]
+        order = sorted(lenses, key=lambda one: [one.values[column] for column in columns])
+        with atomic_path(self.path / FRONT) as temporary, temporary.open("w", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(["design", "glasses", *columns, "on_front"])
+            for one in order:
+                cells = [f"{one.values[column]:.9g}" for column in columns]
+                rows.writerow([_name(one), safe_cell(one.glasses), *cells, int(one.key in front)])
+        return self.path / FRONT
+
+
+def folder_for(
+    path: Path, specification: Specification, axes: Sequence[Axis], lenses: int
+) -> ExplorationFolder:
+    """The folder of an exploration, known by all that decides what it finds."""
+    study = specification.tolerances.study if specification.tolerances else None
+    said = {
+        "version": toolkit_version(),
+        "specification": specification.model_dump(mode="json", exclude={"tolerances"}),
+        "study": None if study is None else Path(study).read_text(encoding="utf-8"),
+        "axes": [(axis.objective.name, axis.bounds) for axis in axes],
+        "lenses": lenses,
+    }
+    text = json.dumps(said, sort_keys=True, default=str)
+    return ExplorationFolder(path, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _read(line: str) -> dict[str, Any]:
+    try:
+        row = json.loads(line)
+    except json.JSONDecodeError:
+        return {}
+    return row if isinstance(row, dict) else {}
+
+
+def _explored(folder: Path, row: dict[str, Any]) -> Explored | None:
+    """A search's end; None where its lens cannot be read any more, so that it is made once more."""
+    try:
+        lens = None if row["design"] is None else load_design(folder / row["design"])
+        return Explored(row["key"], row["glasses"], row["values"], tuple(row["point"]), lens)
+    except (KeyError, InputError, TypeError, OSError):
+        return None
+
+
+def _name(one: Explored) -> str:
+    """File name of a lens: what was asked, in letters that all systems take."""
+    words = re.sub(r"[^A-Za-z0-9.]+", "_", one.key).strip("_")
+    return f"{words[:80]}_{hashlib.sha256(one.key.encode()).hexdigest()[:6]}.toml"

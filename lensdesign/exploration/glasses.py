@@ -1,0 +1,59 @@
+"""Glasses by name or by catalogue, as choices of a specification."""
+
+from __future__ import annotations
+
+from lensdesign.errors import InputError
+from lensdesign.lens.glass import list_glasses, refractive_index
+from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.asked.variables import VariableRange
+
+CATALOGUE = "catalogue:"
+
+
+def with_glasses(specification: Specification, text: str) -> Specification:
+    """The specification with other choices for the glass of its first element.
+
+    Parameters
+    ----------
+    specification
+    text
+        Names with commas between them, or ``catalogue:`` and the catalogue's name.
+
+    Raises
+    ------
+    InputError
+        If no glass is named, there is no such catalogue, or none of its glasses is known at the wavelengths.
+    MaterialError
+        If a glass that is named is not known.
+    """
+    if text.startswith(CATALOGUE):
+        names = _of_catalogue(specification, text.removeprefix(CATALOGUE))
+    else:
+        names = tuple(name.strip() for name in text.split(",") if name.strip())
+        for name in names:
+            for wavelength in specification.wavelengths_um:
+                refractive_index(name, wavelength, catalogs=specification.glass_catalogs)
+    if not names:
+        raise InputError(f"--glasses {text}: names no glass")
+    first = specification.glass_fronts[0] + 1
+    kept = tuple(v for v in specification.variables if not (v.parameter == "material" and v.surface == first))
+    chosen = VariableRange(parameter="material", surface=first, choices=names)
+    return specification.model_copy(update={"variables": (*kept, chosen)})
+
+
+def _of_catalogue(specification: Specification, name: str) -> tuple[str, ...]:
+    """Glasses of a catalogue that are known at all wavelengths."""
+    known = list_glasses(specification.glass_catalogs)
+    names = sorted({glass for glass, catalogue in known if catalogue.casefold() == name.casefold()})
+    if not names:
+        allowed = ", ".join(sorted({catalogue for _, catalogue in known}))
+        raise InputError(f"--glasses {CATALOGUE}{name}: there is no such catalogue; allowed: {allowed}")
+    found = []
+    for glass in names:
+        try:
+            for wavelength in specification.wavelengths_um:
+                refractive_index(glass, wavelength, catalogs=specification.glass_catalogs)
+        except InputError:
+            continue
+        found.append(glass)
+    return tuple(found)

@@ -1,0 +1,164 @@
+"""What lenses are weighed by: each a goal of a search, or a limit of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.problem import DesignProblem, finished_lens
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One thing that a trade-off weighs.
+
+    Attributes
+    ----------
+    name
+        As the command takes it; its column with the unit.
+    unit
+    larger_is_better
+    goal
+        By which a search makes it as good as can be; empty where it is a value of the object.
+    limit
+        Constraint, or value of the object, that holds it.
+    """
+
+    name: str
+    unit: str
+    goal: str
+    limit: str
+    larger_is_better: bool = False
+
+    @property
+    def column(self) -> str:
+        """Name with the unit."""
+        return f"{self.name}_{self.unit}" if self.unit else self.name
+
+    @property
+    def scanned(self) -> bool:
+        """Whether it is given to a search rather than sought by it."""
+        return not self.goal
+
+    def sought(self, specification: Specification) -> Specification:
+        """The specification with this as its goal."""
+        return specification.model_copy(update={"optimize": specification.optimize.replaced(goal=self.goal)})
+
+    def limited(self, specification: Specification, value: float) -> Specification:
+        """The specification that allows it no worse a value."""
+        if self.scanned:
+            scene = specification.object.replaced(**{self.limit: value})
+            return specification.model_copy(update={"object": scene})
+        limits = specification.constraints
+        if self.name == "spread":
+            value = min(value, limits.max_spread_deg) if isinstance(limits.max_spread_deg, float) else value
+        return specification.model_copy(update={"constraints": limits.replaced(**{self.limit: value})})
+
+    def better(self, one: float, other: float) -> bool:
+        """Whether one value is better than another."""
+        return one > other if self.larger_is_better else one < other
+
+
+OBJECTIVES = {
+    found.name: found
+    for found in (
+        Objective("thickness", "mm", "thinnest lens", "max_lens_thickness_mm"),
+        Objective("track", "mm", "shortest track", "max_track_mm"),
+        Objective("semi_diameter", "mm", "smallest aperture", "max_semi_diameter_mm"),
+        Objective("spread", "deg", "smallest spread angle", "max_spread_deg"),
+        Objective("as_built_rms", "waves", "as-built rms", "max_as_built_rms_waves"),
+        Objective("yield", "", "yield", "min_yield", larger_is_better=True),
+        Objective("field", "mm", "", "field_diameter_mm", larger_is_better=True),
+        Objective("na", "", "", "numerical_aperture", larger_is_better=True),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An objective, and between which values it is varied.
+
+    Attributes
+    ----------
+    objective
+    bounds
+        In its unit; None for those that the searches themselves find.
+    """
+
+    objective: Objective
+    bounds: tuple[float, float] | None = None
+
+
+def axes_of(text: str, specification: Specification) -> tuple[Axis, ...]:
+    """Read ``thickness,as_built_rms`` or ``field=2:4,thickness``.
+
+    Raises
+    ------
+    InputError
+        For what is no objective, stands twice, has no bounds although it needs them, or asks for tolerances
+        that the specification does not name.
+    """
+    axes = [_axis(part.strip(), specification) for part in text.split(",")]
+    names = [axis.objective.name for axis in axes]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated:
+        raise InputError(f"--over {text}: {repeated} stands twice")
+    if not 2 <= len(axes) <= 4:
+        raise InputError(f"--over {text}: {len(axes)} named; allowed: two to four")
+    if all(axis.objective.scanned for axis in axes):
+        allowed = ", ".join(name for name, found in OBJECTIVES.items() if not found.scanned)
+        raise InputError(f"--over {text}: at least one must be sought: {allowed}")
+    # What is given stands first; what is sought last of all is the goal of each search.
+    return tuple(sorted(axes, key=lambda axis: not axis.objective.scanned))
+
+
+def _axis(text: str, specification: Specification) -> Axis:
+    name, _, given = text.partition("=")
+    if name not in OBJECTIVES:
+        raise InputError(f"--over: {name!r} is no objective; allowed: {', '.join(OBJECTIVES)}")
+    objective = OBJECTIVES[name]
+    if objective.goal in ("as-built rms", "yield") and specification.tolerances is None:
+        raise InputError(f"--over: {name} needs tolerances: [tolerances] study in the specification")
+    if given:
+        try:
+            low, high = (float(part) for part in given.split(":"))
+        except ValueError:
+            raise InputError(f"--over {text}: bounds are two numbers, as in {name}=2:4") from None
+        if not 0.0 < low < high < np.inf:
+            raise InputError(f"--over {text}: bounds must be above 0, the smaller first")
+        return Axis(objective, (low, high))
+    if objective.scanned:
+        value = getattr(specification.object, objective.limit)
+        return Axis(objective, (0.7 * value, value))
+    return Axis(objective)
+
+
+def values_of(axes: Sequence[Axis], problem: DesignProblem, point: np.ndarray, rays: Any) -> dict[str, float]:
+    """What a lens is worth by each objective, in the units of their columns."""
+    lens = finished_lens(problem, point, rays)
+    state = problem.state(point, rays, derivatives=False)
+    found = {}
+    for axis in axes:
+        name = axis.objective.name
+        if axis.objective.scanned:
+            value = getattr(lens.object, axis.objective.limit)
+        elif name == "thickness":
+            value = lens.exit_vertex_z_mm
+        elif name == "track":
+            ends = lens.object.working_distance_mm + lens.sensor.plane_distances_mm[-1]
+            value = lens.exit_vertex_z_mm + ends
+        elif name == "semi_diameter":
+            value = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
+        elif name == "spread":
+            sines = [np.max(np.linalg.norm(t.cosines[t.ok], axis=-1)) for t in state.traces]
+            value = float(np.degrees(np.arcsin(max(sines))))
+        else:
+            built = problem.predicted(point)
+            value = float(np.max(built.rms_waves)) if name == "as_built_rms" else 1.0 - built.failing
+        found[axis.objective.column] = float(value)
+    return found

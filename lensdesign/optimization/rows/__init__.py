@@ -1,0 +1,1 @@
+"""Goals and constraints of a lens, as rows of scaled values with derivatives."""

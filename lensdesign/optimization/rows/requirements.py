@@ -1,0 +1,188 @@
+"""The goals and constraints of a specification, as rows of scaled values with derivatives.
+
+Each value is scaled to about 1. A constraint is kept where its value is not above zero.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.nlopt_driver import UNTRACEABLE
+from lensdesign.optimization.rows.glass import glass_rows, lens_thickness, track
+from lensdesign.optimization.rows.row import LIMIT_MARGIN, Row, State, finite_row, heights_of, squares_of
+from lensdesign.tracing.gradients import GradientTrace
+
+AS_BUILT_SCALE_WAVES = 0.1
+"""Root mean square by which as-built goals are scaled."""
+
+
+def goal_rows(specification: Specification, state: State) -> list[Row]:
+    """What the largest value of is to be made small."""
+    goal = specification.optimize.goal
+    lens: Lens = specification  # as it was at the start
+    if goal in AS_BUILT_GOALS:
+        return [_as_built_goal(goal, state)]
+    if goal.startswith("smallest spread"):
+        widest = _sine(lens, max(lens.wavelengths_um))
+        own = goal == "smallest spread"
+        return [
+            _per_ray(
+                _named("spread", w, lens),
+                squares_of(t.cosines, t.cosines_by),
+                (_sine(lens, w) if own else widest) ** 2,
+                t,
+            )
+            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+        ]
+    if goal == "smallest aperture":
+        reference = lens.stop_semi_diameter_mm**2
+        return [
+            _per_ray(_named(f"height on surface {i + 1}", w, lens), heights_of(t, i), reference, t)
+            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+            for i in range(len(lens.surfaces))
+        ]
+    length, by = track(state) if goal == "shortest track" else lens_thickness(state)
+    reference = lens.exit_vertex_z_mm
+    return [Row(goal, np.array([length / reference]), by[None] / reference)]
+
+
+def constraint_rows(specification: Specification, state: State, final: bool = False) -> list[Row]:
+    """What must not be above zero.
+
+    Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
+    against it.
+    """
+    rows: list[Row] = []
+    lens: Lens = specification
+    limited = final or not _limits_its_goal(specification)
+    for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
+        rows += _spread_rows(specification, state, wavelength, trace, limited)
+        for i, limit in enumerate(specification.footprint_limits()):
+            if math.isfinite(limit):
+                name = _named(f"footprint on sensor plane {i + 1}", wavelength, lens)
+                squares = squares_of(trace.plane_points[:, i], trace.plane_points_by[:, i])
+                rows.append(_limited(name, squares, limit**2, trace))
+        if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
+            rows += _rectangle_rows(specification, wavelength, trace)
+        rows += _throughput_rows(specification, state, wavelength, trace)
+        most = specification.constraints.max_semi_diameter_mm
+        for i in range(len(lens.surfaces)) if most is not None else ():
+            name = _named(f"semi-diameter of surface {i + 1}", wavelength, lens)
+            rows.append(_limited(name, heights_of(trace, i), float(most or 0.0) ** 2, trace))
+    return rows + glass_rows(specification, state) + _as_built_rows(specification, state)
+
+
+def _as_built_goal(goal: str, state: State) -> Row:
+    assert state.as_built is not None  # the goal asked for it
+    if goal == "yield":
+        return finite_row(goal, np.array([state.as_built.failing]), state.as_built.failing_by[None])
+    scale = AS_BUILT_SCALE_WAVES
+    return finite_row(goal, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
+
+
+def _as_built_rows(specification: Specification, state: State) -> list[Row]:
+    """How many lenses may fail, and how large their wavefront errors may be."""
+    limits, found, rows = specification.constraints, state.as_built, []
+    if found is None:
+        return []
+    if limits.min_yield is not None:
+        excess = found.failing - (1.0 - limits.min_yield)
+        rows.append(finite_row("yield", np.array([excess]), found.failing_by[None]))
+    if limits.max_as_built_rms_waves is not None:
+        most = limits.max_as_built_rms_waves
+        rows.append(finite_row("as-built rms", found.rms_waves / most - 1.0, found.rms_by / most))
+    return rows
+
+
+def _limits_its_goal(specification: Specification) -> bool:
+    """Whether the lens of the smallest goal is the one that keeps the spread's limit best, too."""
+    goal, limit = specification.optimize.goal, specification.constraints.max_spread_deg
+    if len(specification.wavelengths_um) == 1:
+        return goal.startswith("smallest spread")
+    return goal == ("smallest spread" if limit == "sensor" else "smallest spread angle")
+
+
+def _spread_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
+) -> list[Row]:
+    squares = squares_of(trace.cosines, trace.cosines_by)
+    limit = specification.spread_limit(wavelength)
+    rows = []
+    if limited and math.isfinite(limit):
+        rows.append(_limited(_named("spread", wavelength, specification), squares, limit**2, trace))
+    for axis, most_deg in enumerate(specification.constraints.max_spread_xy_deg or ()):
+        at, by = trace.cosines[:, axis], trace.cosines_by[:, axis]
+        name = _named(f"spread along {'xy'[axis]}", wavelength, specification)
+        square = math.sin(math.radians(most_deg)) ** 2
+        rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), square, trace))
+    for own in specification.constraints.field_spread:
+        at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
+        name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, specification)
+        row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
+        rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+    return rows
+
+
+def _rectangle_rows(specification: Specification, wavelength: float, trace: GradientTrace) -> list[Row]:
+    """Light within the sides of the sensor, x and y apart."""
+    rows = []
+    for i in range(len(specification.sensor.plane_distances_mm)):
+        for axis, size in enumerate(specification.sensor.size_mm):
+            at, by = trace.plane_points[:, i, axis], trace.plane_points_by[:, i, axis]
+            name = _named(f"{'xy'[axis]} of the footprint on sensor plane {i + 1}", wavelength, specification)
+            rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), (0.5 * size) ** 2, trace))
+    return rows
+
+
+def _throughput_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Row]:
+    """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
+    lens, share = specification, specification.constraints.min_throughput
+    limits = [
+        (i, s.semi_diameter_mm)
+        for i, s in enumerate(lens.surfaces)
+        if s.semi_diameter_mm is not None and i != lens.stop_index
+    ]
+    if not limits:
+        return []
+    each = [_limited("", heights_of(trace, i), d**2, trace) for i, d in limits]
+    worst = np.argmax([r.values for r in each], axis=0)
+    rays = np.arange(len(worst))
+    values = np.array([r.values for r in each])[worst, rays]
+    by = np.array([r.by for r in each])[worst, rays]
+    name = _named("throughput", wavelength, lens)
+    if share == 1.0:
+        return [Row(name, values, by, rays)]
+    picked = []
+    for field in np.unique(state.fields_mm, axis=0):
+        mine = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
+        order = mine[np.argsort(values[mine])]
+        picked.append(order[math.ceil(share * len(order)) - 1])
+    return [Row(name, values[picked], by[picked], np.array(picked))]
+
+
+def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Row:
+    values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
+    by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
+    return Row(name, values, by, np.arange(len(values)))
+
+
+def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Row:
+    row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
+    return Row(name, row.values - 1.0, row.by, row.rays)
+
+
+def _sine(lens: Lens, wavelength: float) -> float:
+    """Sine of the sensor's spread limit: what spreads are scaled by."""
+    return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
+
+
+def _named(name: str, wavelength: float, lens: Lens) -> str:
+    return name if len(lens.wavelengths_um) == 1 else f"{name} ({wavelength:g} um)"

@@ -1,0 +1,38 @@
+"""How far a specification reaches."""
+
+from __future__ import annotations
+
+import pytest
+
+from lensdesign.exploration.limits import _with_pitch, find_limits
+from lensdesign.optimization import Specification, optimize
+from lensdesign.optimization.asked.sections import Settings
+
+
+def test_limits_can_be_met_and_a_little_more_cannot(specification: Specification) -> None:
+    limited = specification.model_copy(
+        update={
+            "optimize": Settings(goal="thinnest lens", start="plate", stop="numerical aperture", starts=3)
+        }
+    )
+    field, aperture, pitch = find_limits(limited)
+    assert field.reached is not None
+    assert 3.0 < field.reached < 3.2  # 3 mm can be met, by a lens nearly twice as thick
+    assert aperture.reached is not None
+    assert aperture.reached > 0.55
+    assert pitch.reached is not None
+    assert pitch.asked == 3.2 and pitch.reached > 3.5  # noqa: PT018
+    for value, met in ((0.998 * field.reached, True), (1.02 * field.reached, False)):
+        scene = limited.object.replaced(field_diameter_mm=value)
+        assert optimize(limited.model_copy(update={"object": scene})).feasible is met
+
+
+def test_a_coarser_pixel_leaves_the_sensor_as_large(specification: Specification) -> None:
+    coarse = _with_pitch(specification, 6.4)
+    assert coarse.sensor.size_mm == pytest.approx(specification.sensor.size_mm, abs=6.4e-3)
+    assert coarse.spread_limit(0.532) == pytest.approx(0.5 * specification.spread_limit(0.532))
+
+
+def test_a_specification_that_is_not_met_reaches_nowhere(specification: Specification) -> None:
+    limits = specification.constraints.replaced(max_lens_thickness_mm=3.0)
+    assert all(one.reached is None for one in find_limits(specification.replaced(constraints=limits)))
