@@ -72,12 +72,16 @@ SHORTER = {
     r"(figure_7.*) --trials 16": r"\1 --trials 2",
     r"--trial 137": "--trial 7",
     r"^(tolerancing budget .*)": r"\1 --verify 16",
+    r"^(lensdesign explore .*)": r"\1 --lenses 2",
 }
 # Statuses beside 0 that are right: a constraint that is not met, which the pages say; frames that two
 # iterations do not explain.
 ALLOWED = {
     "lensdesign check": (0, 1),
     "lensdesign verify": (0, 1),
+    "lensdesign optimize": (0, 1),
+    "lensdesign explore": (0, 1),
+    "lensdesign limits": (0, 1),
     "wavesim reconstruct": (0, 1),
     "wavesim calibrate": (0, 1),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -140,6 +141,12 @@ def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_j
 def report(
     store: StorePath,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the report.")],
+    beside: Annotated[
+        Path | None, typer.Option(metavar="STORE", help="Store of the lens from which this one was made.")
+    ] = None,
+    front: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of lensdesign explore, to show this lens in.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a store's report.
@@ -150,8 +157,10 @@ def report(
     from tolerancing.report.report import write_report
     from tolerancing.store.store import open_store
 
-    with open_store(store) as opened:
-        files = write_report(opened, output)
+    with ExitStack() as stack:
+        opened = stack.enter_context(open_store(store))
+        other = None if beside is None else stack.enter_context(open_store(beside))
+        files = write_report(opened, output, beside=other, front=front)
     if as_json:
         print_json({name: str(path) for name, path in vars(files).items()})
     else:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError, atomic_path
+from tolerancing.analysis.summary import Summary
 from tolerancing.report.blocks import Block, Report, plain
 from tolerancing.report.data import ReportData
+from tolerancing.report.sections.designed import Front, designed_section, read_front
 from tolerancing.store.store import Store
 
 
@@ -26,7 +28,13 @@ class ReportFiles:
     steps_csv: Path
 
 
-def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
+def write_report(
+    store: Store,
+    folder: str | os.PathLike[str],
+    *,
+    beside: Store | None = None,
+    front: str | os.PathLike[str] | None = None,
+) -> ReportFiles:
     """Write a store's report.
 
     Parameters
@@ -35,6 +43,10 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
         An open store, finished or not.
     folder
         Where ``report.html``, ``report.pdf``, ``trials.csv`` and ``steps.csv`` go; made if needed.
+    beside
+        An open store of the lens from which this one was made, to be put beside it.
+    front
+        Folder of `lensdesign explore`, to show where this lens stands.
 
     Raises
     ------
@@ -52,7 +64,11 @@ def write_report(store: Store, folder: str | os.PathLike[str]) -> ReportFiles:
     for path in vars(files).values():
         if os.path.exists(path) and path.samefile(store.path):
             raise InputError(f"cannot write {path}: it is the store itself; give another folder")
-    report = report_of(report_data(store))
+    shown = Beside(
+        None if beside is None else report_data(beside).summary,
+        None if front is None else read_front(Path(front)),
+    )
+    report = report_of(report_data(store), beside=shown)
     with ExitStack() as stack:  # all are written before the first takes its place
         temporary = {name: stack.enter_context(atomic_path(path)) for name, path in vars(files).items()}
         write_trials(store, temporary["trials_csv"])
@@ -80,7 +96,15 @@ def report_data(store: Store) -> ReportData:
     )
 
 
-def report_of(data: ReportData, written: str | None = None) -> Report:
+@dataclass(frozen=True)
+class Beside:
+    """What a report puts beside its own lens: another store's results, and an exploration's front."""
+
+    before: Summary | None = None
+    front: Front | None = None
+
+
+def report_of(data: ReportData, written: str | None = None, beside: Beside = Beside()) -> Report:
     """The report's content, whatever it is rendered to.
 
     Parameters
@@ -89,6 +113,8 @@ def report_of(data: ReportData, written: str | None = None) -> Report:
         What it is made from.
     written
         When; now where left out.
+    beside
+        What is shown beside it.
     """
     written = written or datetime.now(UTC).isoformat(timespec="seconds")
     summary, study = data.summary, data.study
@@ -99,7 +125,7 @@ def report_of(data: ReportData, written: str | None = None) -> Report:
             f"Design {study.design}; {summary.trials:,} of {summary.record.planned_trials:,} trials, seed "
             f"{study.seed}; report written {written}"
         ),
-        blocks=tuple(_blocks(data, written)),
+        blocks=tuple(_blocks(data, written, beside)),
         trials={int(data.trial_numbers[place]): data.trial_text(place) for place in drawn},
         footer=(
             "Every trial follows from the study, its seed and the trial's number. All numbers stand in "
@@ -108,7 +134,7 @@ def report_of(data: ReportData, written: str | None = None) -> Report:
     )
 
 
-def _blocks(data: ReportData, written: str) -> Sequence[Block]:
+def _blocks(data: ReportData, written: str, beside: Beside) -> Sequence[Block]:
     from tolerancing.report.sections.method import fidelity_section, method_section, reproduction_section
     from tolerancing.report.sections.series import series_section, trial_pictures
     from tolerancing.report.sections.summary import lens_section, summary_section
@@ -125,6 +151,7 @@ def _blocks(data: ReportData, written: str) -> Sequence[Block]:
         *lens_section(data),
         *tolerance_section(data),
         *sensitivity_section(data),
+        *designed_section(data, beside.before, beside.front),
         *distribution_section(data),
         *scale_section(data),
         *scatter_section(data),

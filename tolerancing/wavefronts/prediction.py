@@ -161,9 +161,7 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
     DesignError
         If rays from an object point do not pass.
     """
-    if study.compensators:
-        names = ", ".join(c.column for c in study.compensators)
-        raise InputError(f"compensators ({names}): predictions know shift and focus alone; run the study")
+    _refuse_compensators(study)
     judged = judged_points(study) if points is None else tuple(points)
     sizes = np.array([p.tolerance for p in study.perturbations])
     own = replace_draws(study, DRAWS)
@@ -186,6 +184,68 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
     good = np.all(squares <= limits**2, axis=1)
     columns = tuple(p.column for p in study.perturbations)
     return WavefrontPrediction(tuple(found), float(np.mean(good)), DRAWS, columns)
+
+
+@dataclass(frozen=True)
+class Loosened:
+    """What one tolerance alone does to the yield, all others as they are.
+
+    Attributes
+    ----------
+    perturbation
+        Its column.
+    halved, doubled
+        Share of good lenses with half of it, and with twice as much.
+    """
+
+    perturbation: str
+    halved: float
+    doubled: float
+
+
+def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
+    """Yields with each tolerance halved and doubled, to first order; perturbation by perturbation.
+
+    Raises
+    ------
+    InputError, DesignError
+        As of :func:`predict`.
+    """
+    _refuse_compensators(study)
+    judged = judged_points(study)
+    sizes = np.array([p.tolerance for p in study.perturbations])
+    batch = realise(replace_draws(study, DRAWS), range(DRAWS))
+    forms, limits = [], np.array([point.limit_waves**2 for point in judged])
+    for point in judged:
+        known = differentials(
+            lens,
+            study.perturbations,
+            sizes,
+            [point.field_mm],
+            wavelength_um=point.wavelength_um,
+            plane_distance_mm=study.sampling.plane_distance_mm,
+            pivot_z_mm=study.pivot_z_mm,
+            second=False,
+        )
+        forms.append(first_order(known))
+    amounts = known.changes.amounts(batch)
+
+    def good(columns: slice, factor: float) -> float:
+        changed = amounts.copy()
+        changed[:, columns] *= factor
+        squares = np.stack([np.sum((changed @ form) * changed, axis=1) for form in forms], axis=1)
+        return float(np.mean(np.all(squares <= limits, axis=1)))
+
+    return tuple(
+        Loosened(p.column, good(columns, 0.5), good(columns, 2.0))
+        for p, columns in zip(study.perturbations, known.changes.columns, strict=True)
+    )
+
+
+def _refuse_compensators(study: Study) -> None:
+    if study.compensators:
+        names = ", ".join(c.column for c in study.compensators)
+        raise InputError(f"compensators ({names}): predictions know shift and focus alone; run the study")
 
 
 def replace_draws(study: Study, count: int) -> Study:

@@ -1,0 +1,186 @@
+"""What a lens is designed for: its wavefront as predicted, what drives the yield, what may be loosened."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from tolerancing.analysis.summary import Summary
+from tolerancing.report.blocks import (
+    Block,
+    FigureBlock,
+    Heading,
+    Panel,
+    Paragraph,
+    Warning,
+    number_text,
+    percent_text,
+    table,
+)
+from tolerancing.report.data import ReportData
+from tolerancing.report.figures.style import BLUE, GREY, RED, styled, styled_figure
+
+
+@dataclass(frozen=True)
+class Front:
+    """Lenses of an exploration, as `lensdesign explore` writes them.
+
+    Attributes
+    ----------
+    columns : (str, str)
+        Objectives, with units.
+    lenses : tuple of (float, float, bool)
+        Values, and whether the lens stands on the front.
+    """
+
+    columns: tuple[str, str]
+    lenses: tuple[tuple[float, float, bool], ...]
+
+
+def read_front(path: Path) -> Front:
+    """Read the front of an exploration's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    file = path / "front.csv" if path.is_dir() else path
+    try:
+        with file.open(encoding="utf-8", newline="") as opened:
+            rows = csv.DictReader(opened)
+            names = [n for n in rows.fieldnames or () if n not in ("design", "glasses", "on_front")]
+            first, last = names[0], names[-1]
+            lenses = tuple((float(r[first]), float(r[last]), r["on_front"] == "1") for r in rows)
+    except (OSError, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: is no front that lensdesign explore wrote: {error}") from None
+    return Front((first, last), lenses)
+
+
+def designed_section(
+    data: ReportData, before: Summary | None = None, front: Front | None = None
+) -> list[Block]:
+    """What was predicted beside what trials found, and where to spend or save.
+
+    Empty where nothing of the study can be predicted and nothing stands beside it.
+
+    Parameters
+    ----------
+    data
+        The report's.
+    before
+        Of another lens's store, the start of the search, say.
+    front
+        Lenses of an exploration.
+    """
+    blocks = [*_beside(data, before), *_predicted(data), *_on_front(data, front)]
+    return [Heading("Designed for it"), *blocks] if blocks else []
+
+
+def _beside(data: ReportData, before: Summary | None) -> list[Block]:
+    if before is None:
+        return []
+    others = {m.merit.label: m for m in before.merits}
+    rows = []
+    for own in data.summary.merits:
+        other = others.get(own.merit.label)
+        if other is None:
+            continue
+        rows.append(
+            [
+                own.merit.label,
+                number_text(other.nominal),
+                number_text(other.mean),
+                percent_text(other.good.share if other.good else None),
+                number_text(own.nominal),
+                number_text(own.mean),
+                percent_text(own.good.share if own.good else None),
+            ]
+        )
+    title = before.study.title or before.study.design
+    headings = ["<Merit", "Start", "Start, mean", "Start, good", "This", "This, mean", "This, good"]
+    return [table(headings, rows, f"This lens beside the start: {title}.")]
+
+
+def _predicted(data: ReportData) -> list[Block]:
+    from tolerancing.wavefronts.prediction import loosen_each, predict
+
+    try:
+        found, loosened = predict(data.lens, data.study), loosen_each(data.lens, data.study)
+    except InputError:
+        return []
+    points = [
+        [
+            "({:g}, {:g})".format(*p.judged.field_mm),
+            number_text(p.rms_waves),
+            number_text(p.judged.limit_waves),
+            percent_text(p.good),
+        ]
+        for p in found.points
+    ]
+    worst = max(found.points, key=lambda p: p.rms_waves / p.judged.limit_waves)
+    order = np.argsort(-worst.shares)
+    drivers = [
+        [
+            found.perturbations[k],
+            percent_text(float(worst.shares[k])),
+            percent_text(loosened[k].halved),
+            percent_text(loosened[k].doubled),
+        ]
+        for k in order
+    ]
+    blocks: list[Block] = [
+        Paragraph(
+            f"Predicted from the rays of the nominal lens, without trials: {percent_text(found.good)} of "
+            "lenses have a wavefront within the limits at every object point, shift and focus taken out."
+        ),
+        table(["<Object point (mm)", "Rms (waves)", "Limit", "Good"], points, "As predicted."),
+        table(
+            ["<Perturbation", "Share of the square", "Good, if halved", "Good, if doubled"],
+            drivers,
+            f"What drives the yield of {percent_text(found.good)}, at the worst object point; and the yield "
+            "with each tolerance halved or doubled, all others as they are. What changes little when it is "
+            "doubled may be loosened.",
+        ),
+    ]
+    if not found.second_order_suffices:
+        blocks.append(
+            Warning("These tolerances are too large for predictions, which may be 5 % off or more.")
+        )
+    return blocks
+
+
+def _on_front(data: ReportData, front: Front | None) -> list[Block]:
+    if front is None:
+        return []
+    own = _own_values(data)
+    with styled():
+        figure = styled_figure(4.7, 3.0)
+        axis = figure.subplots()
+        for on, color, label in ((False, GREY, "behind the front"), (True, BLUE, "front")):
+            at = np.array([(x, y) for x, y, stands in front.lenses if stands == on]).reshape(-1, 2)
+            axis.plot(*at.T, "o", color=color, ms=4.0, label=label if len(at) else None)
+        x, y = (own.get(column) for column in front.columns)
+        if x is not None and y is not None:
+            axis.plot(x, y, "*", color=RED, ms=12.0, label="this lens")
+        axis.set_xlabel(front.columns[0].replace("_", " "))
+        axis.set_ylabel(front.columns[1].replace("_", " "))
+        axis.legend(fontsize=8)
+    text = "Lenses of the same specification of which none is better in everything, and this one."
+    return [FigureBlock((Panel(figure, text),), caption=text)]
+
+
+def _own_values(data: ReportData) -> dict[str, float]:
+    from tolerancing.wavefronts.prediction import predict
+
+    values = {"thickness_mm": data.lens.exit_vertex_z_mm}
+    try:
+        points: Sequence = predict(data.lens, data.study).points
+    except InputError:
+        return values
+    return values | {"as_built_rms_waves": max(p.first_order_rms_waves for p in points)}
