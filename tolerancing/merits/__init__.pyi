@@ -3,6 +3,7 @@ from .chain import ReconstructedContrast
 from .compensators import Compensator
 from .context import Context, Sampling
 from .line_pairs import LinePairContrast
+from .loss import ReconstructionLoss
 from .pupil import ImageShift, ModulationTransfer, PupilMerit, RmsWaves, SmallestResolvedLine, Strehl
 from .python import PythonMerit, Trial
 from .rays import FootprintRadius, LargestSpread, RayMerit, Throughput
@@ -22,6 +23,7 @@ __all__ = [
     "PythonMerit",
     "RayMerit",
     "ReconstructedContrast",
+    "ReconstructionLoss",
     "RmsWaves",
     "Sampling",
     "SmallestResolvedLine",

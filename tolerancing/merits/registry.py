@@ -8,6 +8,7 @@ from lensdesign.common.toml_files import pick, validate
 from tolerancing.merits.base import Merit
 from tolerancing.merits.chain import ReconstructedContrast
 from tolerancing.merits.line_pairs import LinePairContrast
+from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.merits.pupil import (
     ImageShift,
     ModulationTransfer,
@@ -28,6 +29,7 @@ MERITS: dict[str, type[Merit]] = {
     "mtf": ModulationTransfer,
     "smallest_resolved_line_um": SmallestResolvedLine,
     "image_shift_um": ImageShift,
+    "reconstruction_loss": ReconstructionLoss,
     "reconstructed_contrast": ReconstructedContrast,
     "python": PythonMerit,
 }

@@ -1,4 +1,5 @@
 from .characteristic import PointCharacteristic, PupilSampler
+from .expected_loss import LinearisedChain, expected_loss
 from .focus import best_focus
 from .line_pairs import (
     line_pair_contrast,
@@ -7,6 +8,7 @@ from .line_pairs import (
     line_pair_profile,
     smallest_resolved_line_width_um,
 )
+from .meridian import Meridian
 from .patch_chain import PatchChain, chain_contrast
 from .pupil import (
     PupilGrid,
@@ -22,6 +24,8 @@ from .pupil import (
 from .ray_aiming import RayAimError
 
 __all__ = [
+    "LinearisedChain",
+    "Meridian",
     "PatchChain",
     "PointCharacteristic",
     "PupilGrid",
@@ -31,6 +35,7 @@ __all__ = [
     "Refocused",
     "best_focus",
     "chain_contrast",
+    "expected_loss",
     "line_pair_contrast",
     "line_pair_displacement_um",
     "line_pair_image",

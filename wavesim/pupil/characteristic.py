@@ -166,7 +166,7 @@ def point_characteristic(
             "choose a field point that the lens sees"
         )
     grid = PupilGrid(centre, spacing, rays.ok.reshape(samples, samples), wavelength)
-    jacobian, direction_jacobian = _derivatives(system, point, grid.cosines.T, plane_z)
+    jacobian, direction_jacobian = ray_derivatives(system, point, grid.cosines.T, plane_z)
     return PointCharacteristic(
         grid=grid,
         status=rays.status.reshape(samples, samples),
@@ -192,7 +192,7 @@ def _bounding_square(
     return (float(centre[0]), float(centre[1])), float(np.max(high - low)) / samples
 
 
-def _derivatives(
+def ray_derivatives(
     system: CompiledSystem, point: Array, cosines: Array, plane_z_mm: float
 ) -> tuple[Array, Array]:
     """ds/dp and dq/dp by central differences, one-sided where a neighbour does not arrive."""

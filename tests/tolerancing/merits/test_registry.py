@@ -46,6 +46,7 @@ def merit(kind, **keys):
 REQUIRED = {
     "line_pair_contrast": {"line_width_um": 1.55},
     "mtf": {"frequency_lp_per_mm": 300.0},
+    "reconstruction_loss": {"patch_mm": 0.02},
 }
 
 

@@ -1,0 +1,267 @@
+"""Waves on a meridian of the object and the sensor, through a nominal lens and perturbed copies of it.
+
+The meridian is a line across the object about a field point, and the points s of the sensor that its rays
+reach whose direction cosines lie along the line. On it the lens is a matrix
+
+    E(s, x) = sqrt(|dp/ds| dx ds / lambda) exp(i k V(x, s))
+
+for each plane in which the sensor records, with the point characteristic V along rays: no slope is taken, no
+patch is isoplanatic. A perturbed lens multiplies its elements by exp(2 pi i w(x, s)), w = (V' - V) / lambda,
+smooth in x and in the nominal cosine p(x, s), of which rays to a few points tell it by a polynomial.
+
+Left out: rays beside the line, changes of amplitude and of the stop's rim.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.lens.lens import Lens
+from lensdesign.tracing.compiled import CompiledSystem, compile_system
+from wavesim.pupil.characteristic import ray_derivatives
+from wavesim.pupil.pupil import ComplexArray
+from wavesim.pupil.ray_aiming import AimingMap, reach_for, shoot
+from wavesim.rays.ray_bundles import FoldError
+from wavesim.scene.placement import Placement
+
+FINENESS = 0.8
+"""Pitch of the object's samples over half the period of the finest fringes that the aperture holds."""
+
+FAN = 241
+"""Rays of a nominal fan; between them path and cosine are splines."""
+
+PIXELS_PER_SAMPLE = 4
+"""Of the sensor, that are looked at on each plane; where there are more, they are evenly left out."""
+
+NODES, ORDERS = (5, 15), (3, 6)
+"""Object points and cosines at which perturbed rays are traced, and orders of the polynomial between them."""
+
+FEWEST_RAYS = 3
+"""Times the polynomial's terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeridianPlane:
+    """One plane of the sensor.
+
+    Attributes
+    ----------
+    number : int
+        Among the planes, from 0.
+    matrix : ndarray, shape (pixels, samples)
+        E, unitary but for the stop.
+    cosines : ndarray, shape (pixels, samples)
+        p(x, s) over the numerical aperture; 0 where no ray goes.
+    maps : tuple of AimingMap
+        For each object point of `NODES`, the nominal rays.
+    paths_mm : tuple of ndarray
+        Their optical paths.
+    nodes : tuple of ndarray, shape (2, rays)
+        x and p of them, over half the line's length and the numerical aperture.
+    """
+
+    number: int
+    matrix: ComplexArray
+    cosines: Array
+    maps: tuple[AimingMap, ...]
+    paths_mm: tuple[Array, ...]
+    nodes: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Meridian:
+    """A line of the object, and the sensor's pixels that its light reaches.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    field_mm : (x, y)
+        The line's middle on the object plane.
+    length_mm : float
+        Of the line.
+    azimuth_deg : float
+        Of its direction from the x axis towards y.
+    planes_mm : tuple of float
+        Where the sensor records, from the exit vertex; the design's planes if empty.
+    wavelength_um : float, optional
+        The design's first one if left out.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable, or no ray gets through.
+    FoldError
+        If rays of the line fold on a plane.
+    """
+
+    lens: Lens
+    field_mm: Sequence[float] = (0.0, 0.0)
+    length_mm: float = 0.05
+    azimuth_deg: float = 0.0
+    planes_mm: tuple[float, ...] = ()
+    wavelength_um: float | None = None
+
+    def __post_init__(self) -> None:
+        refuse_not_positive("length_mm", self.length_mm)
+
+    @cached_property
+    def wavelength(self) -> float:
+        """In um."""
+        return self.wavelength_um or self.lens.wavelengths_um[0]
+
+    @cached_property
+    def direction(self) -> Array:
+        """Of the line, shape (2,)."""
+        angle = math.radians(self.azimuth_deg)
+        return np.array([math.cos(angle), math.sin(angle)])
+
+    @cached_property
+    def coordinates_mm(self) -> Array:
+        """Of the object's samples, from the line's middle."""
+        pitch = FINENESS * 0.5e-3 * self.wavelength / self.lens.object.numerical_aperture
+        count = max(math.ceil(self.length_mm / pitch), 8)
+        return np.asarray((np.arange(count) - 0.5 * (count - 1)) * self.length_mm / count)
+
+    @cached_property
+    def planes(self) -> tuple[MeridianPlane, ...]:
+        """The nominal lens, for each plane."""
+        distances = self.planes_mm or self.lens.sensor.plane_distances_mm
+        return tuple(self._plane(*numbered) for numbered in enumerate(distances))
+
+    def waves(self, placement: Placement) -> list[Array]:
+        """Change of path through a perturbed lens, in waves, but for a constant on each plane.
+
+        Parameters
+        ----------
+        placement
+            Lens, object, sensor and light.
+
+        Returns
+        -------
+        list of ndarray, shape (pixels, samples)
+            For each plane; where there is no light, nothing meaningful.
+
+        Raises
+        ------
+        RayAimError
+            If the perturbation is so large that rays cannot be aimed.
+        InputError
+            If too few rays arrive.
+        """
+        system = compile_system(self.lens, self.wavelength, placement.pose, placement.surface_perturbations)
+        return [self._waves(plane, system, placement) for plane in self.planes]
+
+    @cached_property
+    def _system(self) -> CompiledSystem:
+        return compile_system(self.lens, self.wavelength)
+
+    @property
+    def _aperture(self) -> float:
+        return self.lens.object.numerical_aperture
+
+    def _point(self, x_mm: float) -> Array:
+        across = np.asarray(self.field_mm, float) + x_mm * self.direction
+        return np.array([*across, self.lens.object_z_mm])
+
+    def _plane(self, number: int, distance_mm: float) -> MeridianPlane:
+        z_mm = self.lens.exit_vertex_z_mm + distance_mm
+        fans = [self._fan(x, z_mm) for x in self.coordinates_mm]
+        pixel = 1e-3 * self.lens.sensor.pixel_pitch_um
+        low, high = (pick(at(fan[0]) for fan in fans) for pick, at in ((min, np.min), (max, np.max)))
+        every = max(1, int((high - low) / pixel) // (PIXELS_PER_SAMPLE * len(fans)))
+        pixels = np.arange(math.floor(low / pixel), math.ceil(high / pixel) + 1, every) * pixel
+        matrix = np.zeros((len(pixels), len(fans)), complex)
+        cosines = np.zeros(matrix.shape)
+        for column, fan in enumerate(fans):
+            lit = (pixels > fan[0][0]) & (pixels < fan[0][-1])
+            matrix[lit, column], cosines[lit, column] = self._elements(pixels[lit], *fan)
+        matrix *= math.sqrt(every * pixel * self.length_mm / len(fans) / (1e-3 * self.wavelength))
+        return MeridianPlane(number, matrix, cosines / self._aperture, *self._nodes(z_mm))
+
+    def _fan(self, x_mm: float, z_mm: float) -> tuple[Array, Array, Array, Array]:
+        """Where rays from a sample meet the plane, and their cosine there, path, and cosine here."""
+        cosines = np.linspace(-1.02, 1.02, FAN) * self._aperture
+        rays, _ = shoot(self._system, self._point(x_mm), np.outer(self.direction, cosines), z_mm, clip=True)
+        passed = rays.ok
+        if np.count_nonzero(passed) < 8:
+            raise InputError(
+                f"field_mm = {tuple(self.field_mm)!r}: hardly a ray of a line of {self.length_mm:g} mm gets "
+                "through the lens: choose a field point that the lens sees, or a shorter line"
+            )
+        places, behind = (part[passed, :2] @ self.direction for part in (rays.position, rays.direction))
+        path, cosines = rays.opl[passed], cosines[passed]
+        if places[-1] < places[0]:
+            places, behind, path, cosines = places[::-1], behind[::-1], path[::-1], cosines[::-1]
+        if np.any(np.diff(places) <= 0.0):
+            raise FoldError(
+                f"the rays from {x_mm:g} mm beside {tuple(self.field_mm)!r} mm fold on the plane "
+                f"z = {z_mm:g} mm: choose a plane before or behind the caustic"
+            )
+        return places, float(self._system.index[0, -1]) * behind, path, cosines
+
+    def _elements(
+        self, pixels: Array, places: Array, behind: Array, path: Array, cosines: Array
+    ) -> tuple[ComplexArray, Array]:
+        from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+        along = CubicHermiteSpline(places, path, behind)(pixels)
+        here = CubicSpline(places, cosines)
+        phase = 2.0 * np.pi * np.remainder(along / (1e-3 * self.wavelength), 1.0)
+        return np.sqrt(np.abs(here(pixels, 1))) * np.exp(1j * phase), here(pixels)
+
+    def _nodes(self, z_mm: float) -> tuple[tuple[AimingMap, ...], tuple[Array, ...], tuple[Array, ...]]:
+        """Nominal rays to which perturbed ones are aimed."""
+        points, directions = (np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in NODES)
+        maps, paths, nodes = [], [], []
+        for x in points:
+            point = self._point(0.5 * x * self.length_mm)
+            cosines = np.outer(self.direction, self._aperture * directions)
+            rays, _ = shoot(self._system, point, cosines, z_mm, clip=True)
+            passed = rays.ok
+            jacobian, turned = ray_derivatives(self._system, point, cosines[:, passed], z_mm)
+            inverse = np.linalg.inv(jacobian)
+            bent = float(np.max(np.linalg.norm(turned @ inverse, axis=(1, 2)), initial=0.0))
+            maps.append(
+                AimingMap(
+                    cosines=np.ascontiguousarray(cosines[:, passed]),
+                    points_mm=np.ascontiguousarray(rays.position[passed, :2].T),
+                    inverse_per_mm=np.ascontiguousarray(np.moveaxis(inverse, 0, -1)),
+                    object_point_mm=point,
+                    plane_z_mm=z_mm,
+                    reach_mm=reach_for(self.wavelength, bent),
+                )
+            )
+            paths.append(rays.opl[passed])
+            nodes.append(np.stack([np.full(np.count_nonzero(passed), x), directions[passed]]))
+        return tuple(maps), tuple(paths), tuple(nodes)
+
+    def _waves(self, plane: MeridianPlane, system: CompiledSystem, placement: Placement) -> Array:
+        across = placement.sensor_shift_mm[:2]
+        here = replace(placement, sensor_shift_mm=(*across, placement.plane_distance_mm(plane.number)))
+        ratio = self.wavelength / (placement.wavelength_um or self.wavelength)
+        paths, nodes = [], []
+        for aiming, nominal, at in zip(plane.maps, plane.paths_mm, plane.nodes, strict=True):
+            found = aiming.aim(system, here)
+            paths.append((ratio * found.path_mm - nominal)[found.arrived])
+            nodes.append(at[:, found.arrived])
+        (x, p), path = np.concatenate(nodes, axis=1), np.concatenate(paths)
+        terms = (ORDERS[0] + 1) * (ORDERS[1] + 1)
+        if len(path) <= terms:
+            raise InputError(f"only {len(path)} rays of a line arrive through the perturbed lens")
+        powers = np.stack([x**i * p**j for j in range(ORDERS[1] + 1) for i in range(ORDERS[0] + 1)], axis=1)
+        waves = (path - path.mean()) * (1e3 / self.wavelength)
+        fitted = np.linalg.lstsq(powers, waves, rcond=1e-9)[0].reshape(ORDERS[1] + 1, ORDERS[0] + 1)
+        along = fitted @ np.vander(self.coordinates_mm / (0.5 * self.length_mm), ORDERS[0] + 1, True).T
+        result = np.zeros(plane.cosines.shape)
+        for row in along[::-1]:
+            result *= plane.cosines
+            result += row
+        return result
