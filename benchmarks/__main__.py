@@ -26,6 +26,7 @@ SCRIPTS = (
     "bench_sets",
     "patch_chain",
     "focus_rule",
+    "merits_and_chain",
     "study_speed",
     "study_faults",
     "attack",
