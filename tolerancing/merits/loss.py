@@ -29,7 +29,7 @@ class ReconstructionLoss(PupilMerit):
     """Correlation that an object-domain reconstruction is expected to lose: 0 is none, 1 is all.
 
     Random objects on two meridians at right angles, each through the linearised chain
-    (:mod:`wavesim.pupil.expected_loss`). What intensities cannot tell costs nothing; compensators of the
+    (:mod:`wavesim.pupil.linearised_chain`). What intensities cannot tell costs nothing; compensators of the
     study are those of a calibrated reconstruction, fitted to what intensities see.
 
     Attributes

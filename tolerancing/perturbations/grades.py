@@ -8,6 +8,7 @@ drawing gives no tolerance for. Neither replaces the shop's own figures, or the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import tomli_w
 
@@ -22,6 +23,9 @@ COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
 
 PUPIL_SAMPLES = {"commercial": 256, "precision": 128, "high_precision": 128, "iso10110": 256}
+
+PATCH_RESOLUTIONS = 100
+"""Of the object that a loss is expected of: as many as a few milliseconds carry."""
 
 LARGEST_CONIC = 0.01
 LARGEST_RADIUS_PERCENT = 10.0
@@ -301,19 +305,25 @@ def _merits(lens: Lens) -> str:
     wavelength = lens.wavelengths_um[0]
     limit = match(lens, wavelength)
     off_axis = _number(0.7 * lens.half_field_mm)
-    text = "# What a good system does, after refocusing\n"
-    for name, times in (("fine", 1.5), ("coarse", 3.0)):
-        width = _number(times * limit.resolution_um)
-        comment = f"{times:g} x wavelength / (2 NA)"
-        for place, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
-            text += _table(
-                "merit",
-                ("name", f"{name}_contrast_{place}", ""),
-                ("kind", "line_pair_contrast", ""),
-                ("line_width_um", width, comment),
-                ("field_mm", field, "the axis" if place == "axis" else "0.7 of the half field"),
-                ("at_least", 0.5, ""),
-            )
+    patch = min(1e-3 * PATCH_RESOLUTIONS * limit.resolution_um, lens.object.field_diameter_mm)
+    text = "# What a good system does\n"
+    text += _table(
+        "merit",
+        ("kind", "reconstruction_loss", "axis, 0.7 of the half field"),
+        ("patch_mm", _number(patch), f"{PATCH_RESOLUTIONS} x wavelength / (2 NA), or the field"),
+        ("field_points_mm", [[0.0, 0.0], [0.0, off_axis]], ""),
+        ("at_most", 0.05, "of its correlation"),
+    )
+    width = _number(1.5 * limit.resolution_um)
+    for place, field in (("axis", [0.0, 0.0]), ("field", [0.0, off_axis])):
+        text += _table(
+            "merit",
+            ("name", f"fine_contrast_{place}", ""),
+            ("kind", "line_pair_contrast", "of a field known behind the lens, refocused"),
+            ("line_width_um", width, "1.5 x wavelength / (2 NA)"),
+            ("field_mm", field, "the axis" if place == "axis" else "0.7 of the half field"),
+            ("at_least", 0.5, ""),
+        )
     text += _table("merit", ("kind", "rms_waves", ""), ("at_most", 0.25, "a quarter wave, root mean square"))
     return text + _spread(lens, limit.spread_limit_deg)
 
@@ -341,7 +351,7 @@ def _perturbation(target: str, parameter: str, tolerance: float, comment: str) -
     )
 
 
-def _table(key: str, *lines: tuple[str, str | float | list[float], str]) -> str:
+def _table(key: str, *lines: tuple[str, str | float | list[Any], str]) -> str:
     """One table of an array of tables: keys, values and comments."""
     text = [f"[[{key}]]"]
     for name, value, comment in lines:

@@ -1,5 +1,4 @@
 from .characteristic import PointCharacteristic, PupilSampler
-from .expected_loss import LinearisedChain, expected_loss
 from .focus import best_focus
 from .line_pairs import (
     line_pair_contrast,
@@ -8,6 +7,7 @@ from .line_pairs import (
     line_pair_profile,
     smallest_resolved_line_width_um,
 )
+from .linearised_chain import LinearisedChain, expected_loss
 from .meridian import Meridian
 from .patch_chain import PatchChain, chain_contrast
 from .pupil import (

@@ -180,8 +180,11 @@ def test_merits_follow_from_the_design():
     lens = paper()
     merits = {m.get("name", m["kind"]): m for m in read(lens, "precision")["merit"]}
     assert merits["fine_contrast_axis"]["line_width_um"] == pytest.approx(1.5 * 0.532)
-    assert merits["coarse_contrast_field"]["line_width_um"] == pytest.approx(3.0 * 0.532)
-    assert merits["coarse_contrast_field"]["field_mm"] == [0.0, 1.05]
+    assert merits["fine_contrast_field"]["field_mm"] == [0.0, 1.05]
+    assert merits["reconstruction_loss"]["patch_mm"] == pytest.approx(0.0532)
+    assert merits["reconstruction_loss"]["field_points_mm"] == [[0.0, 0.0], [0.0, 1.05]]
+    small = {m["kind"]: m for m in read(scaled(lens, 1 / 64), "precision")["merit"]}
+    assert small["reconstruction_loss"]["patch_mm"] == pytest.approx(3.0 / 64, rel=1e-3)
     assert merits["largest_spread_deg"]["at_most"] == pytest.approx(1.02 * 4.7682, rel=1e-3)
     wide = lens.replaced(sensor=lens.sensor.replaced(pixel_pitch_um=6.4))
     merits = {m["kind"]: m for m in read(wide, "precision")["merit"]}
