@@ -10,6 +10,8 @@ from benchmarks.others import HOW_TO_GET, missing_packages
 
 SCRIPTS = (
     "trace_speed",
+    "as_built",
+    "wavefronts",
     "monte_carlo_speed",
     "optimizer",
     "pupil_trial",
