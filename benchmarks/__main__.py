@@ -33,6 +33,7 @@ SCRIPTS = (
     "study_faults",
     "attack",
     "control_variates",
+    "interval_coverage",
     "exchange",
     "step_export",
     "import_time",

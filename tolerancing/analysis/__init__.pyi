@@ -1,8 +1,10 @@
 from .budgets import BudgetInterrupted, StudyBudget, budget, budget_of_study, scaled_study
 from .control_variates import choose_trials, combined_mean, combined_yield
 from .correlation import rank_correlation
+from .indices import IndicesError, VarianceIndices, variance_indices
 from .limits import InverseLimit, StudyLimits, inverse, inverse_limits
 from .parabolas import Sensitivity, compare_with_trials, root_sum_square
+from .rare_failures import RareYield, rare_yield
 from .response import Response, fit_response
 from .scorer import StudyScorer, scatter_of
 from .sensitivities import StudySensitivity, sensitivity
@@ -14,8 +16,10 @@ from .yields import Yield, yield_of
 __all__ = [
     "Budget",
     "BudgetInterrupted",
+    "IndicesError",
     "InverseLimit",
     "MeritSummary",
+    "RareYield",
     "Response",
     "Sensitivity",
     "SingleTrial",
@@ -24,6 +28,7 @@ __all__ = [
     "StudyScorer",
     "StudySensitivity",
     "Summary",
+    "VarianceIndices",
     "Yield",
     "budget",
     "budget_of_study",
@@ -36,11 +41,13 @@ __all__ = [
     "inverse_limits",
     "loosest_tolerances",
     "rank_correlation",
+    "rare_yield",
     "root_sum_square",
     "scaled_study",
     "scatter_of",
     "sensitivity",
     "single_trial",
     "summarize",
+    "variance_indices",
     "yield_of",
 ]

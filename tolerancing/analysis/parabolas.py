@@ -200,7 +200,9 @@ def root_sum_square(sensitivity: Sensitivity, merits: Sequence[Merit]) -> Predic
     return Prediction(tuple(merits), sensitivity.nominal, mean, deviation, share)
 
 
-def compare_with_trials(prediction: Prediction, scores: ArrayLike) -> tuple[Comparison, ...]:
+def compare_with_trials(
+    prediction: Prediction, scores: ArrayLike, replicates: NDArray[np.int64] | None = None
+) -> tuple[Comparison, ...]:
     """The prediction beside Monte Carlo trials, merit by merit.
 
     Parameters
@@ -209,15 +211,19 @@ def compare_with_trials(prediction: Prediction, scores: ArrayLike) -> tuple[Comp
         From :func:`root_sum_square`.
     scores : array_like, shape (trials, m)
         NaN for a trial that cannot be scored; it counts as bad.
+    replicates
+        As of :func:`tolerancing.analysis.yield_of`.
     """
     columns = np.reshape(scores, (-1, len(prediction.merits))).T
     return tuple(
-        _comparison(prediction, k, merit, column)
+        _comparison(prediction, k, merit, column, replicates)
         for k, (merit, column) in enumerate(zip(prediction.merits, columns, strict=True))
     )
 
 
-def _comparison(prediction: Prediction, k: int, merit: Merit, scores: Array) -> Comparison:
+def _comparison(
+    prediction: Prediction, k: int, merit: Merit, scores: Array, replicates: NDArray[np.int64] | None
+) -> Comparison:
     known = scores[np.isfinite(scores)]
     deviation = float(known.std(ddof=1)) if len(known) > 1 else math.nan
     return Comparison(
@@ -228,7 +234,7 @@ def _comparison(prediction: Prediction, k: int, merit: Merit, scores: Array) -> 
         mean=float(known.mean()) if len(known) > 1 else math.nan,
         standard_error=deviation / math.sqrt(len(known)) if len(known) > 1 else math.nan,
         standard_deviation=deviation,
-        good=yield_of(merit.passed(scores)),
+        good=yield_of(merit.passed(scores), replicates),
     )
 
 

@@ -18,6 +18,7 @@ from tolerancing.analysis.parabolas import (
     root_sum_square,
 )
 from tolerancing.analysis.scorer import scatter_of
+from tolerancing.perturbations.draws import replicates
 from tolerancing.store.store import Store
 from tolerancing.study.results import StepResults
 from tolerancing.study.study import Study
@@ -76,8 +77,9 @@ def sensitivity(store: Store) -> StudySensitivity:
     """
     study = store.study
     found = study_sensitivities(study, store.nominal(), store.steps())
-    predicted = root_sum_square(found, study.merits)
-    return StudySensitivity(study, found, compare_with_trials(predicted, store.trials().scores))
+    predicted, trials = root_sum_square(found, study.merits), store.trials()
+    own = replicates(study.draws, trials.trials)
+    return StudySensitivity(study, found, compare_with_trials(predicted, trials.scores, own))
 
 
 def study_sensitivities(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.common.notebook import html_table
 from tolerancing.analysis.yields import CONFIDENCE, Yield, yield_of
 from tolerancing.merits.base import Merit
+from tolerancing.perturbations.draws import replicates
 from tolerancing.study.results import TrialResults
 
 if TYPE_CHECKING:
@@ -146,14 +147,15 @@ def summary_of(
     steps
         Number of steps of the study's series that there are.
     """
+    own = replicates(study.draws, results.trials)
     return Summary(
         record=record,
         study=study,
         trials=len(results),
         failed=sum(1 for message in results.messages if message),
-        good=yield_of(results.passed),
+        good=yield_of(results.passed, own),
         merits=tuple(
-            merit_summary(merit, nominal.get(merit.label), results.scores[:, k])
+            merit_summary(merit, nominal.get(merit.label), results.scores[:, k], own)
             for k, merit in enumerate(study.merits)
         ),
         steps=steps,
@@ -161,8 +163,13 @@ def summary_of(
     )
 
 
-def merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float64]) -> MeritSummary:
-    """Summarize one merit's scores of all trials."""
+def merit_summary(
+    merit: Merit,
+    nominal: float | None,
+    scores: NDArray[np.float64],
+    replicates: NDArray[np.int64] | None,
+) -> MeritSummary:
+    """Summarize one merit's scores of all trials; `replicates` as of :func:`yield_of`."""
     known = scores[np.isfinite(scores)]
     nominal = None if nominal is None or not np.isfinite(nominal) else nominal
     values = np.percentile(known, PERCENTILES) if len(known) else ()
@@ -170,7 +177,7 @@ def merit_summary(merit: Merit, nominal: float | None, scores: NDArray[np.float6
     return MeritSummary(
         merit=merit,
         nominal=nominal,
-        good=yield_of(merit.passed(scores)),
+        good=yield_of(merit.passed(scores), replicates),
         scored=len(known),
         mean=mean,
         standard_deviation=deviation,

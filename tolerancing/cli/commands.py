@@ -14,6 +14,7 @@ from lensdesign.common.console import make_app, messages_only, print_json, run_a
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from tolerancing.cli import predict as cli_predict
+from tolerancing.cli import statistics as cli_statistics
 from tolerancing.cli import tolerances as cli_tolerances
 from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath, Trust
@@ -186,6 +187,8 @@ app.command()(cli_predict.predict)
 app.command()(cli_tolerances.sensitivity)
 app.command()(cli_tolerances.inverse)
 app.command()(cli_tolerances.budget)
+app.command()(cli_statistics.rare)
+app.command()(cli_statistics.indices)
 
 
 def _print_trial(trial: SingleTrial) -> None:

@@ -1,7 +1,7 @@
 from .batch import PerturbationBatch, batch_of
 from .dependence import Correlation, Dependence
 from .distributions import DISTRIBUTIONS, Distribution
-from .draws import DRAWS, probabilities
+from .draws import DRAWS, probabilities, replicates
 from .grades import GRADES, starting_study
 from .parameters import PARAMETERS, Perturbation, PerturbedParameter, perturbation_from_table
 
@@ -19,5 +19,6 @@ __all__ = [
     "batch_of",
     "perturbation_from_table",
     "probabilities",
+    "replicates",
     "starting_study",
 ]

@@ -4,6 +4,10 @@ Each trial has its own row of probabilities, one for each column of a study. A r
 method, the seed, the trial's number, the number of columns and, for Latin hypercubes, the number of trials
 planned; so it does not matter which worker draws it, in which run, or beside which other trials.
 
+Designed draws are `REPLICATES` designs, randomised independently, that take turns: trial t is of replicate t
+modulo `REPLICATES`. Their shares of good trials scatter as they do from study to study, which tells how sure
+a yield is (Owen, Monte Carlo theory, methods and examples, 2013, section 17.5); a single design does not.
+
 Streams of one seed are kept apart by their spawn keys: ``(trial,)`` draws a trial's values, ``(trial, 1 +
 column)`` the random figure of one of its columns, and keys of three numbers make the designed draws.
 """
@@ -14,7 +18,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -26,7 +30,11 @@ MOST_SOBOL_COLUMNS = 21201
 """Dimensions of which direction numbers are known (Joe and Kuo, SIAM J. Sci. Comput. 30, 2635, 2008)."""
 
 SOBOL_BITS = 32
-SOBOL_BLOCK_VALUES = 2**20
+SOBOL_BLOCK_VALUES = 2**16
+
+REPLICATES = 16
+"""Designs that take turns. More tell better how they scatter, fewer leave each design more trials; a power of
+two leaves each Sobol sequence a whole net where the number of trials is one, too."""
 
 MOST_TRIAL = 2**32 - 1
 """Largest number of a trial: a larger one takes two words of a spawn key, as a trial and a column do."""
@@ -46,8 +54,8 @@ def probabilities(method: str, seed: int, trials: Sequence[int], columns: int, p
     columns
         Number of values of a trial.
     planned
-        Number of trials of the study. A Latin hypercube has as many strata; trials beyond them fill
-        further hypercubes of that size.
+        Number of trials of the study. A Latin hypercube has as many strata as a replicate has trials; trials
+        beyond them fill further hypercubes of that size.
 
     Returns
     -------
@@ -66,6 +74,19 @@ def probabilities(method: str, seed: int, trials: Sequence[int], columns: int, p
     if len(numbers) and not 0 <= numbers.min() <= numbers.max() <= MOST_TRIAL:
         raise InputError(f"trials are numbered from 0 to {MOST_TRIAL}")
     return _METHODS[method](seed, numbers, columns, planned)
+
+
+def replicates(method: str, trials: ArrayLike) -> NDArray[np.int64] | None:
+    """Of which randomisation of the design trials are; None where each stands for itself.
+
+    Parameters
+    ----------
+    method
+        One of `DRAWS`.
+    trials : array_like of int, shape (n,)
+        Numbers of the trials, from 0.
+    """
+    return None if method == "random" else np.asarray(trials, np.int64) % REPLICATES
 
 
 def shape_generator(seed: int, trial: int, column: int) -> np.random.Generator:
@@ -90,32 +111,34 @@ def _random(seed: int, trials: NDArray[np.int64], columns: int, planned: int) ->
 
 
 def _from_blocks(
-    draw: Callable[[int, int, int, int], Array],
+    draw: Callable[[int, int, int, int, int], Array],
     seed: int,
     trials: NDArray[np.int64],
     columns: int,
     size: int,
 ) -> Array:
-    """Rows of trials out of blocks of `size` trials that are drawn as a whole."""
+    """Rows of trials out of blocks of `size` trials of one replicate that are drawn as a whole."""
     result = np.empty((len(trials), columns))
-    block = trials // size
-    for number in np.unique(block):
-        here = block == number
-        result[here] = draw(seed, int(number), columns, size)[trials[here] - number * size]
+    turn, replicate = np.divmod(trials, REPLICATES)
+    block = turn // size
+    for own in np.unique(replicate).tolist():
+        for number in np.unique(block[replicate == own]).tolist():
+            here = (replicate == own) & (block == number)
+            result[here] = draw(seed, own, number, columns, size)[turn[here] - number * size]
     return result
 
 
 def _latin_hypercube(seed: int, trials: NDArray[np.int64], columns: int, planned: int) -> Array:
-    return _from_blocks(_hypercube, seed, trials, columns, planned)
+    return _from_blocks(_hypercube, seed, trials, columns, -(-planned // REPLICATES))
 
 
-@lru_cache(maxsize=1)
-def _hypercube(seed: int, block: int, columns: int, planned: int) -> Array:
-    """Latin hypercube, shape (planned, columns) (McKay, Beckman and Conover, Technometrics 21, 239, 1979)."""
+@lru_cache(maxsize=REPLICATES)
+def _hypercube(seed: int, replicate: int, block: int, columns: int, size: int) -> Array:
+    """Latin hypercube, shape (size, columns) (McKay, Beckman and Conover, Technometrics 21, 239, 1979)."""
     from scipy.stats.qmc import LatinHypercube
 
-    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block, 0, 0)))
-    drawn = LatinHypercube(d=columns, rng=stream).random(planned)
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(block, replicate, 0)))
+    drawn = LatinHypercube(d=columns, rng=stream).random(size)
     np.clip(drawn, SMALLEST, LARGEST, out=drawn)
     drawn.flags.writeable = False
     return drawn
@@ -127,16 +150,17 @@ def _sobol(seed: int, trials: NDArray[np.int64], columns: int, planned: int) -> 
             f"draws = 'sobol': {columns} columns; allowed: up to {MOST_SOBOL_COLUMNS}, of which direction "
             "numbers are known; draw at random or from Latin hypercubes"
         )
-    size = 2 ** max((SOBOL_BLOCK_VALUES // max(columns, 1)).bit_length() - 1, 0)
+    most = max(SOBOL_BLOCK_VALUES // max(columns, 1), 1)
+    size = 2 ** (min(-(-planned // REPLICATES), most).bit_length() - 1)
     return _from_blocks(_sobol_block, seed, trials, columns, size)
 
 
-@lru_cache(maxsize=2)
-def _sobol_block(seed: int, block: int, columns: int, size: int) -> Array:
-    """Points block * size, ... of the scrambled sequence (Owen, J. Complexity 14, 466, 1998)."""
+@lru_cache(maxsize=2 * REPLICATES)
+def _sobol_block(seed: int, replicate: int, block: int, columns: int, size: int) -> Array:
+    """Points block * size, ... of a replicate's scrambled sequence (Owen, J. Complexity 14, 466, 1998)."""
     from scipy.stats.qmc import Sobol
 
-    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 0, 1)))
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, replicate, 1)))
     engine = Sobol(columns, scramble=True, bits=SOBOL_BITS, rng=stream)
     if block:
         engine.fast_forward(block * size)

@@ -14,7 +14,9 @@ from tolerancing.perturbations.draws import (
     DRAWS,
     MOST_SOBOL_COLUMNS,
     MOST_TRIAL,
+    REPLICATES,
     probabilities,
+    replicates,
     shape_generator,
 )
 
@@ -56,9 +58,10 @@ def test_any_split_of_the_trials_gives_the_same_values(method, seed, planned, cu
 
 
 def test_sobol_blocks_join_into_one_sequence(monkeypatch):
-    together = probabilities("sobol", 5, range(300), 2, 1)
+    together = probabilities("sobol", 5, range(900), 2, 900)
     monkeypatch.setattr("tolerancing.perturbations.draws.SOBOL_BLOCK_VALUES", 64)
-    assert np.array_equal(probabilities("sobol", 5, range(300), 2, 1), together)
+    assert np.array_equal(probabilities("sobol", 5, range(900), 2, 900), together)
+    assert np.array_equal(probabilities("sobol", 5, range(900), 2, 1), together)
 
 
 @pytest.mark.parametrize("method", DRAWS)
@@ -77,12 +80,29 @@ def test_seeds_differ(method):
     assert not np.any(probabilities(method, 1, range(8), 2, 8) == probabilities(method, 2, range(8), 2, 8))
 
 
-@given(seed=st.integers(0, 2**40), planned=st.integers(1, 60), columns=st.integers(1, 5))
-def test_a_latin_hypercube_has_one_trial_in_each_stratum(seed, planned, columns):
-    drawn = probabilities("latin_hypercube", seed, range(3 * planned), columns, planned)
-    for block in np.split(drawn, 3):
-        strata = np.sort(np.floor(block * planned).astype(int), axis=0)
-        assert np.array_equal(strata, np.tile(np.arange(planned)[:, None], columns))
+@given(
+    seed=st.integers(0, 2**40), size=st.integers(1, 8), missing=st.integers(0, 15), columns=st.integers(1, 5)
+)
+def test_each_replicate_is_a_latin_hypercube_with_one_trial_in_each_stratum(seed, size, missing, columns):
+    """Whether or not all replicates get as many of the trials; further trials fill further hypercubes."""
+    planned, trials = size * REPLICATES - missing, np.arange(3 * size * REPLICATES)
+    drawn = probabilities("latin_hypercube", seed, trials, columns, planned)
+    for replicate in range(REPLICATES):
+        for block in np.split(drawn[replicates("latin_hypercube", trials) == replicate], 3):
+            strata = np.sort(np.floor(block * size).astype(int), axis=0)
+            assert np.array_equal(strata, np.tile(np.arange(size)[:, None], columns))
+
+
+@pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
+def test_replicates_are_randomised_each_by_itself(method):
+    """The first trial of each, over 200 seeds."""
+    first = [probabilities(method, seed, range(REPLICATES), 1, REPLICATES)[:, 0] for seed in range(200)]
+    off_diagonal = np.corrcoef(np.transpose(first)) - np.eye(REPLICATES)
+    assert np.abs(off_diagonal).max() < 5.0 / math.sqrt(200)
+
+
+def test_random_trials_are_no_replicates():
+    assert replicates("random", range(40)) is None
 
 
 def test_ends_that_a_hypercube_may_hold_are_moved_within():
@@ -95,17 +115,18 @@ def test_ends_that_a_hypercube_may_hold_are_moved_within():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scipy.stats.qmc.LatinHypercube", Ends)
-        drawn = probabilities("latin_hypercube", 987654321, range(4), 3, 4)
+        drawn = probabilities("latin_hypercube", 987654321, range(4 * REPLICATES), 3, 4 * REPLICATES)
     assert 0.0 < drawn.min() < 1e-15
     assert 1.0 - 1e-15 < drawn.max() < 1.0
 
 
 def test_designed_draws_estimate_a_mean_better():
-    """Mean of a smooth function of 4 columns: 32 seeds, 256 trials each."""
+    """Mean of a smooth function of 4 columns: 32 seeds, 1024 trials each."""
 
     def error(method: str) -> float:
         means = [
-            np.mean(np.exp(probabilities(method, seed, range(256), 4, 256).sum(axis=1))) for seed in range(32)
+            np.mean(np.exp(probabilities(method, seed, range(1024), 4, 1024).sum(axis=1)))
+            for seed in range(32)
         ]
         return float(np.sqrt(np.mean(np.square(np.array(means) - (math.e - 1.0) ** 4))))
 
@@ -115,8 +136,9 @@ def test_designed_draws_estimate_a_mean_better():
 
 
 def test_sobol_points_have_low_discrepancy():
+    trials = range(5, 512 * REPLICATES, REPLICATES)
     sobol, random = (
-        stats.qmc.discrepancy(probabilities(m, 3, range(512), 3, 512)) for m in ("sobol", "random")
+        stats.qmc.discrepancy(probabilities(m, 3, trials, 3, 512 * REPLICATES)) for m in ("sobol", "random")
     )
     assert sobol < 0.1 * random
 
@@ -125,8 +147,8 @@ def test_figures_have_streams_of_their_own():
     firsts = {
         "trial": stream(9, 4).random(),
         **{f"figure {t} {c}": shape_generator(9, t, c).random() for t in (0, 1, 4) for c in (0, 1, 4)},
-        "hypercube": stream(9, 4, 0, 0).random(),
-        "sobol": stream(9, 0, 0, 1).random(),
+        **{f"hypercube {k}": stream(9, 4, k, 0).random() for k in (0, 1, 2)},
+        **{f"sobol {k}": stream(9, 0, k, 1).random() for k in (0, 1, 2)},
     }
     assert len(set(firsts.values())) == len(firsts)
     assert shape_generator(9, 4, 1).random() == firsts["figure 4 1"]

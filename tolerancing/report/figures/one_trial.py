@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError, TransferLensError, atomic_path
+from lensdesign.errors import TransferLensError
 from tolerancing.analysis.trial import SingleTrial
 from tolerancing.merits.line_pairs import LinePairContrast, line_pairs_in_focus
 from tolerancing.merits.pupil import Axis, PupilMerit
-from tolerancing.report.figures.style import styled, styled_figure
+from tolerancing.report.figures.style import figure_format, styled, styled_figure, write_figure
 from tolerancing.study.study import Study
 
 if TYPE_CHECKING:
@@ -59,13 +58,8 @@ def write_trial_figure(trial: SingleTrial, path: str | os.PathLike[str]) -> None
     InputError
         If the file cannot be written.
     """
-    path = Path(path)
-    allowed = (".png", ".svg", ".pdf")
-    if path.suffix not in allowed:
-        raise InputError(f"cannot write {path}: the suffix must be one of {', '.join(allowed)}")
-    figure = trial_figure(trial)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:], dpi=150)
+    figure_format(path)
+    write_figure(trial_figure(trial), path)
 
 
 def _pictured(study: Study) -> dict[tuple[float, float], PupilMerit]:

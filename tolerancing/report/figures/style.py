@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lensdesign.errors import InputError, atomic_path
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -64,6 +67,34 @@ def styled_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained", facecolor=PAPER)
+
+
+def figure_format(path: str | os.PathLike[str]) -> str:
+    """Kind of picture by a file's suffix.
+
+    Raises
+    ------
+    InputError
+        If there is no such kind.
+    """
+    allowed = (".png", ".svg", ".pdf")
+    suffix = Path(path).suffix
+    if suffix not in allowed:
+        raise InputError(f"cannot write {path}: the suffix must be one of {', '.join(allowed)}")
+    return suffix[1:]
+
+
+def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure; the kind of picture by the path's suffix.
+
+    Raises
+    ------
+    InputError
+        If there is no such kind, or the file cannot be written.
+    """
+    kind = figure_format(path)
+    with atomic_path(Path(path)) as temporary:
+        figure.savefig(temporary, format=kind, dpi=150)
 
 
 def figure_text(text: str) -> str:

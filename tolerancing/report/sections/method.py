@@ -150,7 +150,10 @@ def method_section(data: ReportData) -> list[Block]:
     ]
     if study.draws != "random":
         blocks.append(
-            Paragraph("Intervals are those of independent trials; designed draws err by less than they say.")
+            Paragraph(
+                "Designed draws are replicates, each randomised by itself; intervals of yields are those of "
+                "the scatter between them, other intervals those of independent trials."
+            )
         )
     return blocks
 

@@ -80,7 +80,7 @@ def _headline(summary: Summary) -> Headline:
     )
     text = (
         f"Yield: {good.passed:,} of {good.total:,} trials keep every limit; 95 % confidence interval "
-        f"{percent_text(good.low)} to {percent_text(good.high)} (Wilson). {lost}"
+        f"{percent_text(good.low)} to {percent_text(good.high)}. {lost}"
     )
     return Headline(percent_text(good.share), words, text, failed)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from tolerancing.analysis.parabolas import Sensitivity, compare_with_trials, root_sum_square
 from tolerancing.analysis.summary import mean_and_deviation
+from tolerancing.perturbations.draws import replicates
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.report.blocks import (
     Block,
@@ -193,7 +194,9 @@ def _clean(value: float, least: float) -> str:
 
 
 def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
-    compared = compare_with_trials(root_sum_square(found, data.study.merits), data.results.scores)
+    predicted = root_sum_square(found, data.study.merits)
+    own = replicates(data.study.draws, data.results.trials)
+    compared = compare_with_trials(predicted, data.results.scores, own)
     rows = []
     for c in compared:
         good = c.good

@@ -13,6 +13,7 @@ from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import MOST_TRIALS
 from tolerancing.analysis.response import Response, fit_response
 from tolerancing.analysis.summary import PERCENTILES, MeritSummary, merit_summary
+from tolerancing.perturbations.draws import replicates
 from tolerancing.report.blocks import (
     Block,
     Cell,
@@ -53,12 +54,12 @@ def distribution_section(data: ReportData) -> list[Block]:
         "Bars: trials; orange: share of trials below; points at the foot: single trials. The limit's bad "
         f"side is shaded. {data.drawn_text}"
     )
-    rows = []
+    rows, turns = [], replicates(data.study.draws, data.results.trials)
     for row in data.summary.merits:
         rows.append(_statistics(row.merit.column, row))
         without = _uncompensated(data, row.merit.column)
         if without is not None:
-            own = merit_summary(row.merit, None, without)
+            own = merit_summary(row.merit, None, without, turns)
             rows.append(_statistics(f"{row.merit.column}, not compensated", own))
     headings = ["<Merit", "Scored", "Mean", "Std.", *(f"{p} %" for p in PERCENTILES), "Yield"]
     return [

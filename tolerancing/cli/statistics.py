@@ -1,0 +1,113 @@
+"""Commands that score further trials to tell more: yields of lenses that seldom fail, shares of the
+variance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lensdesign.common.console import messages_only, print_json
+from tolerancing.cli.tables import print_table
+from tolerancing.cli.tolerances import Json, StorePath, Trust
+
+if TYPE_CHECKING:
+    from tolerancing.analysis.indices import VarianceIndices
+    from tolerancing.analysis.rare_failures import RareYield
+
+
+def rare(
+    store: StorePath,
+    trials: Annotated[int, typer.Option(help="Further trials of the lens.")] = 500,
+    trust: Trust = False,
+    as_json: Json = False,
+) -> None:
+    """Tell the yield of a lens that seldom fails, by trials chosen where a model expects failures.
+
+    The model is fitted to the store's trials; the yield has no bias whatever it says. The store stays as it
+    is. Python that the store holds is run only with --trust, or where your own copy of the file lies beside
+    the store.
+    """
+    from lensdesign.common.console import progress_bar
+    from tolerancing.analysis.rare_failures import rare_yield
+    from tolerancing.store.store import open_store
+
+    with open_store(store, trust=trust) as opened, messages_only(), progress_bar() as bar:
+        task = bar.add_task("trials of the lens", total=trials)
+        found = rare_yield(opened, trials, report=lambda rows: bar.advance(task, rows))
+    if as_json:
+        print_json({"store": str(store), **found.as_dict()})
+    else:
+        _print_rare(found)
+
+
+def indices(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    base: Annotated[
+        int, typer.Option(help="A power of two; trials are this times the perturbations and two.")
+    ] = 256,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Chart (png, svg or pdf).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell which share of each merit's variance is a perturbation's own, and which it has part in.
+
+    First-order and total indices (Sobol) with 95 % intervals. Where both differ, products of perturbations
+    matter, which a sensitivity of each by itself does not see.
+    """
+    from lensdesign.common.console import progress_bar
+    from tolerancing.analysis.indices import most_trials, variance_indices
+    from tolerancing.report.figures.indices import indices_figure
+    from tolerancing.report.figures.style import figure_format, write_figure
+    from tolerancing.study.files import load_study
+
+    loaded = load_study(study)
+    if output is not None:
+        figure_format(output)
+    with messages_only(), progress_bar() as bar:
+        task = bar.add_task("trials of the lens", total=most_trials(loaded.study, base))
+        found = variance_indices(loaded, base, report=lambda rows: bar.advance(task, rows))
+        if output is not None:
+            write_figure(indices_figure(found), output)
+    if as_json:
+        print_json({"study": str(study), "trials": found.trials, "merits": found.as_dict()})
+        return
+    _print_indices(found)
+    if output is not None:
+        print(f"wrote {output}")
+
+
+def _print_rare(found: RareYield) -> None:
+    print(
+        f"yield {100.0 * found.share:.4g} % ({100.0 * found.low:.4g} - {100.0 * found.high:.4g} %): "
+        f"{found.failed} of {found.trials} trials failed, chosen where failures are likely"
+    )
+    modelled = f"the model alone has {100.0 * found.modelled_share:.4g} %"
+    print(f"as sure as {found.plain_trials:.0f} plain trials; {modelled}")
+    worst = min(
+        zip(found.study.merits, found.cross_validated_r_squared.tolist(), strict=True), key=lambda m: m[1]
+    )
+    print(f"how well it predicts new trials, at worst: R2 {worst[1]:.3f} of {worst[0].label}")
+
+
+def _print_indices(found: VarianceIndices) -> None:
+    for merit, own in zip(found.study.merits, found.as_dict().values(), strict=True):
+        rows = [
+            (
+                row["perturbation"],
+                *(
+                    "-" if row[name] is None else f"{row[name]:.3f} ± {row[f'{name}_half_width']:.3f}"
+                    for name in ("first", "total")
+                ),
+            )
+            for row in own["indices"]
+        ]
+        print_table(
+            f"{merit.label}: shares of the variance, {found.trials} trials",
+            ["perturbation"],
+            ["first order", "total"],
+            rows,
+        )
+        if own["share_of_products"] is not None:
+            print(f"products of perturbations: {own['share_of_products']:.3f}")
+        print()
