@@ -34,6 +34,7 @@ SCRIPTS = (
     "attack",
     "control_variates",
     "interval_coverage",
+    "temperature",
     "exchange",
     "step_export",
     "import_time",

@@ -8,6 +8,7 @@ from .poses import Pose, SurfacePerturbation, rotation_matrix
 from .scaling import scaled
 from .solid import Element, closed_elements
 from .surface import Surface
+from .temperature import lens_at_temperature
 from .zernikes import zernike, zernike_orders
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "figure_from_zernike",
     "get_material",
     "glass_summary",
+    "lens_at_temperature",
     "list_glasses",
     "refractive_index",
     "rotation_matrix",

@@ -8,15 +8,22 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.agf import AgfGlass, read_agf
-from lensdesign.lens.database import Page, database_pages, database_version, read_page
+from lensdesign.lens.catalogues.agf import AgfGlass, read_agf
+from lensdesign.lens.catalogues.database import Page, database_pages, database_version, read_page
+from lensdesign.lens.catalogues.thermal import (
+    REFERENCE_C,
+    Heated,
+    Thermal,
+    at_temperature,
+    split_temperature,
+)
 
 LINE_F_UM = 0.4861327
 LINE_D_UM = 0.5875618
@@ -81,6 +88,8 @@ class Material:
         Where the data comes from, in words; empty for a constant.
     dispersion
         The index at a wavelength in um, without a check of the range.
+    thermal
+        What is known of it in heat.
     """
 
     name: str
@@ -88,6 +97,7 @@ class Material:
     catalog: str
     source: str = field(repr=False)
     dispersion: Callable[[float], float] = field(repr=False)
+    thermal: Thermal = field(default=Thermal(), repr=False)
 
     def index(self, wavelength_um: float) -> float:
         """Refractive index relative to air.
@@ -131,7 +141,8 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
       order, then in the refractiveindex.info database: Schott, Ohara, Hoya, CDGM, Hikari, Sumita, LZOS,
       then infrared glasses, crystals and filters. The first maker that has the name is taken;
     - a plastic or a crystal: PMMA, POLYCARB, POLYSTYR, E48R, SILICA, CaF2, SAPPHIRE (ordinary ray) ...;
-    - any of these with its catalogue, such as ``OHARA:S-BSL7`` or ``my_glasses.agf:X1``.
+    - any of these with its catalogue, such as ``OHARA:S-BSL7`` or ``my_glasses.agf:X1``;
+    - any of these with a temperature, such as ``N-BK7@50C``: at 50 degrees Celsius, relative to air of 50.
 
     Names are never guessed: one that is not found raises an error that lists similar ones.
 
@@ -159,6 +170,8 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     if is_air(material):
         return _constant(1.0, name=material.strip().upper())
     files = tuple(Path(path) for path in catalogs)
+    if "@" in material:
+        return _at_temperature(material, files)
     return _find(material, files) if files else _find_in_database(material)
 
 
@@ -178,6 +191,20 @@ def _find(material: str, files: tuple[Path, ...]) -> Material:
         if found:
             return _choose(material, found).load()
     raise MaterialError(_unknown_message(material, files))
+
+
+def _at_temperature(material: str, files: tuple[Path, ...]) -> Material:
+    name, temperature_c = split_temperature(material)
+    found = get_material(name, files)
+    if is_air(name):
+        return found
+    if not found.thermal.knows_index:
+        raise MaterialError(
+            f"{found.name} ({found.catalog}): no data says how its index changes with temperature; give a "
+            "glass that has it, or an AGF catalogue with a TD record"
+        )
+    heated = Heated(found.dispersion, found.thermal, temperature_c)
+    return replace(found, name=at_temperature(name, temperature_c), dispersion=heated)
 
 
 def refractive_index(material: str | float, wavelength_um: float, catalogs: Iterable[Path] = ()) -> float:
@@ -261,12 +288,12 @@ def _database_entries() -> tuple[_Entry, ...]:
 
     def add(names: Sequence[str], catalog: str, page: Page) -> None:
         def load() -> Material:
-            dispersion, span = read_page(page)
+            dispersion, span, thermal = read_page(page)
             source = (
                 f"{page.book_name}; {page.name} "
                 f"(refractiveindex.info {database_version()}, {page.shelf}/{page.book}/{page.page})"
             )
-            return Material(names[0], span, catalog, source, dispersion)
+            return Material(names[0], span, catalog, source, dispersion, thermal)
 
         entries.extend(_Entry(name, catalog, load) for name in names)
 
@@ -285,7 +312,9 @@ def _file_entries(path: Path) -> tuple[_Entry, ...]:
         temperature = glass.reference_temperature_c
         parts = [str(path), glass.comment, "" if temperature is None else f"index at {temperature:g} C"]
         source = "; ".join(part for part in parts if part)
-        material = Material(glass.name, glass.wavelength_range_um, path.name, source, glass)
+        reference_c = REFERENCE_C if temperature is None else temperature
+        thermal = Thermal(glass.schott, None, reference_c, glass.expansion_per_k)
+        material = Material(glass.name, glass.wavelength_range_um, path.name, source, glass, thermal)
         return _Entry(glass.name, path.name, lambda: material)
 
     return tuple(entry(glass) for glass in read_agf(path))

@@ -43,11 +43,13 @@ def scaled(lens: Lens, factor: float) -> Lens:
             plane_distances_mm=tuple(factor * distance for distance in lens.sensor.plane_distances_mm),
             pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
         ),
-        edges=tuple(_edge(edge, factor) for edge in lens.edges),
+        edges=tuple(scaled_edge(edge, factor) for edge in lens.edges),
     )
 
 
-def _edge(edge: Edge, factor: float) -> Edge:
+def scaled_edge(edge: Edge, factor: float) -> Edge:
+    """An edge with all its lengths scaled."""
+
     def times(part: Section) -> dict[str, float]:
         lengths = part.model_dump(exclude_none=True, exclude={"flange"})
         return {name: factor * value for name, value in lengths.items()}

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import tomli_w
 from engine_checks import peak_bytes
+from lensdesign.optimization.specification import load_specification
 from places import DESIGNS
 from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 
@@ -38,7 +39,7 @@ from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.design import save_design
 from lensdesign.files.draft import LossyImportError
 from lensdesign.files.zemax import read_zmx, write_zmx
-from lensdesign.lens.agf import read_agf
+from lensdesign.lens.catalogues.agf import read_agf
 from lensdesign.optimization.asked.specification import load_specification
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.perturbations.distributions import Empirical

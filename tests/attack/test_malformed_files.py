@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lensdesign.optimization.specification import Specification, load_specification
 from malformed import NUMBERS, malformed, outcomes
 from places import DESIGNS
 from sample_lenses import SAMPLES
@@ -22,7 +23,7 @@ from lensdesign.files.design import save_design
 from lensdesign.files.draft import Supplement
 from lensdesign.files.figures import read_figure_grid
 from lensdesign.files.zemax import read_zmx
-from lensdesign.lens.agf import read_agf
+from lensdesign.lens.catalogues.agf import read_agf
 from lensdesign.optimization.asked.specification import Specification, load_specification
 
 CATALOGUE = b"""CC Test catalogue

@@ -69,7 +69,7 @@ def arriving_rays(
     from lensdesign.tracing.compiled import compile_system
     from lensdesign.tracing.rays import trace_compiled
 
-    object_shift = batch.object_shift_mm()
+    object_shift = batch.object_shift_mm(lens)
     pose = moved(batch.poses(), -object_shift) if batch.moves_rays else batch.poses()
     system = compile_system(lens, wavelength_um, pose, batch.surface_perturbations(lens, wavelength_um))
     origins, directions = launch_compiled(
@@ -86,8 +86,7 @@ def arriving_rays(
         rays = _repeated(rays, trials)
     if not batch.moves_rays:
         return Arrival(rays.position[..., :2], rays.direction, rays.ok)
-    planes = len(lens.sensor.plane_distances_mm)
-    return _on_sensor(rays, batch.sensor_shift_mm(planes) - object_shift, batch.sensor_tilt_deg())
+    return _on_sensor(rays, batch.sensor_shift_mm(lens) - object_shift, batch.sensor_tilt_deg())
 
 
 def moved(pose: Pose, shift_mm: Array) -> Pose:

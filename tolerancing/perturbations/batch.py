@@ -13,6 +13,7 @@ from lensdesign.lens.figure import SurfaceFigure
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose, SurfacePerturbation
 from tolerancing.perturbations.elements import element_deltas, runout_tilt
+from tolerancing.perturbations.environment import heat_deltas, heat_shifts_mm
 from tolerancing.perturbations.parameters import (
     IRREGULARITIES,
     LENS_PARAMETERS,
@@ -110,6 +111,10 @@ class PerturbationBatch:
                 add(surface, *runout_tilt(lens, surface, name, value))
             else:  # abbe_percent
                 add(surface, "index", abbe_index_delta(lens, surface, wavelength_um, value))
+        for column, parameter in self._heated():
+            change, mount = self.values[:, column], parameter.mount_expansion_per_k
+            for surface, name, value in heat_deltas(lens, change, mount, wavelength_um):
+                add(surface, name, np.ascontiguousarray(value))
         for surface, name, value in element_deltas(lens, self.parameters, self.values):
             add(surface, name, np.ascontiguousarray(value))
         if self._has("light", "wavelength_um"):
@@ -117,33 +122,32 @@ class PerturbationBatch:
                 add(surface, "index", change)
         return {surface: _perturbed(own) for surface, own in sorted(deltas.items())}
 
-    def object_shift_mm(self) -> Array:
+    def object_shift_mm(self, lens: Lens) -> Array:
         """How far the object stands from where it should, shape (trials, 3)."""
         across = [self._sum("object", name) for name in ACROSS]
-        return np.column_stack([*across, -self._sum("object", "working_distance_mm")])
+        away = self._sum("object", "working_distance_mm")
+        for column, parameter in self._heated():
+            away += heat_shifts_mm(lens, self.values[:, column], parameter.mount_expansion_per_k)[0]
+        return np.column_stack([*across, -away])
 
-    def sensor_shift_mm(self, planes: int) -> Array:
+    def sensor_shift_mm(self, lens: Lens) -> Array:
         """How far the sensor stands from where it should, shape (trials, 3).
 
         Planes that err by different distances are taken by their mean: the field retrieved from them can
         stand in one place only.
-
-        Parameters
-        ----------
-        planes
-            Number of planes in which the sensor records.
         """
-        along = self._sum("sensor", "distance_mm")
-        for n in range(1, planes + 1):
-            along = along + self._sum("sensor", f"plane_distance_{n}_mm") / planes
+        along = self.plane_distances_mm(lens).mean(axis=1)
         return np.column_stack([*(self._sum("sensor", name) for name in ACROSS), along])
 
-    def plane_distances_mm(self, planes: int) -> Array:
+    def plane_distances_mm(self, lens: Lens) -> Array:
         """How much farther each plane is than it should be, shape (trials, planes)."""
-        common = self._sum("sensor", "distance_mm")
-        return np.column_stack(
+        common, planes = self._sum("sensor", "distance_mm"), len(lens.sensor.plane_distances_mm)
+        farther = np.column_stack(
             [common + self._sum("sensor", f"plane_distance_{n}_mm") for n in range(1, planes + 1)]
         )
+        for column, parameter in self._heated():
+            farther += heat_shifts_mm(lens, self.values[:, column], parameter.mount_expansion_per_k)[1]
+        return farther
 
     def sensor_tilt_deg(self) -> Array:
         """Of the sensor about x and y, shape (trials, 2)."""
@@ -156,24 +160,27 @@ class PerturbationBatch:
     @property
     def moves_rays(self) -> bool:
         """Whether object or sensor are perturbed."""
-        return any(p.target in ("object", "sensor") for p in self.parameters)
+        return any(p.target in ("object", "sensor", "environment") for p in self.parameters)
 
     def placements(self, lens: Lens, wavelength_um: float) -> list[Placement]:
         """The perturbed systems, trial by trial, each with its wavelength."""
         return [one._placement(lens, wavelength_um) for one in self.single_trials()]
 
     def _placement(self, lens: Lens, wavelength_um: float) -> Placement:
-        planes = len(lens.sensor.plane_distances_mm)
         surfaces = self.surface_perturbations(lens, wavelength_um)
         return Placement(
             pose=Pose(**_first(vars(self.poses()))),
             surface_perturbations={i: SurfacePerturbation(**_first(vars(p))) for i, p in surfaces.items()},
-            object_shift_mm=tuple(self.object_shift_mm()[0].tolist()),
-            sensor_shift_mm=tuple(self.sensor_shift_mm(planes)[0].tolist()),
-            plane_distances_mm=tuple(self.plane_distances_mm(planes)[0].tolist()),
+            object_shift_mm=tuple(self.object_shift_mm(lens)[0].tolist()),
+            sensor_shift_mm=tuple(self.sensor_shift_mm(lens)[0].tolist()),
+            plane_distances_mm=tuple(self.plane_distances_mm(lens)[0].tolist()),
             sensor_tilt_deg=tuple(self.sensor_tilt_deg()[0].tolist()),
             wavelength_um=wavelength_um + float(self.wavelength_shift_um()[0]),
         )
+
+    def _heated(self) -> list[tuple[int, PerturbedParameter]]:
+        """Columns of temperatures."""
+        return [(k, p) for k, p in enumerate(self.parameters) if p.target == "environment"]
 
     def _has(self, target: str, name: str) -> bool:
         return any(p.target == target and p.parameter == name for p in self.parameters)

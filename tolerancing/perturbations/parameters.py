@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from lensdesign.common.section import Section
+from lensdesign.common.section import Finite, Section
 from lensdesign.common.toml_files import pick, unknown_key, validate
-from lensdesign.errors import DesignError
+from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from lensdesign.lens.shapes.registry import parameters
+from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 
@@ -71,7 +72,10 @@ SENSOR_PARAMETERS = (
 LIGHT_PARAMETERS = ("wavelength_um",)
 """Of the light, against the wavelength that the reconstruction takes."""
 
-FIXED_TARGETS = ("object", "sensor", "light")
+ENVIRONMENT_PARAMETERS = ("temperature_c",)
+"""Of all there is: the temperature, from 20 degrees Celsius, at which the design holds."""
+
+FIXED_TARGETS = ("object", "sensor", "light", "environment")
 
 PARAMETERS = {
     "lens": LENS_PARAMETERS,
@@ -80,10 +84,11 @@ PARAMETERS = {
     "object": OBJECT_PARAMETERS,
     "sensor": SENSOR_PARAMETERS,
     "light": LIGHT_PARAMETERS,
+    "environment": ENVIRONMENT_PARAMETERS,
 }
 """What can be perturbed, by the first word of the target."""
 
-UNITS = ("mm", "um", "deg", "percent", "fringes", "waves")
+UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
@@ -96,19 +101,23 @@ class PerturbedParameter(Section):
     name
         Lower-case letters, digits and underscores; made of target and parameter where left out.
     target
-        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor`` or ``light``.
+        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor``, ``light`` or
+        ``environment``.
     parameter
         One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
     seat
         Of an element: where it turns. A tilt turns it about the vertex of its ``front`` or ``back`` surface,
         or about a point so many mm behind its front vertex; a roll about the centre of curvature of its
         ``front`` or ``back`` surface, which lies on the seat.
+    mount_expansion_per_k
+        Of the environment: linear expansion of what holds the spaces of air; aluminium where left out.
     """
 
     name: Name = ""
     target: str
     parameter: str
     seat: Literal["front", "back"] | Annotated[float, Field(strict=False, allow_inf_nan=False)] = "front"
+    mount_expansion_per_k: Finite = ALUMINIUM_PER_K
 
     @field_validator("target")
     @classmethod
@@ -117,8 +126,8 @@ class PerturbedParameter(Section):
             r"(surface|element) [1-9]\d{0,3}", value
         ):
             raise ValueError(
-                f"{value!r} is no target; allowed: lens, surface N, element N (N from 1), object, sensor, "
-                "light"
+                f"{value!r} is no target; allowed: lens, surface N, element N (N from 1), "
+                f"{', '.join(FIXED_TARGETS)}"
             )
         return value
 
@@ -134,6 +143,11 @@ class PerturbedParameter(Section):
             )
         if "seat" in self.model_fields_set:
             self._check_seat()
+        if "mount_expansion_per_k" in self.model_fields_set and self.target != "environment":
+            raise ValueError(
+                f"mount_expansion_per_k = {self.mount_expansion_per_k:g}: {self.target} has none; only the "
+                "environment has one"
+            )
         return self
 
     def _check_seat(self) -> None:
@@ -193,6 +207,8 @@ class PerturbedParameter(Section):
             raise ValueError(f"parameter = {self.parameter!r}: the design has {count} sensor plane(s)")
         if self.element is not None:
             self._check_element(lens, self.element)
+        if self.target == "environment":
+            self._check_environment(lens)
         if self.surface is None:
             return
         count = len(lens.surfaces)
@@ -200,6 +216,15 @@ class PerturbedParameter(Section):
             allowed = ", ".join(["lens", *(f"surface {i + 1}" for i in range(count)), *FIXED_TARGETS])
             raise ValueError(f"target = {self.target!r}: the design has no such surface; allowed: {allowed}")
         self._check_surface(lens, self.surface)
+
+    @staticmethod
+    def _check_environment(lens: Lens) -> None:
+        from tolerancing.perturbations.environment import check_heat
+
+        try:
+            check_heat(lens)
+        except MaterialError as error:
+            raise ValueError(f"target = 'environment': {error}") from error
 
     def _check_element(self, lens: Lens, number: int) -> None:
         count = len(lens.glass_fronts)

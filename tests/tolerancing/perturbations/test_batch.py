@@ -148,7 +148,7 @@ def test_object_sensor_and_light_reach_their_places(paper_lens):
     assert system("sensor", "plane_distance_2_mm").sensor_shift_mm == (0.0, 0.0, 0.125)
     assert system("sensor", "decenter_x_mm").sensor_shift_mm == (0.25, 0.0, 0.0)
     assert system("sensor", "tilt_y_deg").sensor_tilt_deg == (0.0, 0.25)
-    distances = one("sensor", "plane_distance_2_mm", 0.25, -0.5).plane_distances_mm(2)
+    distances = one("sensor", "plane_distance_2_mm", 0.25, -0.5).plane_distances_mm(paper_lens)
     assert distances.tolist() == [[0.0, 0.25], [0.0, -0.5]]
 
 

@@ -36,6 +36,10 @@ class AgfGlass:
         The GC record.
     reference_temperature_c
         Last value of the TD record: the temperature at which the index holds; None if not given.
+    schott
+        First six values of the TD record: the constants of Schott's formula; None if they are not given.
+    expansion_per_k
+        First value of the ED record; None if not given.
     """
 
     name: str
@@ -44,6 +48,8 @@ class AgfGlass:
     wavelength_range_um: tuple[float, float]
     comment: str = ""
     reference_temperature_c: float | None = None
+    schott: tuple[float, float, float, float, float, float] | None = None
+    expansion_per_k: float | None = None
 
     def __call__(self, wavelength_um: float) -> float:
         """Refractive index relative to air by the glass's formula; NaN where that has no real value.
@@ -176,9 +182,11 @@ def _decode(data: bytes, where: str) -> str:
 def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
     """Glasses of an AGF text.
 
-    The records NM (name, formula), CD (coefficients), LD (wavelength range), GC (comment) and TD (whose
-    last value is the reference temperature) are read; the others say nothing about the index at that
-    temperature and are passed over. Coefficients left out at the end of a CD record are zero.
+    The records NM (name, formula), CD (coefficients), LD (wavelength range), GC (comment), TD (Schott's
+    formula for the index in heat, and the reference temperature) and ED (whose first value is the expansion
+    about room temperature, in 1e-6/K) are read; the others say nothing about index or size and are passed
+    over. Coefficients left out at the end of a CD record are zero; constants that are all zero in a TD
+    record, or an expansion of zero, are not given.
 
     Parameters
     ----------
@@ -230,6 +238,8 @@ class _Draft:
     wavelength_range_um: tuple[float, float] | None = None
     comment: str = ""
     reference_temperature_c: float | None = None
+    schott: tuple[float, float, float, float, float, float] | None = None
+    expansion_per_k: float | None = None
 
     def finish(self) -> AgfGlass:
         if self.coefficients is None:
@@ -243,6 +253,8 @@ class _Draft:
             self.wavelength_range_um,
             self.comment,
             self.reference_temperature_c,
+            self.schott,
+            self.expansion_per_k,
         )
 
 
@@ -311,6 +323,15 @@ def _read_thermal(draft: _Draft, rest: str, where: str) -> None:
     values = [_number(word, where, "TD") for word in rest.split()]
     if len(values) >= 7:
         draft.reference_temperature_c = values[6]
+        if any(values[:5]):
+            d0, d1, d2, e0, e1, pole = values[:6]
+            draft.schott = (d0, d1, d2, e0, e1, pole)
+
+
+def _read_extra(draft: _Draft, rest: str, where: str) -> None:
+    words = rest.split()
+    expansion = _number(words[0], where, "ED") if words else 0.0
+    draft.expansion_per_k = 1e-6 * expansion if expansion else None
 
 
 _READERS: dict[str, Callable[[_Draft, str, str], None]] = {
@@ -318,4 +339,5 @@ _READERS: dict[str, Callable[[_Draft, str, str], None]] = {
     "LD": _read_range,
     "GC": _read_comment,
     "TD": _read_thermal,
+    "ED": _read_extra,
 }

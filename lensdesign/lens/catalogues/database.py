@@ -11,14 +11,17 @@ import importlib.util
 import math
 import re
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import MaterialError
+from lensdesign.lens.catalogues.thermal import PLASTICS, REFERENCE_C, Thermal
 
 _LINE = re.compile(r"^ *(?:- )?(SHELF|BOOK|PAGE|name|data): *(.*)$", re.MULTILINE)
+KELVIN_ROOM = 293.0
 _TAG = re.compile(r"<[^>]+>")
 
 
@@ -107,8 +110,8 @@ def database_pages() -> dict[tuple[str, str, str], Page]:
     return pages
 
 
-def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float]]:
-    """Index of a page's material, and the shortest and longest wavelength in um for which it is known.
+def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float], Thermal]:
+    """Index of a page's material, the shortest and longest wavelength in um for which it is known, and heat.
 
     Raises
     ------
@@ -119,15 +122,43 @@ def read_page(page: Page) -> tuple[Fit | Table, tuple[float, float]]:
 
     loader: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     path = _folder() / "database" / "data" / page.file
-    data = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)["DATA"]
-    for part in data:
+    whole = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
+    thermal = PLASTICS.get((page.shelf, page.book, page.page)) or _thermal(whole)
+    for part in whole["DATA"]:
         kind, _, detail = part["type"].partition(" ")
         if kind == "formula" and detail in ("1", "2", "3", "5"):
             shortest, longest = (part.get("wavelength_range") or part["range"]).split()[:2]
             fit = Fit(int(detail), tuple(float(number) for number in part["coefficients"].split()))
-            return fit, (float(shortest), float(longest))
+            return fit, (float(shortest), float(longest)), thermal
         if kind == "tabulated" and detail.startswith("n"):
             rows = sorted(tuple(float(n) for n in row.split()[:2]) for row in part["data"].split("\n") if row)
             wavelengths, indices = zip(*rows, strict=True)
-            return Table(wavelengths, indices), (wavelengths[0], wavelengths[-1])
+            return Table(wavelengths, indices), (wavelengths[0], wavelengths[-1]), thermal
     raise MaterialError(f"{page.shelf}/{page.book}/{page.page}: no index by a formula that is known here")
+
+
+def _thermal(whole: dict[str, Any]) -> Thermal:
+    """What a page says of heat: Schott's formula (formula A of the database), and the expansion.
+
+    Coefficients of relative indices that hold over some range alone are passed over.
+    """
+    properties = whole.get("PROPERTIES") or {}
+    schott = None
+    for part in properties.get("thermal_dispersion") or ():
+        if part["type"] == "formula A":
+            d0, d1, d2, e0, e1, pole = (float(number) for number in part["coefficients"].split())
+            schott = (d0, d1, d2, e0, e1, pole)
+    kelvin = (whole.get("CONDITIONS") or {}).get("temperature")
+    reference = round(float(kelvin) - 273.0, 1) if kelvin else REFERENCE_C
+    return Thermal(schott, None, reference, _expansion(properties.get("thermal_expansion") or ()))
+
+
+def _expansion(parts: Sequence[dict[str, str]]) -> float | None:
+    """Of the narrowest range that holds room temperature, else of the first."""
+
+    def width(part: dict[str, str]) -> float:
+        low, high = (float(end) for end in part.get("temperature_range", "0 1000").split())
+        return high - low if low <= KELVIN_ROOM <= high else math.inf
+
+    known = [part for part in parts if "value" in part]
+    return float(min(known, key=width)["value"]) if known else None

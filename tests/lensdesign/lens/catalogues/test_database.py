@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.database import database_pages, database_version, read_page
+from lensdesign.lens.catalogues.database import database_pages, database_version, read_page
 from lensdesign.lens.glass import get_material, list_glasses
 
 

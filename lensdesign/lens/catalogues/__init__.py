@@ -1,0 +1,1 @@
+"""Where glasses come from: catalogue files, the refractiveindex.info database; what heat does to them."""
