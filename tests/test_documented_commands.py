@@ -73,6 +73,8 @@ SHORTER = {
     r"--trial 137": "--trial 7",
     r"^(tolerancing budget .*)": r"\1 --verify 16",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
+    r"^(tolerancing indices .*--base) 32": r"\1 16",
+    r"^(tolerancing rare .*--trials) 300": r"\1 50",
 }
 # Statuses beside 0 that are right: a constraint that is not met, which the pages say; frames that two
 # iterations do not explain.

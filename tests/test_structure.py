@@ -45,7 +45,7 @@ ORDER = {
         "perturbations",
         "merits",
         "study",
-        "store",
+        "store cost",
         "analysis",
         "wavefronts",
         "report run",

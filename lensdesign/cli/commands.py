@@ -11,6 +11,7 @@ import typer
 
 from lensdesign.cli import ghost as cli_ghost
 from lensdesign.cli import making as cli_making
+from lensdesign.cli import plates as cli_plates
 from lensdesign.cli import searching as cli_searching
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
@@ -104,6 +105,7 @@ app.command()(cli_making.sag)
 app.command()(cli_ghost.ghost)
 app.command()(cli_view.view)
 app.command()(cli_verify.verify)
+app.command("testplates")(cli_plates.fit)
 
 
 @app.command()

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import tomli_w
 from engine_checks import peak_bytes
-from lensdesign.optimization.specification import load_specification
 from places import DESIGNS
 from tests_studies import DECENTER, DESIGN, HEAD, SPREAD
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lensdesign.optimization.specification import Specification, load_specification
 from malformed import NUMBERS, malformed, outcomes
 from places import DESIGNS
 from sample_lenses import SAMPLES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +74,7 @@ def budget(
     required: float,
     weights: Mapping[str, float] | None = None,
     *,
+    fixed: Collection[str] = (),
     fresh: int = 500,
     report: Report | None = None,
 ) -> StudyBudget:
@@ -85,7 +86,7 @@ def budget(
     ----------
     store
         An open store.
-    required, weights, fresh, report
+    required, weights, fixed, fresh, report
         As of :func:`budget_of_study`.
 
     Raises
@@ -101,6 +102,7 @@ def budget(
         trials.scores,
         required,
         weights,
+        fixed=fixed,
         fresh=fresh,
         report=report,
     )
@@ -114,6 +116,7 @@ def budget_of_study(
     required: float,
     weights: Mapping[str, float] | None = None,
     *,
+    fixed: Collection[str] = (),
     fresh: int = 500,
     report: Report | None = None,
 ) -> StudyBudget:
@@ -133,6 +136,8 @@ def budget_of_study(
         Yield, above 0 and below 1.
     weights
         Of the cost of each perturbation's tolerance, by column; 1 where left out.
+    fixed
+        Columns whose tolerances stay as they are.
     fresh
         Number of trials of the lens for the common factor, and of fresh ones for the yield.
     report
@@ -147,11 +152,12 @@ def budget_of_study(
         If it is interrupted.
     """
     columns = [p.column for p in study.perturbations]
-    unknown = [name for name in weights or {} if name not in columns]
+    unknown = [name for name in (*(weights or {}), *fixed) if name not in columns]
     if unknown:
         raise InputError(
             f"weight of {unknown[0]!r}: there is no such perturbation; allowed: {', '.join(columns)}"
         )
+    held = np.array([column in fixed for column in columns])
     scaled_perturbations(study, np.ones(len(columns)))
     draws_needed(fresh, required, "low")
     response = fit_response(values, scores)
@@ -168,8 +174,8 @@ def budget_of_study(
             mean,
             deviations,
             required,
-            low=SCALES[0],
-            high=SCALES[1],
+            low=np.where(held, 1.0, SCALES[0]),
+            high=np.where(held, 1.0, SCALES[1]),
             weights=np.array([(weights or {}).get(column, 1.0) for column in columns]),
             verify=lambda values: scorer(values, trials),
         )

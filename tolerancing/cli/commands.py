@@ -187,6 +187,7 @@ app.command()(cli_predict.predict)
 app.command()(cli_tolerances.sensitivity)
 app.command()(cli_tolerances.inverse)
 app.command()(cli_tolerances.budget)
+app.command()(cli_tolerances.cost)
 app.command()(cli_statistics.rare)
 app.command()(cli_statistics.indices)
 

@@ -14,11 +14,23 @@ from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from lensdesign.lens.lens import Lens
     from tolerancing.analysis.budgets import StudyBudget
     from tolerancing.analysis.limits import StudyLimits
     from tolerancing.analysis.parabolas import Sensitivity
+    from tolerancing.cost.pricing import Cost
     from tolerancing.perturbations.parameters import Perturbation
     from tolerancing.study.study import Study
+
+Costs = Annotated[
+    str | None, typer.Option(metavar="FILE", help="Table of costs (TOML), or `relative`: the one supplied.")
+]
+Processes = Annotated[
+    list[str] | None,
+    typer.Option(metavar="[N=]NAME", help="Process of element N, or of all; several times."),
+]
+NO_COST = 1e-12
+"""Weight of what nobody makes; a search asks for some."""
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -106,6 +118,8 @@ def budget(
         list[str] | None,
         typer.Option(help="COLUMN=WEIGHT: what a tolerance costs, over the others; several times."),
     ] = None,
+    costs: Costs = None,
+    process: Processes = None,
     verify: Annotated[int, typer.Option(help="Trials of the lens itself, and as many fresh ones.")] = 500,
     trust: Trust = False,
     as_json: Json = False,
@@ -128,8 +142,15 @@ def budget(
     from tolerancing.study.files import save_study
 
     interrupted, weights = False, _weights(weight or [])
+    if weights and (costs or process):
+        raise InputError("--weight and --costs both say what tolerances cost; give one of them")
     with open_store(store, trust=trust) as opened:
-        study = opened.study
+        study, fixed = opened.study, list[str]()
+        if costs or process:
+            priced = priced_study(study, opened.loaded.lens, costs, process)
+            weights = {line.perturbation: line.cost for line in priced.lines if line.quantity}
+            fixed = [line.perturbation for line in priced.lines if not line.quantity]
+            weights |= dict.fromkeys(fixed, NO_COST)
         try:
             with messages_only(), progress_bar() as bar:
                 task = bar.add_task("trials of the lens", total=None)
@@ -140,7 +161,7 @@ def budget(
                         print(f"at most {most} trials of the lens, about {expected}", file=sys.stderr)
                     bar.update(task, completed=done, total=most)
 
-                found = budget(opened, required, weights, fresh=verify, report=report)
+                found = budget(opened, required, weights, fixed=fixed, fresh=verify, report=report)
         except BudgetInterrupted as stop:
             if stop.found is None:
                 raise KeyboardInterrupt(
@@ -156,6 +177,52 @@ def budget(
         print(f"wrote {output}")
     if interrupted:
         raise KeyboardInterrupt(f"interrupted; {output} holds what was found until then")
+
+
+def cost(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
+    costs: Costs = None,
+    process: Processes = None,
+    as_json: Json = False,
+) -> None:
+    """Tell what a study's tolerances cost, the dearest first: relative costs, to compare tolerances by."""
+    from tolerancing.study.files import load_study
+
+    loaded = load_study(study)
+    found = priced_study(loaded.study, loaded.lens, costs, process)
+    if as_json:
+        print_json({"study": str(study), **found.as_dict()})
+        return
+    rows = [
+        (
+            line.perturbation,
+            f"{line.process} {line.quantity}".strip(),
+            f"{line.tolerance:.4g}",
+            f"{line.cost:.3f}",
+        )
+        for line in sorted(found.lines, key=lambda line: -line.cost)
+    ]
+    last = ("all, with the elements themselves", "", "", f"{found.total:.3f}")
+    print_table(
+        "relative cost of tolerances", ["perturbation", "priced as"], ["tolerance", "cost"], rows, last
+    )
+
+
+def priced_study(study: Study, lens: Lens, costs: str | None, processes: list[str] | None) -> Cost:
+    """Cost of a study by the table and the processes that a command names."""
+    from tolerancing.cost.pricing import cost_of
+    from tolerancing.cost.table import load_costs
+
+    items: dict[int | None, str] = {}
+    for item in processes or []:
+        number, equals, name = item.rpartition("=")
+        if equals and not (number.isdigit() and 1 <= int(number) <= len(lens.glass_fronts)):
+            raise InputError(
+                f"--process {item!r}: must be NAME or N=NAME, N from 1 to {len(lens.glass_fronts)}"
+            )
+        items[int(number) if equals else None] = name
+    table = load_costs(None if costs in (None, "relative") else costs).with_processes(items)
+    return cost_of(study, lens, table)
 
 
 def _weights(items: list[str]) -> dict[str, float]:

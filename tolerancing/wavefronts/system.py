@@ -150,11 +150,11 @@ class _Numbers:
             pose[:, 9:] = system.vertex[:, k]
             found[:, layout.of_shape(k)] = system.shapes[k].terms
         found[:, layout.indices] = system.index
-        found[:, layout.pose(0)][:, 9:] = batch.object_shift_mm()
+        found[:, layout.pose(0)][:, 9:] = batch.object_shift_mm(lens)
         sensor = found[:, layout.pose(layout.surfaces + 1)]
         tilts = np.deg2rad(batch.sensor_tilt_deg())
         sensor[:, :9] = rotation_matrix(tilts[:, 0], tilts[:, 1]).reshape(-1, 9)
-        sensor[:, 9:] = batch.sensor_shift_mm(len(lens.sensor.plane_distances_mm))
+        sensor[:, 9:] = batch.sensor_shift_mm(lens)
         shift = batch.wavelength_shift_um()
         found[:, layout.waves] = self.wavelength_um / (self.wavelength_um + shift)
         return found

@@ -154,6 +154,22 @@ def test_optimize_writes_a_design(command: Command, specification: Path, tmp_pat
     assert report["max_spread_deg"] < 4.81
 
 
+def test_testplates_writes_a_lens_whose_sphere_has_a_plate(command: Command, tmp_path: Path) -> None:
+    output, spec = tmp_path / "fitted.toml", DESIGNS / "feasible_singlet_spec.toml"
+    plates = tmp_path / "plates.txt"
+    plates.write_text("35\n37.5\n41\n")
+    code, out, _ = command("testplates", spec, "--plates", plates, "-o", output, "--json")
+    found = json.loads(out)
+    assert (code, found["feasible"]) == (0, True)
+    assert [(one["surface"], one["plate_mm"]) for one in found["fitted"]] == [(1, 37.5)]
+    assert load_design(output).surfaces[0].radius_mm == 37.5
+    plates.write_text("flat\n")
+    code, out, told = command("testplates", spec, "--plates", plates, "-o", tmp_path / "no.toml")
+    assert (code, out) == (2, "")
+    assert "line 1: 'flat': must be a radius" in told
+    assert not (tmp_path / "no.toml").exists()
+
+
 def test_optimize_in_words(command: Command, specification: Path, tmp_path: Path) -> None:
     output = tmp_path / "found.toml"
     arguments = ("--max-seconds", 100, "--max-evaluations", 500, "--starts", 1, "--algorithm", "cobyla")

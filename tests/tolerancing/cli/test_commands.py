@@ -40,6 +40,29 @@ def command(monkeypatch, capsys):
     return run
 
 
+def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray_study, tmp_path):
+    study, store, out = write_study(ray_study), tmp_path / "a.db", tmp_path / "b.toml"
+    priced = json.loads(command("cost", study, "--process", "1=moulded_plastic", "--json").stdout)
+    lines = {line["perturbation"]: line for line in priced["lines"]}
+    assert lines["shop_radius_mm"]["process"] == "moulded_plastic"
+    assert priced["total"] == pytest.approx(1.0 + sum(line["cost"] for line in lines.values()))
+    assert "relative cost" in command("cost", study).stdout
+    command("run", study, "--store", store, "--workers", "1")
+    ran = command(
+        "budget", store, "--yield", "0.6", "-o", out, "--verify", "40", "--costs", "relative", "--json"
+    )
+    assert ran.returncode == 0, ran.stderr
+    found, now = json.loads(ran.stdout), json.loads(command("cost", out, "--json").stdout)
+    assert found["cost"] == pytest.approx(now["total"] - 1.0, rel=2e-3)
+    both = command("budget", store, "--yield", "0.6", "-o", out, "--costs", "relative", "--weight", "a=1")
+    assert (both.returncode, both.stdout) == (2, "")
+    assert "give one of them" in both.stderr
+    assert (
+        "--process '2=moulded_glass': must be NAME"
+        in command("cost", study, "--process", "2=moulded_glass").stderr
+    )
+
+
 def test_indices_and_their_chart(command, write_study, ray_study, tmp_path):
     study, chart = write_study(ray_study), tmp_path / "indices.svg"
     ran = command("indices", study, "--base", "16", "-o", chart)

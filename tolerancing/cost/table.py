@@ -1,0 +1,142 @@
+"""Tables of what tolerances cost, by process (TOML)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from lensdesign.common.section import Positive, Section
+from lensdesign.common.toml_files import read_toml, validate
+from lensdesign.errors import InputError
+
+RELATIVE = Path(__file__).with_name("relative.toml")
+"""The table that comes with the package: relative costs, with their sources."""
+
+QUANTITIES = {
+    "radius_percent": "largest departure of a radius, in per cent",
+    "irregularity_pv_waves": "irregularity of a surface, peak to valley, in waves of 632.8 nm",
+    "irregularity_rms_waves": "the same, root mean square",
+    "form_um": "departure of a conic constant or an aspheric term, as sag at the clear semi-diameter",
+    "thickness_mm": "of glass",
+    "tilt_deg": "of a surface against its part (wedge), or of a part in its mount",
+    "roll_deg": "of a part on its seat",
+    "runout_mm": "total indicator runout of a surface",
+    "edge_difference_mm": "wedge of an element, as its edge's difference",
+    "decenter_mm": "of a surface against its part, or of a part in its mount",
+    "distance_mm": "spaces of air, to object and sensor too",
+    "index": "of the glass",
+    "abbe_percent": "of the glass",
+}
+"""What a process has prices for."""
+
+
+class Price(Section):
+    """What one tolerance costs: share * reference / tolerance, relative to a part without tolerances.
+
+    Attributes
+    ----------
+    reference
+        Tolerance that costs the share, in the unit of its quantity.
+    share
+        Cost there.
+    """
+
+    reference: Positive
+    share: Positive
+
+
+class Process(Section):
+    """Prices of a way of making; those it lacks it cannot price.
+
+    Attributes
+    ----------
+    source
+        Where its numbers come from.
+    prices
+        By `QUANTITIES`.
+    """
+
+    source: Annotated[str, Field(min_length=1)]
+    prices: Mapping[str, Price]
+
+
+class CostTable(Section):
+    """What tolerances cost.
+
+    Attributes
+    ----------
+    title
+        What to call it.
+    default
+        Process of elements that `elements` does not name.
+    mount
+        Process of what holds them.
+    elements
+        Processes by the number of the element, counted from 1.
+    processes
+        By name; the ``[process.NAME]`` tables.
+    """
+
+    title: str = ""
+    default: str
+    mount: str
+    elements: Mapping[int, str] = {}
+    processes: Mapping[str, Process]
+
+    @model_validator(mode="after")
+    def _known(self) -> CostTable:
+        named = {"default": self.default, "mount": self.mount}
+        named |= {f"elements.{number}": name for number, name in self.elements.items()}
+        for key, name in named.items():
+            if name not in self.processes:
+                allowed = ", ".join(self.processes)
+                raise ValueError(f"{key} = {name!r}: there is no such process; allowed: {allowed}")
+        for name, process in self.processes.items():
+            for quantity in process.prices:
+                if quantity not in QUANTITIES:
+                    allowed = ", ".join(QUANTITIES)
+                    raise ValueError(f"process.{name}.{quantity}: unknown; allowed: {allowed}")
+        return self
+
+    def process_of(self, element: int) -> str:
+        """Name of the process of an element, counted from 0."""
+        return self.elements.get(element + 1, self.default)
+
+    def with_processes(self, items: Mapping[int | None, str]) -> CostTable:
+        """The table with other processes of elements, counted from 1, or by default (None).
+
+        Raises
+        ------
+        InputError
+            If there is no such process.
+        """
+        for name in items.values():
+            if name not in self.processes:
+                raise InputError(f"process {name!r}: there is none; allowed: {', '.join(self.processes)}")
+        own = {number: name for number, name in items.items() if number is not None}
+        default = items.get(None, self.default)
+        return self.model_copy(update={"default": default, "elements": {**self.elements, **own}})
+
+
+def load_costs(path: str | os.PathLike[str] | None = None) -> CostTable:
+    """Read a table of costs; that of the package where left out.
+
+    Raises
+    ------
+    DesignError
+        For each fault: which key and value, and what is allowed.
+    """
+    file = RELATIVE if path is None else Path(path)
+    table = read_toml(file)
+    processes = {}
+    for name, process in (table.pop("process", None) or {}).items():
+        parts = dict(process) if isinstance(process, dict) else {}
+        source = parts.pop("source", "")
+        processes[name] = {"source": source, "prices": parts}
+    elements = table.pop("elements", None) or {}
+    numbered = {int(k) if str(k).isdigit() else k: v for k, v in elements.items()}
+    return validate(CostTable, {**table, "elements": numbered, "processes": processes}, str(file))
