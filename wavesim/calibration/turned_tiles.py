@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wavesim.calibration.lens_changes import path_change
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import TileOperator
+from wavesim.engines.tiles.operator import TileOperator, add_tiles_back, carried_tiles
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
 
@@ -49,9 +49,10 @@ class TurnedTiles(Engine):
     def _forward(self, values: Any) -> Any:
         scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
         result = np.zeros(self.near.plane.grid.shape, scaled.dtype)
-        for operator, turn in self._turned(scaled.dtype):
+        operators, turns = zip(*self._turned(scaled.dtype), strict=True)
+        for operator, turn, carried in zip(operators, turns, carried_tiles(operators, scaled), strict=True):
             alone = np.zeros_like(result)
-            operator.add_forward(scaled, alone)
+            operator.add(carried, alone)
             result += turn * alone
         beyond = self.near.plane.beyond
         return result if beyond is None else beyond.forward(result.astype(complex)).astype(scaled.dtype)
@@ -60,8 +61,8 @@ class TurnedTiles(Engine):
         dtype, beyond = values.dtype, self.near.plane.beyond
         field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        for operator, turn in self._turned(dtype):
-            result[operator.part] += operator.adjoint(turn.conj() * field)
+        operators, turns = zip(*self._turned(dtype), strict=True)
+        add_tiles_back(operators, (turn.conj() * field for turn in turns), result)
         return result * result.real.dtype.type(self.near.plane.grid.cell)
 
     def cost(self) -> Cost:

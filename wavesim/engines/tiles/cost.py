@@ -15,6 +15,7 @@ from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
 from wavesim.runtime.memory import COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
@@ -77,7 +78,7 @@ def tiles_cost(
     if carrier.edge is not None:
         edge = EDGE_SECONDS[scene.object_grid.is_line]
         setup, probing = setup + edge + pass_seconds(EDGE_PASSES * size.window), probing + edge
-    kept, passing = _bytes(size, rank, low_rank, len(shape))
+    kept, passing = _bytes(size, rank, low_rank, len(shape), min(count, THREADS))
     beyond_seconds, beyond_bytes = 0.0, 0
     if plane.beyond is not None:
         beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
@@ -107,8 +108,8 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
     return _Size(modes, coarse, int(filled * coarse), window, taps, terms)
 
 
-def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int) -> tuple[int, int]:
-    """Kept by one tile, and held beside while it is made or used."""
+def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int, at_once: int) -> tuple[int, int]:
+    """Kept by one tile, and held beside while one is made or some are used at once."""
     kept = COMPLEX128 * rank * (size.modes + size.points) + size.window
     if size.taps:
         kept += COMPLEX128 * size.window + size.coarse
@@ -120,4 +121,4 @@ def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int) -> tuple[int
             terms = max(terms, (FACTOR_ORDER[True] + 1) * (FLOAT64 + COMPLEX128))
         making += min(size.points, BLOCK) * terms
     using = COMPLEX128 * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
-    return kept, max(making, using) + BASE_BYTES
+    return kept, max(making, at_once * using) + BASE_BYTES

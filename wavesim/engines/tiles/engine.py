@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import repeat
 from typing import Any, get_args
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
-from wavesim.engines.tiles.operator import Tile, TileOperator, precision_for
+from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles_back, carried_tiles, precision_for
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
 from wavesim.engines.tiles.residual import Quadratic, Separable
 from wavesim.engines.tiles.rim_light import rim_light
@@ -29,7 +30,7 @@ from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Precision
-from wavesim.runtime.threads import one_blas_thread
+from wavesim.runtime.threads import THREADS, one_blas_thread
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
@@ -181,8 +182,9 @@ class EikonalTiles(Engine):
             spans = [carrier.row_spans(axes) for carrier in carriers]
         else:
             spans = shared_spans(self.scene, tiles, carriers, axes)
+        threads = max(1, THREADS // len(tiles))
         return tuple(
-            TileOperator(self.scene, tile, carrier, factors, axes, lit, precision)
+            TileOperator(self.scene, tile, carrier, factors, axes, lit, precision, threads)
             for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
         )
 
@@ -190,8 +192,9 @@ class EikonalTiles(Engine):
         field = _usable(values)
         result = np.zeros(self.plane.grid.shape, field.dtype)
         scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
-        for operator in self._prepared(field.dtype):
-            operator.add_forward(scaled, result)
+        operators = self._prepared(field.dtype)
+        for operator, carried in zip(operators, carried_tiles(operators, scaled), strict=True):
+            operator.add(carried, result)
         if self.plane.beyond is None:
             return result
         return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
@@ -205,9 +208,10 @@ class EikonalTiles(Engine):
             On the object grid.
         """
         scaled = field.values * field.values.real.dtype.type(self.scene.object_grid.cell)
-        for tile, carrier, operator in self.tile_operators(scaled.dtype):
+        fields = carried_tiles(self._prepared(scaled.dtype), scaled)
+        for (tile, carrier, operator), carried in zip(self.tile_operators(scaled.dtype), fields, strict=True):
             alone = np.zeros(self.plane.grid.shape, scaled.dtype)
-            operator.add_forward(scaled, alone)
+            operator.add(carried, alone)
             yield tile, carrier, alone
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
@@ -221,8 +225,7 @@ class EikonalTiles(Engine):
         if self.plane.beyond is not None:
             field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        for operator in self._prepared(dtype):
-            result[operator.part] += operator.adjoint(field)
+        add_tiles_back(self._prepared(dtype), repeat(field), result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def settings(self) -> dict[str, Any]:

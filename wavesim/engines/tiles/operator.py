@@ -8,8 +8,10 @@ on a coarse grid and interpolated, where that grid has fewer samples.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +31,10 @@ from wavesim.fields.resampling import (
 from wavesim.rays.maps import RayMap
 from wavesim.rays.ray_bundles import RayBundle
 from wavesim.runtime.device import Precision, folded, fourier_plan
-from wavesim.runtime.threads import THREADS
+from wavesim.runtime.threads import THREADS, for_blocks
 from wavesim.scene.scene import Scene
+
+Part = TypeVar("Part")
 
 BAND_MARGIN = 1.1
 """Of the coarse grid's band, for the slow factors beside the Fourier kernel."""
@@ -45,7 +49,7 @@ where maps are not held to rays."""
 ROWS = 64
 
 POINTS_PER_THREAD = 2**16
-"""Of a transform: with fewer, threads wait for each other longer than they work."""
+"""Of a transform that has threads of its own: with fewer, they wait for each other longer than they work."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,8 @@ class TileOperator:
         Those that the tile's light reaches: first and end per row.
     precision
         How finely.
+    threads
+        That one transform may have; where tiles share the threads, one.
     """
 
     def __init__(
@@ -128,6 +134,7 @@ class TileOperator:
         axes: tuple[Array, ...],
         spans: NDArray[np.intp],
         precision: Precision,
+        threads: int = 1,
     ) -> None:
         self.part = tile.part
         self._dtype = precision.dtype
@@ -166,7 +173,7 @@ class TileOperator:
             self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
         else:
             self._weights = None if sensor is None else sensor.astype(self._dtype)
-        self._plans = _plans(cosines * (k * tile.pitch_mm), self._tile_factors.shape, precision)
+        self._plans = _plans(cosines * (k * tile.pitch_mm), self._tile_factors.shape, precision, threads)
 
     def _prepare_coarse(
         self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
@@ -178,10 +185,10 @@ class TileOperator:
         real = np.float32 if self._dtype == np.complex64 else np.float64
         self._ways = along_y.astype(real), along_x.astype(real)
 
-    def add_forward(self, values: NDArray, result: NDArray) -> None:
-        """Add the tile's field to the field on the plane."""
+    def carried(self, values: NDArray) -> NDArray | None:
+        """The tile's field as its transform gives it, of values on the object; None where it is dark."""
         if self._plans is None:
-            return
+            return None
         modes = np.ascontiguousarray(self._tile_factors * values[self.part])
         spectrum = self._plans[0].execute(modes if len(modes) > 1 else modes[0])
         spectrum = np.atleast_2d(spectrum)
@@ -189,18 +196,28 @@ class TileOperator:
             spectrum = np.einsum("rn,rn->n", self._weights, spectrum)
         field = np.zeros(self._needed.shape, self._dtype)
         field[self._needed] = spectrum.ravel()
+        return field
+
+    def add(self, field: NDArray | None, result: NDArray) -> None:
+        """Add what :meth:`carried` gives to the field on the plane."""
+        if field is None:
+            return
         if self._ways is None:
             result[self.window] += field
         else:
             add_interpolated(field, self._ways, self._carried, result[self.window], THREADS)
 
-    def adjoint(self, values: NDArray) -> NDArray:
-        """Conjugate transpose of what :meth:`add_forward` adds: values on the tile's part of the object."""
+    def gathered(self, values: NDArray) -> NDArray | None:
+        """The conjugate transpose of :meth:`add`."""
         if self._plans is None:
-            return np.zeros((), self._dtype)
+            return None
         field = values[self.window]
-        if self._ways is not None:
-            field = gathered(field, self._ways, self._carried, THREADS)
+        return field if self._ways is None else gathered(field, self._ways, self._carried, THREADS)
+
+    def back(self, field: NDArray | None) -> NDArray:
+        """The conjugate transpose of :meth:`carried`: values on the tile's part of the object."""
+        if self._plans is None or field is None:
+            return np.zeros((), self._dtype)
         strength = field[self._needed]
         count = len(self._tile_factors)
         if self._weights is not None:
@@ -213,11 +230,34 @@ class TileOperator:
         return np.asarray(np.sum(self._tile_factors.conj() * modes, axis=0))
 
 
-def _plans(angles: Array, shape: tuple[int, ...], precision: Precision) -> tuple[Any, Any]:
+def carried_tiles(operators: Sequence[TileOperator], values: NDArray) -> Iterator[NDArray | None]:
+    """What each tile's :meth:`TileOperator.carried` gives; as many at a time as there are threads.
+
+    One transform in several threads takes several times its work where other processes run beside it.
+    """
+    for start in range(0, len(operators), THREADS):
+        yield from _at_once([partial(one.carried, values) for one in operators[start : start + THREADS]])
+
+
+def add_tiles_back(operators: Sequence[TileOperator], fields: Iterable[NDArray], result: NDArray) -> None:
+    """Add to the object what each tile's adjoint gives of a field of its own on the plane."""
+    own = iter(fields)
+    for start in range(0, len(operators), THREADS):
+        some = operators[start : start + THREADS]
+        parts = _at_once([partial(one.back, one.gathered(next(own))) for one in some])
+        for operator, part in zip(some, parts, strict=True):
+            result[operator.part] += part
+
+
+def _at_once(works: Sequence[Callable[[], Part]]) -> list[Part]:
+    return for_blocks(lambda number, _: works[number](), len(works), 1)
+
+
+def _plans(angles: Array, shape: tuple[int, ...], precision: Precision, threads: int) -> tuple[Any, Any]:
     """Transforms of types 2 and 1 that are each other's conjugate transpose."""
     points = folded(angles, precision.dtype)
-    threads = min(THREADS, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
-    first, second = (fourier_plan(kind, shape, precision, threads) for kind in (2, 1))
+    most = min(threads, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
+    first, second = (fourier_plan(kind, shape, precision, most) for kind in (2, 1))
     for plan in (first, second):
         plan.setpts(*points)
     return first, second
