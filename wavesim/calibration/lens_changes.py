@@ -2,7 +2,8 @@
 
 A ray's path is stationary: to first order a change of the lens changes the path from an object point to a
 sensor point by what the changed lens's rays show there, and nothing else. A tile's field is multiplied by
-i k times that.
+i k times that of its centre; away from it the path changes by the change of the direction in which rays leave
+the object, times the distance from the centre.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.operator import Tile
-from wavesim.fields.field import Field, Grid
-from wavesim.rays.maps import RayMap, fit_map, sample_points
+from wavesim.fields.field import Field
+from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import trace_bundle
+from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene
 
@@ -64,28 +65,40 @@ def lens_changes(
     results = [np.zeros(grid.shape, lit.values.dtype) for _ in changed]
     for tile, carrier, alone in engine.tile_fields(lit):
         for one, result in zip(changed, results, strict=True):
-            path = path_change(one.scene, tile, carrier, grid)
-            turned = (1j * wavenumber / one.step * path).astype(result.dtype)
-            result += np.where(alone != 0.0, turned, 0.0) * alone
+            found = ray_changes(one.scene, tile, carrier, grid.z_mm).on_axes((grid.y_mm, grid.x_mm))
+            path, *cosines = found.astype(alone.real.dtype)
+            turned = path * alone[0]
+            for cosine, moment in zip(cosines, alone[1:], strict=True):
+                turned -= cosine * moment
+            result += result.dtype.type(1j * wavenumber / one.step) * turned
     if engine.plane.beyond is None:
         return list(results)
     return [np.asarray(engine.plane.beyond.forward(one.astype(complex)), lit.values.dtype) for one in results]
 
 
-def path_change(scene: Scene, tile: Tile, carrier: RayMap, grid: Grid) -> Array:
-    """How much longer a scene's path is than that of a tile's rays, in mm on the samples of a plane.
+def ray_changes(scene: Scene, tile: Tile, carrier: RayMap, plane_z_mm: float) -> SmoothMap:
+    """How a scene's rays differ from those that carry a tile.
+
+    Returns
+    -------
+    SmoothMap
+        On the sensor plane of that z: how much longer the path from the tile's centre is (mm), and changes
+        of the cosines along y and x with which rays leave it.
 
     Raises
     ------
     InputError
         If no ray arrives.
     """
-    rays = trace_bundle(scene, np.asarray(tile.centre_mm), sample_points(carrier.traced, ORDER), grid.z_mm)
-    if not np.any(rays.ok):
-        raise InputError("no ray of the changed lens arrives: the change is too large")
-    there = rays.sensor_mm[rays.ok]
-    change = (rays.path_mm[rays.ok] - carrier.maps.at(there)[0])[None]
-    return np.asarray(fit_map(there, change, ORDER).on_axes((grid.y_mm, grid.x_mm))[0])
+    with one_blas_thread():
+        rays = trace_bundle(
+            scene, np.asarray(tile.centre_mm), sample_points(carrier.traced, ORDER), plane_z_mm
+        )
+        if not np.any(rays.ok):
+            raise InputError("no ray of the changed lens arrives: the change is too large")
+        there = rays.sensor_mm[rays.ok]
+        now = np.concatenate([rays.path_mm[None], rays.cosines.T])[:, rays.ok]
+        return fit_map(there, now - carrier.maps.at(there)[[0, 2, 3]], ORDER)
 
 
 def _at(lit: Field, scene: Scene) -> Field:

@@ -1,7 +1,7 @@
-"""Eikonal tiles of one lens, turned by what a slightly different lens adds to their paths.
+"""Eikonal tiles of one lens, turned by what a slightly different lens adds to their paths and directions.
 
-To first order in the change, at a hundredth of what tiles of their own would take to make: paths change,
-amplitudes and the directions within a tile do not.
+To first order in the change, at a hundredth of what tiles of their own would take to make: amplitudes do not
+change, nor what a tile's path has beyond its first order.
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wavesim.calibration.lens_changes import path_change
+from wavesim.calibration.lens_changes import ray_changes
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import TileOperator, add_tiles_back, carried_tiles
+from wavesim.engines.tiles.operator import TileOperator, add_tiles, add_tiles_back
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
-
-Turned = tuple[TileOperator, NDArray[np.complexfloating]]
 
 
 class TurnedTiles(Engine):
@@ -39,21 +36,17 @@ class TurnedTiles(Engine):
         self.near = near
         self._turned = cache(self._made)
 
-    def _made(self, dtype: np.dtype[Any]) -> tuple[Turned, ...]:
-        grid, wavenumber = self.near.plane.grid, self.scene.wavenumber_per_mm
+    def _made(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        z_mm, wavenumber = self.near.plane.grid.z_mm, self.scene.wavenumber_per_mm
         return tuple(
-            (operator, np.exp(1j * wavenumber * path_change(self.scene, tile, carrier, grid)).astype(dtype))
+            operator.turned(carrier, ray_changes(self.scene, tile, carrier, z_mm), wavenumber)
             for tile, carrier, operator in self.near.tile_operators(dtype)
         )
 
     def _forward(self, values: Any) -> Any:
         scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
         result = np.zeros(self.near.plane.grid.shape, scaled.dtype)
-        operators, turns = zip(*self._turned(scaled.dtype), strict=True)
-        for operator, turn, carried in zip(operators, turns, carried_tiles(operators, scaled), strict=True):
-            alone = np.zeros_like(result)
-            operator.add(carried, alone)
-            result += turn * alone
+        add_tiles(self._turned(scaled.dtype), scaled, result)
         beyond = self.near.plane.beyond
         return result if beyond is None else beyond.forward(result.astype(complex)).astype(scaled.dtype)
 
@@ -61,8 +54,7 @@ class TurnedTiles(Engine):
         dtype, beyond = values.dtype, self.near.plane.beyond
         field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        operators, turns = zip(*self._turned(dtype), strict=True)
-        add_tiles_back(operators, (turn.conj() * field for turn in turns), result)
+        add_tiles_back(self._turned(dtype), field, result)
         return result * result.real.dtype.type(self.near.plane.grid.cell)
 
     def cost(self) -> Cost:

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
-from itertools import repeat
+from functools import cached_property, partial
 from typing import Any, get_args
 
 import numpy as np
@@ -21,7 +20,14 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
-from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles_back, carried_tiles, precision_for
+from wavesim.engines.tiles.operator import (
+    Tile,
+    TileOperator,
+    add_tiles,
+    add_tiles_back,
+    at_once,
+    precision_for,
+)
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
 from wavesim.engines.tiles.residual import Quadratic, Separable
 from wavesim.engines.tiles.rim_light import rim_light
@@ -192,26 +198,30 @@ class EikonalTiles(Engine):
         field = _usable(values)
         result = np.zeros(self.plane.grid.shape, field.dtype)
         scaled = field * field.real.dtype.type(self.scene.object_grid.cell)
-        operators = self._prepared(field.dtype)
-        for operator, carried in zip(operators, carried_tiles(operators, scaled), strict=True):
-            operator.add(carried, result)
+        add_tiles(self._prepared(field.dtype), scaled, result)
         if self.plane.beyond is None:
             return result
         return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
 
     def tile_fields(self, field: Field) -> Iterator[tuple[Tile, RayMap, NDArray[np.complexfloating]]]:
-        """Each tile, the rays that carry it, and its field alone on the plane on which tiles are summed.
+        """Each tile, the rays that carry it, and fields of it alone on the plane on which tiles are summed.
+
+        Of its object, and of that times y and times x from the tile's centre (mm), shape (3, ny, nx).
 
         Parameters
         ----------
         field
-            On the object grid.
+            On the object grid, which is a plane.
         """
         scaled = field.values * field.values.real.dtype.type(self.scene.object_grid.cell)
-        fields = carried_tiles(self._prepared(scaled.dtype), scaled)
-        for (tile, carrier, operator), carried in zip(self.tile_operators(scaled.dtype), fields, strict=True):
-            alone = np.zeros(self.plane.grid.shape, scaled.dtype)
-            operator.add(carried, alone)
+        for tile, carrier, operator in self.tile_operators(scaled.dtype):
+            y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
+            part = scaled[operator.part]
+            moments = part, part * y_mm[:, None], part * x_mm
+            alone = np.zeros((3, *self.plane.grid.shape), scaled.dtype)
+            carried = at_once([partial(operator.carried, moment) for moment in moments])
+            for one, result in zip(carried, alone, strict=True):
+                operator.add(one, result)
             yield tile, carrier, alone
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
@@ -225,7 +235,7 @@ class EikonalTiles(Engine):
         if self.plane.beyond is not None:
             field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_back(self._prepared(dtype), repeat(field), result)
+        add_tiles_back(self._prepared(dtype), field, result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def settings(self) -> dict[str, Any]:

@@ -8,7 +8,8 @@ on a coarse grid and interpolated, where that grid has fewer samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -28,7 +29,7 @@ from wavesim.fields.resampling import (
     interpolation,
     kernel_for,
 )
-from wavesim.rays.maps import RayMap
+from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.rays.ray_bundles import RayBundle
 from wavesim.runtime.device import Precision, folded, fourier_plan
 from wavesim.runtime.threads import THREADS, for_blocks
@@ -147,7 +148,7 @@ class TileOperator:
         full = lit[:, 1] > lit[:, 0]
         across = slice(int(lit[full, 0].min()), int(lit[full, 1].max()))
         self.window = (slice(int(rows[0]), int(rows[-1]) + 1), across) if len(axes) == 2 else (across,)
-        fine = tuple(axis[part] for axis, part in zip(axes, self.window, strict=True))
+        self._fine = fine = tuple(axis[part] for axis, part in zip(axes, self.window, strict=True))
         self._tile_factors = factors.tile_factors(list(tile.offsets_mm)).astype(self._dtype)
         k = scene.wavenumber_per_mm
         limit = np.pi / (k * tile.pitch_mm)
@@ -165,15 +166,52 @@ class TileOperator:
         else:
             coarse = fine
             self._needed = carried != 0.0
-        points = np.stack([m[self._needed] for m in np.meshgrid(*coarse, indexing="ij")], axis=-1)
-        cosines = carrier.maps.at(points)[2:]
-        sensor = None if factors.sensor_factors is None else factors.sensor_factors.at(points)
+        self._coarse, self._per_cosine, self._precision = coarse, k * tile.pitch_mm, precision
+        self._threads = threads
+        sensor = None
+        if factors.sensor_factors is not None:
+            points = np.stack([m[self._needed] for m in np.meshgrid(*coarse, indexing="ij")], axis=-1)
+            sensor = factors.sensor_factors.at(points)
         if self._ways is None:
             weight = carried[self._needed][None]
             self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
         else:
             self._weights = None if sensor is None else sensor.astype(self._dtype)
-        self._plans = _plans(cosines * (k * tile.pitch_mm), self._tile_factors.shape, precision, threads)
+        self._point_at(self._on_points(carrier.maps)[2:])
+
+    def turned(self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float) -> TileOperator:
+        """The tile behind a slightly different lens.
+
+        Paths and directions change, amplitudes and what the transform leaves out do not.
+
+        Parameters
+        ----------
+        carrier
+            Of the tile's centre, as the tile was made of it.
+        changes
+            Of path and object-side cosines, in the order of its maps.
+        wavenumber_per_mm
+        """
+        if self._plans is None:
+            return self
+        result, change = copy(self), self._on_points(changes)
+        fine = changes.along(self._fine).each() if self._ways is not None else iter([change[0]])
+        turn = np.exp(1j * wavenumber_per_mm * next(iter(fine))).astype(self._dtype)
+        if self._ways is not None:
+            result._carried = self._carried * turn
+        else:
+            assert self._weights is not None
+            result._weights = self._weights * turn
+        result._point_at(self._on_points(carrier.maps)[2:] + change[1:])
+        return result
+
+    def _on_points(self, maps: SmoothMap) -> Array:
+        """Values of maps where the transform has its points, shape (functions, points)."""
+        return np.stack([values[self._needed] for values in maps.along(self._coarse).each()])
+
+    def _point_at(self, cosines: Array) -> None:
+        shape = self._tile_factors.shape
+        self._plans = _plans(cosines * self._per_cosine, shape, self._precision, self._threads)
 
     def _prepare_coarse(
         self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
@@ -186,10 +224,10 @@ class TileOperator:
         self._ways = along_y.astype(real), along_x.astype(real)
 
     def carried(self, values: NDArray) -> NDArray | None:
-        """The tile's field as its transform gives it, of values on the object; None where it is dark."""
+        """The tile's field as its transform gives it, of values on its part; None where it is dark."""
         if self._plans is None:
             return None
-        modes = np.ascontiguousarray(self._tile_factors * values[self.part])
+        modes = np.ascontiguousarray(self._tile_factors * values)
         spectrum = self._plans[0].execute(modes if len(modes) > 1 else modes[0])
         spectrum = np.atleast_2d(spectrum)
         if self._weights is not None:
@@ -230,26 +268,29 @@ class TileOperator:
         return np.asarray(np.sum(self._tile_factors.conj() * modes, axis=0))
 
 
-def carried_tiles(operators: Sequence[TileOperator], values: NDArray) -> Iterator[NDArray | None]:
-    """What each tile's :meth:`TileOperator.carried` gives; as many at a time as there are threads.
-
-    One transform in several threads takes several times its work where other processes run beside it.
-    """
-    for start in range(0, len(operators), THREADS):
-        yield from _at_once([partial(one.carried, values) for one in operators[start : start + THREADS]])
-
-
-def add_tiles_back(operators: Sequence[TileOperator], fields: Iterable[NDArray], result: NDArray) -> None:
-    """Add to the object what each tile's adjoint gives of a field of its own on the plane."""
-    own = iter(fields)
+def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
+    """Add the fields of all tiles of the object to the field on the plane."""
     for start in range(0, len(operators), THREADS):
         some = operators[start : start + THREADS]
-        parts = _at_once([partial(one.back, one.gathered(next(own))) for one in some])
+        fields = at_once([partial(one.carried, values[one.part]) for one in some])
+        for operator, field in zip(some, fields, strict=True):
+            operator.add(field, result)
+
+
+def add_tiles_back(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
+    """The conjugate transpose of :func:`add_tiles`: adds to the object."""
+    for start in range(0, len(operators), THREADS):
+        some = operators[start : start + THREADS]
+        parts = at_once([partial(one.back, one.gathered(values)) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
 
 
-def _at_once(works: Sequence[Callable[[], Part]]) -> list[Part]:
+def at_once(works: Sequence[Callable[[], Part]]) -> list[Part]:
+    """What works give, each in a thread.
+
+    One transform in several threads takes several times its work where other processes run beside it.
+    """
     return for_blocks(lambda number, _: works[number](), len(works), 1)
 
 

@@ -1,0 +1,76 @@
+"""Tiles turned by a slightly different lens, against tiles that were made of that lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_twins import bars_under_stop
+
+from lensdesign.lens.poses import Pose, SurfacePerturbation
+from wavesim.calibration.lens_changes import Changed, lens_changes
+from wavesim.calibration.turned_tiles import TurnedTiles
+from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.fields.field import Field
+from wavesim.scene.placement import Placement
+from wavesim.scene.scene import Scene, placed_scene
+
+WHAT = ("decenter", "tilt", "lens", "object farther")
+
+
+def changed(scene: Scene, what: str, size: float) -> Scene:
+    """The scene with a lens or an object that is not as it was; at 1, paths change by some radians."""
+    placement = {
+        "decenter": Placement(Pose(decenter_x_mm=5e-4 * size, decenter_y_mm=-3e-4 * size)),
+        "tilt": Placement(Pose(tilt_x_deg=0.05 * size, tilt_y_deg=-0.03 * size)),
+        "lens": Placement(
+            surface_perturbations={0: SurfacePerturbation(index=3e-4 * size, thickness_mm=4e-4 * size)}
+        ),
+        "object farther": Placement(object_shift_mm=(0.0, 0.0, -5e-4 * size)),
+    }[what]
+    return placed_scene(scene, placement)
+
+
+def made_of(scene: Scene, lit: Field) -> np.ndarray:
+    """The field behind tiles of the scene's own."""
+    there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
+    return EikonalTiles(scene, error=0.1, tile_width_mm=0.03).forward(there).values
+
+
+@pytest.fixture(scope="module")
+def near() -> tuple[EikonalTiles, Field]:
+    """Four tiles and more, so that each is narrow beside the object."""
+    scene, light, bars, _ = bars_under_stop()
+    engine = EikonalTiles(scene, error=0.1, tile_width_mm=0.03)
+    return engine, light.with_values(light.values * bars)
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_turned_tiles_are_those_of_the_changed_lens(near: tuple[EikonalTiles, Field], what: str) -> None:
+    engine, lit = near
+    scene = changed(engine.scene, what, 1.0)
+    made = made_of(scene, lit)
+    there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
+    turned = TurnedTiles(engine, scene).forward(there).values
+    change = np.linalg.norm(made - engine.forward(lit).values)
+    assert change > 0.05 * np.linalg.norm(made)
+    assert np.linalg.norm(turned - made) < 0.1 * change
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_changes_of_the_field_are_those_of_the_engine(near: tuple[EikonalTiles, Field], what: str) -> None:
+    engine, lit = near
+    step = 0.02
+    scene = changed(engine.scene, what, step)
+    found = lens_changes(engine, lit, [Changed(scene, step)], lambda one: EikonalTiles(one, error=0.1))[0]
+    change = (made_of(scene, lit) - engine.forward(lit).values) / step
+    assert np.linalg.norm(found - change) < 0.1 * np.linalg.norm(change)
+
+
+def test_turned_tiles_and_their_adjoint_agree(near: tuple[EikonalTiles, Field]) -> None:
+    engine, lit = near
+    turned = TurnedTiles(engine, changed(engine.scene, "decenter", 1.0))
+    field = turned.forward(lit)
+    there = turned.adjoint(field)
+    cells = engine.scene.object_grid.cell, engine.scene.exit_grid.cell
+    forth = np.vdot(field.values, field.values).real * cells[1]
+    assert forth == pytest.approx(np.vdot(there.values, lit.values).real * cells[0], rel=1e-4)
