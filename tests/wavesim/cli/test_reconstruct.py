@@ -321,3 +321,42 @@ def test_a_map_of_another_size_is_refused(
     assert code == 2
     assert "4 x 3 pixels; the frames have 216 x 216" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("flat", 0.0, "show no light beyond the dark count"),
+        ("dark", 60000.0, "must be a picture without light"),
+        ("bad-pixels", 1.0, "marks 100 % of the pixels as bad"),
+    ],
+)
+def test_a_map_that_cannot_be_is_refused_and_nothing_overwritten(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    data: Path,
+    tmp_path: Path,
+    option: str,
+    value: float,
+    message: str,
+) -> None:
+    np.save(tmp_path / "map.npy", np.full((216, 216), value))
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "reconstruction.json").write_text("kept")
+    code, _, err = run(monkeypatch, capsys, *usual(data), f"--{option}", tmp_path / "map.npy", "-o", out)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert [path.read_text() for path in out.iterdir()] == ["kept"]
+
+
+def test_frames_of_two_wavelengths_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], data: Path, tmp_path: Path
+) -> None:
+    frame = read_frame(data / "frame_2.tif")
+    write_frame(Frame(frame.counts, frame.settings.replaced(wavelength_um=0.6)), tmp_path / "red.tif")
+    frames = data / "frame_1.tif", tmp_path / "red.tif"
+    code, _, err = run(monkeypatch, capsys, *frames, *usual(data)[2:], "-o", tmp_path / "out")
+    assert code == 2
+    assert "red.tif: wavelength_um = 0.6; that of" in " ".join(err.split())
+    assert not (tmp_path / "out").exists()
