@@ -3,11 +3,13 @@
 A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
 object leaves. Each step of the search takes its direction from the normal equations of object and bench about
 that object, and its length from such reconstructions along it. Light's unevenness comes last: until the rest
-is right, anything explains it.
+is right, anything explains it; and so does the tilt of the sensor, of which frames tell least and which makes
+every reconstruction half as long again.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -39,10 +41,17 @@ ROUNDS = 6
 FOLLOWED = 2
 """Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
 
+LAST = "light_amplitude", "sensor_tilt"
+"""Beginnings of the names of parameters that are sought when the rest is right."""
+
 LONGEST, SHORTEST = 64.0, 0.05
 """Multiples of a step that are tried."""
 
-LEAST_GAINS = 0.05, 0.02
+NOT_TOLD_GAIN = 0.02
+"""Share of the squared misfit that tells nothing: the model's own errors leave as much. So much more of it is
+a standard deviation of what is sought, and so much costs a parameter that is as far off as is expected."""
+
+LEAST_GAINS = 0.05, NOT_TOLD_GAIN
 """A stage ends when a step lowers the squared misfit by less than this share; then the last one."""
 
 RUNAWAY = 4.0
@@ -79,18 +88,23 @@ class Told:
     Attributes
     ----------
     unknowns : Unknowns
-    deviations : ndarray
-        Standard deviation of each parameter, at least.
+    covariance : ndarray, shape (parameters, parameters)
+        Of what was found, with what was expected before.
     misfit : float
     trail : tuple of (Unknowns, float)
     stopped_because : str
     """
 
     unknowns: Unknowns
-    deviations: Array
+    covariance: Array
     misfit: float
     trail: tuple[tuple[Unknowns, float], ...]
     stopped_because: str
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviation of each parameter."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,22 +167,18 @@ class JointSearch:
         names = [p.name for p in self.parameters]
         model, transmission = self._at(stand.unknowns)
         joint = self._joint(stand.unknowns, model, transmission, self.parameters)
-        # No better than where the search ends: where the squared misfit has risen by as little.
-        variance = LEAST_GAINS[-1] * joint.linear.misfit**2
         left = joint.told_curvature(FOLLOWED if self.known is None else 0)
-        deviations = np.sqrt(np.clip(np.diag(np.linalg.inv(left)), 0.0, None) * variance)
-        typical = np.array([p.typical for p in self.parameters])
         values = stand.unknowns.of(names)
         return Told(
             stand.unknowns.changed(names, values.tolist()),
-            np.minimum(deviations, typical),
+            np.asarray(np.linalg.inv(left) * _variance(joint.linear.misfit), float),
             joint.linear.misfit,
             stand.trail,
             reason,
         )
 
     def _stages(self) -> list[tuple[Parameter, ...]]:
-        sure = tuple(p for p in self.parameters if not p.name.startswith("light_amplitude"))
+        sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
         stages = [sure, self.parameters] if len(sure) < len(self.parameters) else [self.parameters]
         return [stage for stage in stages if stage]
 
@@ -180,21 +190,19 @@ class JointSearch:
             joint = self._joint(stand.unknowns, model, transmission, parameters)
             misfit = joint.linear.misfit
             stand = self._told(stand, stand.unknowns, misfit)
-            if before is not None and misfit > before[1]:
+            price = self._price(stand.unknowns, misfit)
+            if before is not None and price > before[1]:
                 return replace(stand, unknowns=before[0]), "converged"
-            if (
-                before is not None
-                and 1.0 - (misfit / before[1]) ** 2 < LEAST_GAINS[parameters == self.parameters]
-            ):
+            if before is not None and 1.0 - price / before[1] < LEAST_GAINS[parameters == self.parameters]:
                 return stand, "converged"
-            before = stand.unknowns, misfit
+            before = stand.unknowns, price
             step = joint.solve(ROUNDS)
-            line = _Line(misfit)
+            line = _Line(price)
             while (length := line.next(stand.stretch)) is not None and len(stand.trail) < self.most_benches:
                 there = stand.unknowns.changed(names, (stand.unknowns.of(names) + length * step).tolist())
                 found = self._misfit(there, model.engine)
                 stand = self._told(stand, there, found)
-                line.add(length, found)
+                line.add(length, self._price(there, found))
             best, _ = line.best
             if best == 0.0:
                 return stand, "converged"
@@ -207,6 +215,15 @@ class JointSearch:
             if self.keep is not None:
                 self.keep(stand)
         return stand, "benches used up"
+
+    def _price(self, unknowns: Unknowns, misfit: float) -> float:
+        """The squared misfit, and more the farther values are from what is expected: sought at its least.
+
+        With a variance of the residuals that is unknown but for the misfit, a probability's logarithm.
+        """
+        values = unknowns.of([p.name for p in self.parameters])
+        off = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
+        return misfit**2 * math.exp(NOT_TOLD_GAIN * off)
 
     def _told(self, stand: Stand, unknowns: Unknowns, misfit: float) -> Stand:
         stand = replace(stand, trail=(*stand.trail, (unknowns, misfit)))
@@ -260,14 +277,6 @@ class JointSearch:
             self.active_width,
         )
 
-    def _variance(self, misfit: float) -> float:
-        """Of a residual: what is left, were it noise."""
-        known = sum(
-            float(np.isfinite(p.sigma).sum()) if p.sigma is not None else p.amplitude.size
-            for p in self.recorded
-        )
-        return max(misfit, self.noise_misfit or 0.0) ** 2 / known
-
     def _joint(
         self,
         unknowns: Unknowns,
@@ -279,7 +288,7 @@ class JointSearch:
         columns = self._columns(unknowns, linear, parameters)
         values = unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
-        variance, follows = self._variance(linear.misfit), self.known is None
+        variance, follows = _variance(linear.misfit), self.known is None
         return JointStep(linear, columns, values, typical, variance, transmission, follows)
 
     def _columns(
@@ -317,6 +326,11 @@ class JointSearch:
         return np.asarray((there / now - 1.0) / parameter.small)
 
 
+def _variance(misfit: float) -> float:
+    """Of the residuals' length along what a parameter does."""
+    return NOT_TOLD_GAIN * misfit**2
+
+
 def _moved(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
     here = unknowns.values.get(parameter.name, 0.0)
     return unknowns.changed([parameter.name], [here + parameter.small])
@@ -337,17 +351,17 @@ def _of_camera(linear: Linearised, name: str) -> RealArray:
 class _Line:
     """Lengths of a step that are tried: doubled while that helps, else cut down until it does."""
 
-    def __init__(self, misfit: float) -> None:
-        self._tried: dict[float, float] = {0.0: misfit}
+    def __init__(self, price: float) -> None:
+        self._tried: dict[float, float] = {0.0: price}
 
     @property
     def best(self) -> tuple[float, float]:
-        """Length and misfit."""
+        """Length and price."""
         return min(self._tried.items(), key=lambda one: one[1])
 
-    def add(self, length: float, misfit: float) -> None:
+    def add(self, length: float, price: float) -> None:
         """What was found at a length."""
-        self._tried[length] = misfit
+        self._tried[length] = price
 
     def next(self, stretch: float) -> float | None:
         """The length to be tried; None where the best is between others."""
