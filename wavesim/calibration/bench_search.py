@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
-from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.calibrated import Calibrated, traded
 from wavesim.calibration.joint_search import JointSearch, Stand
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
@@ -31,6 +31,7 @@ from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
@@ -147,7 +148,8 @@ def searched(
         run.keep,
     )
     try:
-        found = search.run(run.begun())
+        with one_blas_thread():
+            found = search.run(run.begun())
     except KeyboardInterrupt:
         told = "the same command goes on from there" if run.kept and folder else "nothing was written"
         raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
@@ -163,6 +165,7 @@ def searched(
         at_reach=(),
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
+        traded=traded(run.names, found.covariance),
     )
 
 

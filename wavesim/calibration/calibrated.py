@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from lensdesign.common.arrays import Array
 from lensdesign.common.notebook import html_table
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
@@ -19,6 +23,9 @@ from wavesim.scene.placement import Placement
 
 NOT_TOLD = 0.5
 """Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
+
+ALIKE = 0.5
+"""Correlation of two parameters' errors from which on frames do not tell one from the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +41,8 @@ class Calibrated:
     values : tuple of float
         What was found of each.
     deviations : tuple of float or None
-        Standard deviation of each as far as the linear model tells, no more than what is expected of it
-        before; None where the object was known.
+        Standard deviation of each as far as the linear model tells, with what is expected of it before; None
+        where the object was known.
     typical : tuple of float or None
         What is expected of each.
     misfit_before, misfit : float
@@ -49,6 +56,8 @@ class Calibrated:
         What ended the search.
     misfit_of_noise : float or None
         What the stated noise alone would leave (:func:`wavesim.camera.recorded.noise_misfit`).
+    traded : mapping
+        Of parameters that frames do not tell from others: names of the others.
     """
 
     bench: Bench
@@ -62,6 +71,7 @@ class Calibrated:
     at_reach: tuple[str, ...]
     stopped_because: str
     misfit_of_noise: float | None
+    traded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def mounting(self) -> Placement:
@@ -95,6 +105,7 @@ class Calibrated:
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "not_told": list(self.not_told),
+            "not_told_from": {name: list(others) for name, others in self.traded.items()},
             "parameters": list(self.parameters),
             "misfit_before": self.misfit_before,
             "misfit": self.misfit,
@@ -117,6 +128,17 @@ class Calibrated:
         told.append(("misfit", f"{self.misfit:.4g}, before {self.misfit_before:.4g}{noise}"))
         told.append(("search", f"{len(self.trail)} mountings, {self.stopped_because}"))
         return told + [("at the border", ", ".join(self.at_reach))] * bool(self.at_reach)
+
+
+def traded(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]]:
+    """For each parameter that has such, those with which its error goes along or against it."""
+    size = np.sqrt(np.diag(covariance))
+    alike = np.abs(covariance / np.outer(size, size)) >= ALIKE
+    found = {
+        name: tuple(o for o, is_so in zip(names, row, strict=True) if is_so and o != name)
+        for name, row in zip(names, alike, strict=True)
+    }
+    return {name: others for name, others in found.items() if others}
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:

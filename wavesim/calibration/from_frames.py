@@ -199,14 +199,15 @@ def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
     assert found.deviations is not None
     assert found.typical is not None
     count = len(measured.parameters) - len(found.parameters)
-    light = measured.values[:count]
+    names, light = measured.parameters[:count], measured.values[:count]
     return replace(
         found,
-        parameters=measured.parameters[:count] + found.parameters,
+        parameters=names + found.parameters,
         values=light + found.values,
         deviations=measured.deviations[:count] + found.deviations,
         typical=measured.typical[:count] + found.typical,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
+        traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
     )
 
 

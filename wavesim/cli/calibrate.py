@@ -106,7 +106,9 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         border = "  (at the border of the search)" if name in found.at_reach else ""
         told = "" if deviation is None else f"{deviation:.2g}"
         if name in found.not_told:
-            told = "not told by these frames"
+            told += ", not told"
+        if name in found.traded:
+            told += f", goes with {', '.join(found.traded[name])}"
         rows.append((name, f"{value:.5f}{border}", told))
     print_table(("bench as it is, from the design",), ("found", "standard deviation"), rows)
     noise = summary["misfit_of_noise"]
