@@ -37,8 +37,8 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
-CHECKPOINT = "checkpoint.npz"
-"""File in which a search keeps what it has tried."""
+CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
+"""Files in which a search keeps what it has tried, and one in frames without an object."""
 
 NOT_TELLING = {"patch_mm", "field_stop_mm", "object_pitch_um", "illumination", "most_mountings"}
 """Settings that a trail does not depend on, or that the light has in it already."""
@@ -92,7 +92,7 @@ def searched(
     seen: Seen,
     parameters: tuple[Parameter, ...],
     begin: Unknowns,
-    folder: Path | None,
+    kept_in: Path | None,
     tell: Progress,
     known: NDArray[Any] | None = None,
 ) -> Calibrated:
@@ -106,8 +106,8 @@ def searched(
         What is sought.
     begin
         Where the search begins, and what holds for the rest.
-    folder
-        Where what was tried is kept.
+    kept_in
+        File that keeps what was tried.
     tell
         Told how far it is.
     known
@@ -126,7 +126,7 @@ def searched(
     run = _Run(
         begin,
         tuple(p.name for p in parameters),
-        None if folder is None else Checkpoint(folder / CHECKPOINT, key),
+        None if kept_in is None else Checkpoint(kept_in, key),
     )
     what = "the frames as designed" if known is None else "the frames without an object"
     tell(what, 0, settings.most_mountings)
@@ -151,7 +151,7 @@ def searched(
         with one_blas_thread():
             found = search.run(run.begun())
     except KeyboardInterrupt:
-        told = "the same command goes on from there" if run.kept and folder else "nothing was written"
+        told = "the same command goes on from there" if run.kept and kept_in else "nothing was written"
         raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
     return Calibrated(
         bench=found.unknowns.bench,

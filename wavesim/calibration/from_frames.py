@@ -13,7 +13,7 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.bench_search import Seen, searched
+from wavesim.calibration.bench_search import CHECKPOINT, EMPTY_CHECKPOINT, Seen, searched
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.estimation import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
@@ -23,8 +23,7 @@ from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
 from wavesim.camera.recording import Progress
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
-from wavesim.scene.bench import Bench
-from wavesim.scene.placement import Placement
+from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
 SEEN_OVER_NOISE, SEEN = 4.0, 0.2
@@ -97,16 +96,16 @@ def calibrate_frames(
             raise SettingError(f"{{known}}, {{{other}}}: give one of them")
         known = read_object(known, seen.framed.patch) if isinstance(known, Path) else known
         return _mounting_alone(seen, known, tell)
-    begin = Unknowns(lens, Bench(seen.start))
+    begin, kept_in = Unknowns(lens, Bench(seen.start)), None if folder is None else folder / CHECKPOINT
     if empty is None:
-        return searched(seen, seen.parameters(), begin, folder, tell)
+        return searched(seen, seen.parameters(), begin, kept_in, tell)
     refuse_other_frames(empty, frames)
-    measured = calibrate_empty(lens, empty, settings, priors=priors, progress=progress)
+    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
     rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
     if not rest:
         return measured
     begin = begin.changed(measured.parameters, measured.values)
-    return _with_light_of(measured, searched(seen, rest, begin, folder, tell))
+    return _with_light_of(measured, searched(seen, rest, begin, kept_in, tell))
 
 
 def calibrate_empty(
@@ -114,8 +113,9 @@ def calibrate_empty(
     empty: Sequence[Frame],
     settings: CalibrationSettings | None = None,
     *,
-    start: Placement | None = None,
+    start: Bench | None = None,
     priors: Mapping[str, float] | None = None,
+    folder: Path | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> Calibrated:
@@ -125,12 +125,12 @@ def calibrate_empty(
 
     Parameters
     ----------
-    lens, settings, priors, progress, **changes
+    lens, settings, priors, folder, progress, **changes
         As of :func:`calibrate_frames`.
     empty
         The frames.
     start
-        How the lens is mounted, as far as that is not sought.
+        Lens, mounting and camera, as far as they are not sought; its light is left out.
 
     Raises
     ------
@@ -148,11 +148,15 @@ def calibrate_empty(
     everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)
     asked = seen.parameters(light_order=LIGHT_ORDER_ALONE)
     sought = tuple(p for p in everything if p.part == "light" or p in asked)
-    begin = Unknowns(lens, Bench(start or seen.start))
-    found = searched(seen, sought, begin, None, tell, np.ones(seen.framed.light.grid.shape, np.float32))
+    begin = Unknowns(lens, replace(start or Bench(seen.start), light=LightErrors()))
+    kept_in = None if folder is None else folder / EMPTY_CHECKPOINT
+    known = np.ones(seen.framed.light.grid.shape, np.float32)
+    found = searched(seen, sought, begin, kept_in, tell, known)
     noise = found.misfit_of_noise or 0.0
     over = found.over_noise
     if over > SEEN_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > SEEN:
+        if kept_in is not None:
+            kept_in.unlink(missing_ok=True)
         raise SettingError(
             f"{{empty}}: a smooth light leaves {over:.1f} times the noise of these frames: must be frames "
             "without an object, through this lens" + _HINT * (len(asked) < len(everything))

@@ -42,7 +42,7 @@ def calibrate(
     `wavesim reconstruct --calibration`. The exit status is 0 if the frames are explained within their noise,
     and 1 if they are not. An interrupted run goes on with the same command.
     """
-    from wavesim.calibration.bench_search import CHECKPOINT
+    from wavesim.calibration.bench_search import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.calibration.from_frames import calibrate_frames
     from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
@@ -62,7 +62,8 @@ def calibrate(
             folder=output,
             progress=tell,
         )
-    (output / CHECKPOINT).unlink(missing_ok=True)
+    for name in (CHECKPOINT, EMPTY_CHECKPOINT):
+        (output / name).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     told: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}

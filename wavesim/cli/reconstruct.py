@@ -66,6 +66,7 @@ def reconstruct(
     likely differs is tried and named. An interrupted run goes on with the same command from the last
     iterations that it kept.
     """
+    from wavesim.calibration.bench_search import EMPTY_CHECKPOINT
     from wavesim.calibration.calibrated import read_calibration
     from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
@@ -82,11 +83,6 @@ def reconstruct(
         raise InputError("--design: must be given; frames that no lens stands before take --free-space")
     if free.calibrate and calibration is not None:
         raise InputError("--calibrate, --calibration: give one of them")
-    if empty and calibration is not None:
-        raise InputError(
-            "--empty, --calibration: give one of them; `wavesim calibrate --empty` writes a calibration that "
-            "has the light in it"
-        )
     if priors is not None and not free.calibrate:
         raise InputError("--priors: means nothing without --calibrate")
     tell_memory = memory_teller(output)
@@ -104,7 +100,9 @@ def reconstruct(
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
             expected = read_priors(priors, lens)
-            calibrated = _calibrated(lens, pictures[0], without, expected, settings, folder, free.calibrate)
+            calibrated = _calibrated(
+                lens, pictures[0], without, expected, settings, folder, free.calibrate, bench
+            )
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -129,8 +127,9 @@ def reconstruct(
         "versions": versions(),
     }
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
-    for folder in (output, output / CALIBRATED):
-        (folder / CHECKPOINT).unlink(missing_ok=True)
+    searches = (output / CALIBRATED / name for name in (CHECKPOINT, EMPTY_CHECKPOINT))
+    for path in (output / CHECKPOINT, *searches):
+        path.unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
@@ -146,9 +145,14 @@ def _calibrated(
     settings: ReconstructionSettings,
     output: Path,
     calibrates: bool,
+    bench: Bench | None,
 ) -> Calibrated:
-    """The bench as frames tell it, or the light alone as empty ones do; goes on where it was cut off."""
+    """The bench as frames tell it, or the light alone as empty ones do; goes on where it was cut off.
+
+    With a bench that is calibrated already, the light alone is sought anew.
+    """
     from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, refuse_other_frames
+    from wavesim.scene.bench import Bench
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
     sought = CalibrationSettings(**given | {"kind": settings.kind})
@@ -158,8 +162,10 @@ def _calibrated(
                 lens, frames, sought, empty=empty, priors=priors, folder=output, progress=tell
             )
         refuse_other_frames(empty, frames)
-        start = Placement(settings.pose)
-        return calibrate_empty(lens, empty, sought, start=start, progress=tell, parameters="light")
+        start = bench or Bench(Placement(settings.pose))
+        return calibrate_empty(
+            lens, empty, sought, start=start, folder=output, progress=tell, parameters="light"
+        )
 
 
 def _told(

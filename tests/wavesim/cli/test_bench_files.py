@@ -13,6 +13,7 @@ from wavesim_command import ENDED, run_wavesim
 
 from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
+from wavesim.calibration.joint_search import JointSearch, Stand, Told
 from wavesim.camera.frames import write_frame
 from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field
@@ -73,6 +74,12 @@ def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: P
     light = json.loads((out / "calibration" / "calibration.json").read_text())
     assert light["object"] == "empty"
     assert light["values"]["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
+    mounted = {"mounting": {}, "values": {"surface_1_index": 1e-6, "light_tilt_x_deg": 9.0}}
+    (tmp_path / "lens.json").write_text(json.dumps(mounted))
+    both = "--empty", bench / "empty", "--calibration", tmp_path / "lens.json", "-o", tmp_path / "both"
+    code, text, err = run("reconstruct", *quick, *both)
+    assert code in ENDED, err
+    assert json.loads(text)["truth"]["object_correlation"] == pytest.approx(found, abs=1e-3)
     again = "--calibration", out / "calibration" / "calibration.json", "-o", tmp_path / "again"
     code, text, err = run("reconstruct", *quick, *again)
     assert code in ENDED, err
@@ -107,6 +114,33 @@ def test_what_cannot_serve_is_refused_and_nothing_written(
     assert code == 2
     assert message in " ".join(err.split())
     assert [path.read_text() for path in out.iterdir()] == ["kept"]
+
+
+def test_an_interrupted_search_of_the_light_goes_on(
+    run: Command, bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, began = JointSearch.run, []
+
+    def cut_off(search: JointSearch, stand: Stand) -> Told:
+        began.append(len(stand.trail))
+        if len(began) > 1:
+            raise KeyboardInterrupt
+        keep = search.keep
+
+        def kept(stand: Stand) -> None:
+            keep(stand)  # type: ignore[misc]
+            raise KeyboardInterrupt
+
+        return whole(replace(search, keep=kept), stand)
+
+    monkeypatch.setattr(JointSearch, "run", cut_off)
+    command = "calibrate", "--empty", bench / "empty", "--parameters", "light", "-o", tmp_path
+    for _ in range(2):
+        code, _, err = run(*command)
+        assert code == 130
+        assert "the same command goes on from there" in " ".join(err.split())
+    assert began[0] == 0 < began[1]
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint_empty.npz"]
 
 
 def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_path: Path) -> None:
