@@ -31,6 +31,7 @@ from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
 from wavesim.scene.engine import Engine
 from wavesim.scene.placement import Placement
@@ -39,6 +40,9 @@ from wavesim.scene.settings import CalibrationSettings, SettingError
 
 CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
 """Files in which a search keeps what it has tried, and one in frames without an object."""
+
+HELD = 6
+"""Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
 
 NOT_TELLING = {"patch_mm", "field_stop_mm", "object_pitch_um", "illumination", "most_mountings"}
 """Settings that a trail does not depend on, or that the light has in it already."""
@@ -117,10 +121,13 @@ def searched(
     ------
     InputError
         What the model raises where the search begins.
+    MemoryLimitError
+        If what the parameters do to all pixels takes more memory than is free.
     KeyboardInterrupt
         Saying what is kept.
     """
     settings, light = seen.settings, seen.framed.light
+    _refuse_too_large(len(parameters), seen)
     told = settings.model_dump_json(exclude=NOT_TELLING)
     key = key_of_frames(seen.lens, seen.framed.frames, light, told, repr((dict(begin.values), parameters)))
     run = _Run(
@@ -167,6 +174,18 @@ def searched(
         misfit_of_noise=noise,
         traded=traded(run.names, found.covariance),
     )
+
+
+def _refuse_too_large(count: int, seen: Seen) -> None:
+    """Refuse what memory does not hold: the change of each pixel with each parameter, `HELD` times over."""
+    pixels = sum(plane.amplitude.size for plane in seen.recorded)
+    needed, free = HELD * count * pixels * np.dtype(np.float32).itemsize, memory_limit(None)
+    if needed > free:
+        raise MemoryLimitError(
+            f"to seek {count} parameters in {pixels} pixels takes {1e-9 * needed:.3g} GB, and "
+            f"{1e-9 * free:.3g} GB are allowed: seek fewer of them (parameters), or in a smaller window of "
+            "the frames"
+        )
 
 
 def _misfit_told(misfit: float, noise: float | None) -> str:

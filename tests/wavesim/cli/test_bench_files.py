@@ -152,6 +152,16 @@ def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_pa
     assert [path.read_text() for path in tmp_path.iterdir()] == ["kept"]
 
 
+def test_more_than_memory_holds_is_refused(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wavesim.calibration.bench_search.memory_limit", lambda _: 2e6)
+    code, _, err = run("calibrate", "--parameters", "light", "-o", tmp_path / "out")
+    assert code == 2
+    assert "to seek 10 parameters in 39200 pixels takes 0.00941 GB, and 0.002 GB are" in " ".join(err.split())
+    assert not (tmp_path / "out").exists()
+
+
 def test_priors_need_a_package_that_reads_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wavesim.cli.bench_files.PRIORS", "nobody.gives.this")
     with pytest.raises(InputError, match="no package that reads a study is installed"):
