@@ -40,7 +40,8 @@ def _rows(folder: Path) -> list[Row]:
     found = calibrate_frames(lens, frames, patch_mm=about["patch_mm"])
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.bench)
-    print("\n".join(f"{name} = {value:.4g}" for name, value in found.table()["values"].items()))
+    for name, value, deviation in zip(found.parameters, found.values, found.deviations or (), strict=True):
+        print(f"{name} = {value:.4g} +- {deviation:.2g}")
     noise = found.misfit_of_noise or np.nan
     return [
         Row("correlation as designed", before.truth["object_correlation"] or 0.0),
