@@ -1,7 +1,8 @@
 """What each perturbation does alone: derivatives, changes at the tolerance, and what follows for a yield.
 
 A merit that is even in a perturbation, as the decenter of a centred lens makes most of them, has no
-derivative at nominal; so each merit is taken as a parabola of each perturbation, and perturbations add.
+derivative at nominal; so each merit is taken as a parabola of each perturbation, and perturbations add. Of a
+root mean square it is the squares that do.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ class Sensitivity:
     mean_shift, standard_deviation : ndarray, shape (d, m)
         What the perturbation adds to the merit's mean, and the standard deviation it brings, when it
         scatters by its distribution and the merit follows the parabola.
+    square_mean_shift, square_standard_deviation : ndarray, shape (d, m)
+        The same of the merit's square.
     """
 
     nominal: Array
@@ -53,6 +56,8 @@ class Sensitivity:
     residual: Array
     mean_shift: Array
     standard_deviation: Array
+    square_mean_shift: Array
+    square_standard_deviation: Array
 
     def worst_change(self, merits: Sequence[Merit]) -> Array:
         """Change for the worse within the tolerance, shape (d, m).
@@ -166,19 +171,28 @@ def fit_sensitivity(
     inner = change[:, 2] - change[:, 1]
     outer = change[:, 3] - change[:, 0]
     derivative = np.where(np.isfinite(outer), (8.0 * inner - outer) / 6.0, inner) / unit
-    coefficients, residual = _parabolas(change)
-    coefficients = coefficients / np.stack([np.ones_like(unit), unit, unit**2], axis=1)
-    c0, c1, c2 = np.moveaxis(coefficients, 1, 0)
+    per_unit = np.stack([np.ones_like(unit), unit, unit**2], axis=1)
     mu, s, k = (np.broadcast_to(v, largest.shape)[:, None] for v in (mean, standard_deviation, kurtosis))
-    variance = (c1 + 2.0 * c2 * mu) ** 2 * s**2 + c2**2 * (k - 1.0) * s**4
+
+    def moments(coefficients: Array) -> tuple[Array, Array]:
+        c0, c1, c2 = np.moveaxis(coefficients, 1, 0)
+        variance = (c1 + 2.0 * c2 * mu) ** 2 * s**2 + c2**2 * (k - 1.0) * s**4
+        return c0 + c1 * mu + c2 * (mu**2 + s**2), np.sqrt(variance)
+
+    coefficients, residual = _parabolas(change)
+    coefficients = coefficients / per_unit
+    shift, deviation = moments(coefficients)
+    square_shift, square_deviation = moments(_parabolas((change + base) ** 2 - base**2)[0] / per_unit)
     return Sensitivity(
         nominal=base,
         derivative=derivative,
         change=change,
         coefficients=coefficients,
         residual=residual,
-        mean_shift=c0 + c1 * mu + c2 * (mu**2 + s**2),
-        standard_deviation=np.sqrt(variance),
+        mean_shift=shift,
+        standard_deviation=deviation,
+        square_mean_shift=square_shift,
+        square_standard_deviation=square_deviation,
     )
 
 
@@ -189,6 +203,9 @@ def root_sum_square(sensitivity: Sensitivity, merits: Sequence[Merit]) -> Predic
     with this mean and deviation. Products of perturbations are left out, and a sum of few squares is not
     normal: hold it against trials with :func:`compare_with_trials`. A merit whose parabola is not known
     for some perturbation has no prediction (NaN).
+
+    Of a merit that adds in squares, squares take the place of scores, and their sum counts as gamma
+    distributed (Welch and Satterthwaite), as sums of squares of normal deviations nearly are.
     """
     from scipy.special import ndtr
 
@@ -197,7 +214,24 @@ def root_sum_square(sensitivity: Sensitivity, merits: Sequence[Merit]) -> Predic
     margin = np.array([float(merit.margin(mean[k])) for k, merit in enumerate(merits)])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(deviation == 0.0, np.where(margin >= 0.0, 1.0, 0.0), ndtr(margin / deviation))
+    for k, merit in enumerate(merits):
+        if merit.adds_in_squares and merit.at_most is not None:
+            mean[k], deviation[k], share[k] = _of_squares(sensitivity, k, merit.at_most)
     return Prediction(tuple(merits), sensitivity.nominal, mean, deviation, share)
+
+
+def _of_squares(sensitivity: Sensitivity, k: int, limit: float) -> tuple[float, float, float]:
+    """Mean, standard deviation and yield of a merit whose square is the sum of its perturbations' squares."""
+    from scipy.special import gammainc, gammaln
+
+    square = float(sensitivity.nominal[k] ** 2 + sensitivity.square_mean_shift[:, k].sum())
+    variance = float(np.sum(sensitivity.square_standard_deviation[:, k] ** 2))
+    if not (square > 0.0 and variance > 0.0):
+        root = math.sqrt(max(square, 0.0))
+        return root, 0.0 if square >= 0.0 else math.nan, float(root <= limit)
+    shape, scale = square**2 / variance, variance / square
+    mean = math.sqrt(scale) * math.exp(gammaln(shape + 0.5) - gammaln(shape))
+    return mean, math.sqrt(max(square - mean**2, 0.0)), float(gammainc(shape, limit**2 / scale))
 
 
 def compare_with_trials(

@@ -54,6 +54,7 @@ class Merit(Section):
     predicted_by: Name | None = None
 
     kind_unit: ClassVar[str] = ""
+    adds_in_squares: ClassVar[bool] = False
     levels: ClassVar[tuple[str, ...]] = ("pupil",)
     trials_per_chunk: ClassVar[int] = 16
 

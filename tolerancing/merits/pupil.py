@@ -111,6 +111,8 @@ class Strehl(PupilMerit):
 class RmsWaves(PupilMerit):
     """Root mean square of the reconstruction pupil's phase, in waves."""
 
+    adds_in_squares: ClassVar[bool] = True
+
     def score(self, pupil: ReconstructionPupil) -> float:
         from wavesim import rms_waves
 

@@ -15,6 +15,7 @@ from tolerancing.analysis.parabolas import (
     root_sum_square,
 )
 from tolerancing.merits.base import Merit
+from tolerancing.merits.pupil import RmsWaves
 from tolerancing.study.sweep import STEPS
 
 AT_LEAST = Merit(kind="contrast", at_least=0.7)
@@ -126,3 +127,25 @@ def test_trials_without_a_score_count_as_bad():
 def test_tolerances_must_be_above_zero(value):
     with pytest.raises(InputError, match="perturbation 2"):
         fit_sensitivity([0.0], np.zeros((2, len(STEPS), 1)), [1.0, value], [1.0, 1.0])
+
+
+def test_a_root_mean_square_adds_in_squares():
+    """Of independent normal deviations: its square is the sum of theirs, nearly gamma distributed."""
+    rng = np.random.default_rng(1)
+    slopes, deviation = np.array([1.0, 0.7, 0.5]), np.array([0.05, 0.06, 0.04])
+    merit = RmsWaves(kind="rms_waves", at_most=0.08)
+    s = measure(lambda x: np.sqrt(np.sum((slopes * x) ** 2, axis=1))[:, None], 2.0 * deviation, deviation)
+    prediction = root_sum_square(s, [merit])
+    scores = np.sqrt(np.sum((slopes * deviation * rng.normal(size=(200_000, 3))) ** 2, axis=1))
+    assert prediction.mean[0] == pytest.approx(scores.mean(), rel=0.01)
+    assert prediction.standard_deviation[0] == pytest.approx(scores.std(), rel=0.05)
+    assert prediction.share[0] == pytest.approx(np.mean(scores <= 0.08), abs=0.01)
+
+
+def test_nothing_but_an_offset_has_no_spread():
+    merit = RmsWaves(kind="rms_waves", at_most=0.08)
+    s = measure(lambda x: np.full((len(x), 1), 0.05), [1.0], [0.3])
+    prediction = root_sum_square(s, [merit])
+    assert prediction.mean[0] == pytest.approx(0.05)
+    assert prediction.standard_deviation[0] == 0.0
+    assert prediction.share[0] == 1.0

@@ -216,7 +216,8 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
     ]  # fmt: skip
     caption = (
         "Root sum square: mean shifts add, standard deviations add in squares, scores count as normally "
-        "distributed; products of perturbations are left out. ± is the standard error of the mean."
+        "distributed; of a root mean square it is the squares that add. Products of perturbations are left "
+        "out. ± is the standard error of the mean."
     )
     if data.study.correlations or any(p.group for p in data.study.perturbations):
         caption += " Perturbations count as independent, though some of this study are not."
