@@ -18,6 +18,7 @@ from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.registry import merit_from_table
+from tolerancing.perturbations import draws
 from tolerancing.perturbations.dependence import Correlation
 from tolerancing.perturbations.parameters import perturbation_from_table
 from tolerancing.study.slice_counts import SliceCounts
@@ -64,12 +65,14 @@ class LoadedStudy:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Digest of all that scores depend on: the files, and the lens's refractive indices."""
+        """Digest of all that scores depend on: files, refractive indices, how trials are drawn."""
         digest = hashlib.sha256(self.name.encode())
         for name, content in sorted(self.files.items()):
             digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
         indices = [self.lens.indices(w).tolist() for w in self.lens.wavelengths_um]
         digest.update(repr(indices).encode())
+        if self.study.draws != "random":
+            digest.update(f"\0{draws.REPLICATES} designs".encode())
         return digest.hexdigest()
 
     @property

@@ -7,6 +7,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import DesignError
+from tolerancing.perturbations import draws
 from tolerancing.study.files import load_from_files, load_study, save_study
 
 
@@ -145,6 +146,18 @@ def test_sections_must_be_arrays_of_tables(write_study, full_study):
     path = write_study(full_study.replace("[[merit]]", "[merit]", 1).replace("[[merit]]", "[other]"))
     with pytest.raises(DesignError, match=r"merit: must be tables, each headed \[\[merit\]\]"):
         load_study(path)
+
+
+def test_fingerprint_follows_how_trials_are_drawn(write_study, full_study, monkeypatch):
+    """A store whose trials were drawn by other designs is not gone on with."""
+    assert "draws" not in full_study
+    plain = full_study.replace("seed = 7", 'seed = 7\ndraws = "random"')
+    designed = plain.replace('"random"', '"sobol"')
+    before = [load_study(write_study(text)).fingerprint for text in (plain, designed)]
+    monkeypatch.setattr(draws, "REPLICATES", 8)
+    after = [load_study(write_study(text)).fingerprint for text in (plain, designed)]
+    assert after[0] == before[0]
+    assert after[1] != before[1]
 
 
 def test_fingerprint_follows_study_design_and_indices(write_study, full_study):
