@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -16,7 +16,6 @@ from tolerancing.merits.compensators import ROUNDS, STEP_SHARE, Compensator
 from tolerancing.merits.context import Context
 from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch
-from wavesim.scene.settings import Kind
 
 if TYPE_CHECKING:
     from wavesim.pupil import LinearisedChain
@@ -45,7 +44,7 @@ class ReconstructionLoss(PupilMerit):
     """
 
     patch_mm: Positive
-    object: Kind = "amplitude"
+    object: Literal["amplitude", "complex"] = "amplitude"
     planes_mm: tuple[Positive, ...] = ()
     electrons: Annotated[float, Field(ge=10.0, le=1e9)] = 1e4
 
