@@ -13,7 +13,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import atomic_path
 from lensdesign.exploration.front import Explored, front_of
 from lensdesign.exploration.objectives import Axis, Objective
-from lensdesign.pictures.charts import BEYOND, INK, label_axes, white_figure
+from lensdesign.pictures.charts import INK, label_axes, white_figure
 from lensdesign.pictures.plots import write_figure
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ WIDTH, HEIGHT, MARGIN = 860, 520, 96
 TICKS = 6
 
 
-def front_figure(
-    explored: Sequence[Explored], axes: Sequence[Axis], given: dict[str, float] | None = None
-) -> Figure:
+def front_figure(explored: Sequence[Explored], axes: Sequence[Axis]) -> Figure:
     """The front over its first and last objective, glass by glass; lenses behind it are pale.
 
     Parameters
@@ -35,8 +33,6 @@ def front_figure(
         Ends of searches.
     axes
         What was weighed.
-    given
-        Values of a lens to be marked among them, by column.
     """
     figure = white_figure((7.6, 4.8))
     plot = figure.add_subplot()
@@ -49,8 +45,6 @@ def front_figure(
             own = [one for one in lenses if one.glasses == glasses and (one.key in front) == on]
             at = np.array([[one.values[o.column] for o in (across, up)] for one in own]).reshape(-1, 2)
             plot.plot(*at.T, "o", color=color, alpha=alpha, ms=5.0, label=label if len(own) else None)
-    if given and across.column in given and up.column in given:
-        plot.plot(given[across.column], given[up.column], "*", color=BEYOND, ms=13.0, label="this lens")
     plot.grid(color="#E4E4E4", lw=0.6)
     plot.set_axisbelow(True)
     label_axes(plot, named(across), named(up))

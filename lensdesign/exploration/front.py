@@ -216,7 +216,7 @@ class Exploration:
         point = best.outcome.point
         try:
             lens = finished_lens(best.problem, point, best.rays)
-            values = values_of(self.axes, best.problem, point, best.rays)
+            values = values_of(self.axes, lens, best.problem, point, best.rays)
         except DesignError:
             return Explored(key, glasses, {}, (), None)
         return Explored(key, glasses, values, tuple(point.tolist()), lens)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.problem import DesignProblem, finished_lens
+from lensdesign.optimization.problem import DesignProblem, Rays
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,10 @@ def _axis(text: str, specification: Specification) -> Axis:
     return Axis(objective)
 
 
-def values_of(axes: Sequence[Axis], problem: DesignProblem, point: np.ndarray, rays: Any) -> dict[str, float]:
-    """What a lens is worth by each objective, in the units of their columns."""
-    lens = finished_lens(problem, point, rays)
+def values_of(
+    axes: Sequence[Axis], lens: Lens, problem: DesignProblem, point: np.ndarray, rays: Rays
+) -> dict[str, float]:
+    """What the finished lens of a point is worth by each objective, in the units of their columns."""
     state = problem.state(point, rays, derivatives=False)
     found = {}
     for axis in axes:

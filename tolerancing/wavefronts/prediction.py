@@ -163,20 +163,10 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
     """
     _refuse_compensators(study)
     judged = judged_points(study) if points is None else tuple(points)
-    sizes = np.array([p.tolerance for p in study.perturbations])
-    own = replace_draws(study, DRAWS)
-    batch = realise(own, range(DRAWS))
+    batch = realise(replace_draws(study, DRAWS), range(DRAWS))
     squares, found = np.empty((DRAWS, len(judged))), []
     for k, point in enumerate(judged):
-        known = differentials(
-            lens,
-            study.perturbations,
-            sizes,
-            [point.field_mm],
-            wavelength_um=point.wavelength_um,
-            plane_distance_mm=study.sampling.plane_distance_mm,
-            pivot_z_mm=study.pivot_z_mm,
-        )
+        known = _known(lens, study, point, second=True)
         amounts = known.changes.amounts(batch)
         squares[:, k] = mean_squares(known, amounts)
         found.append(_point(known, amounts, point, squares[:, k]))
@@ -213,20 +203,10 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     """
     _refuse_compensators(study)
     judged = judged_points(study)
-    sizes = np.array([p.tolerance for p in study.perturbations])
     batch = realise(replace_draws(study, DRAWS), range(DRAWS))
     forms, limits = [], np.array([point.limit_waves**2 for point in judged])
     for point in judged:
-        known = differentials(
-            lens,
-            study.perturbations,
-            sizes,
-            [point.field_mm],
-            wavelength_um=point.wavelength_um,
-            plane_distance_mm=study.sampling.plane_distance_mm,
-            pivot_z_mm=study.pivot_z_mm,
-            second=False,
-        )
+        known = _known(lens, study, point, second=False)
         forms.append(first_order(known))
     amounts = known.changes.amounts(batch)
 
@@ -239,6 +219,20 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     return tuple(
         Loosened(p.column, good(columns, 0.5), good(columns, 2.0))
         for p, columns in zip(study.perturbations, known.changes.columns, strict=True)
+    )
+
+
+def _known(lens: Lens, study: Study, point: Judged, second: bool) -> Differentials:
+    """Derivatives at one object point by all that a study perturbs."""
+    return differentials(
+        lens,
+        study.perturbations,
+        np.array([p.tolerance for p in study.perturbations]),
+        [point.field_mm],
+        wavelength_um=point.wavelength_um,
+        plane_distance_mm=study.sampling.plane_distance_mm,
+        pivot_z_mm=study.pivot_z_mm,
+        second=second,
     )
 
 

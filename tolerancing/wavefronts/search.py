@@ -21,6 +21,7 @@ from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.tracing.bundles import pupil_rings
 from lensdesign.tracing.gradients import GradientTrace, Variable
 from tolerancing.analysis.yields import yield_of
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.study.evaluate import context_of, realise
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
@@ -34,7 +35,7 @@ from tolerancing.wavefronts.derivatives import (
     weights_over_stop,
 )
 from tolerancing.wavefronts.paths import Paths
-from tolerancing.wavefronts.prediction import judged_points, predict, replace_draws
+from tolerancing.wavefronts.prediction import Judged, judged_points, predict, replace_draws
 from tolerancing.wavefronts.system import Changes, changes_of
 
 SEARCH_DRAWS = 2048
@@ -79,7 +80,7 @@ class StudyAsBuilt:
         return replace(self, study=self.study.model_copy(update={"perturbations": wide}))
 
     @cached_property
-    def judged(self) -> tuple:
+    def judged(self) -> tuple[Judged, ...]:
         """Object points and their limits."""
         return judged_points(self.study)
 
@@ -93,8 +94,8 @@ class StudyAsBuilt:
         return np.array([p.tolerance for p in self.study.perturbations])
 
     @cached_property
-    def _drawn(self) -> tuple:
-        return (realise(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS)),)
+    def _drawn(self) -> PerturbationBatch:
+        return realise(replace_draws(self.study, SEARCH_DRAWS), range(SEARCH_DRAWS))
 
     def check(self, lens: Lens) -> None:
         """Refuse tolerances of what a lens does not have.
@@ -125,7 +126,7 @@ class StudyAsBuilt:
             return untraceable(len(self.judged), len(variables))
         if not forms.ok:
             return untraceable(len(self.judged), len(variables))
-        amounts = forms.changes.amounts(self._drawn[0])
+        amounts = forms.changes.amounts(self._drawn)
         moments = amounts.T @ amounts / len(amounts)
         squares = np.sum(forms.values * moments, axis=(1, 2))
         rms = np.sqrt(squares)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.style import BLUE, GREY, RED, styled, styled_figure
+
+if TYPE_CHECKING:
+    from tolerancing.wavefronts.prediction import WavefrontPrediction
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,8 @@ def designed_section(
     front
         Lenses of an exploration.
     """
-    blocks = [*_beside(data, before), *_predicted(data), *_on_front(data, front)]
+    found = _prediction(data)
+    blocks = [*_beside(data, before), *_predicted(data, found), *_on_front(data, front, found)]
     return [Heading("Designed for it"), *blocks] if blocks else []
 
 
@@ -107,13 +111,22 @@ def _beside(data: ReportData, before: Summary | None) -> list[Block]:
     return [table(headings, rows, f"This lens beside the start: {title}.")]
 
 
-def _predicted(data: ReportData) -> list[Block]:
-    from tolerancing.wavefronts.prediction import loosen_each, predict
+def _prediction(data: ReportData) -> WavefrontPrediction | None:
+    """What is predicted of the lens; None where nothing of the study can be."""
+    from tolerancing.wavefronts.prediction import predict
 
     try:
-        found, loosened = predict(data.lens, data.study), loosen_each(data.lens, data.study)
+        return predict(data.lens, data.study)
     except InputError:
+        return None
+
+
+def _predicted(data: ReportData, found: WavefrontPrediction | None) -> list[Block]:
+    from tolerancing.wavefronts.prediction import loosen_each
+
+    if found is None:
         return []
+    loosened = loosen_each(data.lens, data.study)
     points = [
         [
             "({:g}, {:g})".format(*p.judged.field_mm),
@@ -155,10 +168,12 @@ def _predicted(data: ReportData) -> list[Block]:
     return blocks
 
 
-def _on_front(data: ReportData, front: Front | None) -> list[Block]:
+def _on_front(data: ReportData, front: Front | None, found: WavefrontPrediction | None) -> list[Block]:
     if front is None:
         return []
-    own = _own_values(data)
+    own = {"thickness_mm": data.lens.exit_vertex_z_mm}
+    if found is not None:
+        own["as_built_rms_waves"] = max(p.first_order_rms_waves for p in found.points)
     with styled():
         figure = styled_figure(4.7, 3.0)
         axis = figure.subplots()
@@ -173,14 +188,3 @@ def _on_front(data: ReportData, front: Front | None) -> list[Block]:
         axis.legend(fontsize=8)
     text = "Lenses of the same specification of which none is better in everything, and this one."
     return [FigureBlock((Panel(figure, text),), caption=text)]
-
-
-def _own_values(data: ReportData) -> dict[str, float]:
-    from tolerancing.wavefronts.prediction import predict
-
-    values = {"thickness_mm": data.lens.exit_vertex_z_mm}
-    try:
-        points: Sequence = predict(data.lens, data.study).points
-    except InputError:
-        return values
-    return values | {"as_built_rms_waves": max(p.first_order_rms_waves for p in points)}
