@@ -13,7 +13,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
-from wavesim.calibration.joint_search import JointSearch, Stand
+from wavesim.calibration.joint.search import JointSearch, Stand
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
     Parameter,

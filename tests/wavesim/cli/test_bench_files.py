@@ -13,7 +13,7 @@ from wavesim_command import ENDED, run_wavesim
 
 from lensdesign import InputError, load_design, save_design, scaled
 from wavesim import image
-from wavesim.calibration.joint_search import JointSearch, Stand, Told
+from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.camera.frames import write_frame
 from wavesim.cli.bench_files import read_priors
 from wavesim.fields.files import write_field

@@ -14,7 +14,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration import bench_search
 from wavesim.calibration.calibrated import read_calibration
-from wavesim.calibration.joint_search import JointSearch, Stand, Told
+from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import from_frames
 from wavesim.scene.bench import Bench

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint_step import JointStep
-from wavesim.calibration.lens_changes import Changed, lens_changes
-from wavesim.calibration.linearised import Linearised, RealArray
+from wavesim.calibration.joint.lens_changes import Changed, lens_changes
+from wavesim.calibration.joint.linearised import Linearised, RealArray
+from wavesim.calibration.joint.step import JointStep
+from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
-from wavesim.calibration.turned_tiles import TurnedTiles
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.tiles.engine import EikonalTiles

@@ -7,8 +7,8 @@ import pytest
 from small_twins import bars_under_stop
 
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from wavesim.calibration.lens_changes import Changed, lens_changes
-from wavesim.calibration.turned_tiles import TurnedTiles
+from wavesim.calibration.joint.lens_changes import Changed, lens_changes
+from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
 from wavesim.scene.placement import Placement

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wavesim.calibration.lens_changes import ray_changes
+from wavesim.calibration.joint.lens_changes import ray_changes
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.operator import TileOperator, add_tiles, add_tiles_back
 from wavesim.scene.engine import Cost, Engine, Neglected

@@ -14,7 +14,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import read_calibration, traded
-from wavesim.calibration.joint_search import JointSearch, Stand, Told
+from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded, noise_misfit

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_twins import small_twin
 
-from wavesim.calibration.linearised import Linearised
+from wavesim.calibration.joint.linearised import Linearised
 from wavesim.camera.recorded import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 

@@ -1,0 +1,1 @@
+"""Object and bench together, from the frames alone."""
