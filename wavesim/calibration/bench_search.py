@@ -13,7 +13,9 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
+from wavesim.calibration.joint.pixels import AllPixels, Pixels
 from wavesim.calibration.joint.search import JointSearch, Stand
+from wavesim.calibration.joint.some_pixels import pixels_apart, some_pixels
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
     Parameter,
@@ -30,6 +32,7 @@ from wavesim.camera.patch_of_frames import framed_patch, key_of_frames
 from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import exit_scene, imaging_engine
+from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
@@ -65,6 +68,12 @@ class Seen:
         self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
         self._behind = light_of_frames(self.scene, framed.frames, framed.light)
         self._made: dict[str, Engine] = {}
+        light = framed.light.with_values(framed.light.values.astype(np.complex64))
+        told = self.recorded, settings.scale, settings.active_width, self.make
+        self.pixels: Pixels = AllPixels(self.scene, light, *told)
+        apart = pixels_apart(framed.patch, self.scene)
+        if apart > 1 and settings.engine == EikonalTiles.name:
+            self.pixels = some_pixels(self.pixels, framed.frames, apart) or self.pixels
 
     def make(self, scene: Scene) -> Engine:
         """The same scene is asked for more than once in a row."""
@@ -137,17 +146,12 @@ def searched(
     )
     what = "the frames as designed" if known is None else "the frames without an object"
     tell(what, 0, settings.most_mountings)
-    noise = noise_misfit(seen.recorded)
+    noise = noise_misfit(seen.pixels.recorded)
     search = JointSearch(
-        seen.scene,
-        light.with_values(light.values.astype(np.complex64)),
-        seen.recorded,
+        seen.pixels,
         settings.kind,
-        settings.scale,
-        settings.active_width,
         parameters,
         settings.iterations,
-        seen.make,
         settings.most_mountings,
         noise,
         known,
@@ -178,7 +182,7 @@ def searched(
 
 def _refuse_too_large(count: int, seen: Seen) -> None:
     """Refuse what memory does not hold: the change of each pixel with each parameter, `HELD` times over."""
-    pixels = sum(plane.amplitude.size for plane in seen.recorded)
+    pixels = sum(plane.amplitude.size for plane in seen.pixels.recorded)
     needed, free = HELD * count * pixels * np.dtype(np.float32).itemsize, memory_limit(None)
     if needed > free:
         raise MemoryLimitError(

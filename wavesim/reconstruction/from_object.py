@@ -20,7 +20,6 @@ gradient schemes", Found. Comput. Math. 15, 715 (2015).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -29,11 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
-from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.camera.recorded import Recorded, amplitude_unit, in_unit, noise_misfit, power_of_two
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import refuse_planes
 from wavesim.reconstruction.memory import Sizes, step_array
+from wavesim.reconstruction.recording.refusals import refuse_numbers, refuse_others
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
@@ -163,6 +161,7 @@ def reconstruct(
     keep: Callable[[Progressed], None] | None = None,
     scratch: Scratch | None = None,
     modes: Sequence[SourceMode] = (),
+    rows: Sequence[slice] = (),
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -207,6 +206,8 @@ def reconstruct(
     modes
         Of the light, if its source is wide (:meth:`wavesim.scene.Source.modes`): each goes through the engine
         of its own.
+    rows
+        Of the engine's exit grid, those of each plane's pixels, if it carries light straight to them.
 
     Raises
     ------
@@ -214,15 +215,8 @@ def reconstruct(
         If a value or a shape is not usable, planes are in different units, modes are of other wavelengths
         than the illumination, or the disk that holds the scratch files is full.
     """
-    _refuse(engine, illumination, recorded, kind, tv_weight, iterations, scale)
-    if not (start is None or start == "amplitude" or isinstance(start, Field)):
-        raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
-    if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
-        raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
-    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
-        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")
-    if not 0.0 <= active_width <= 1.0:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
+    refuse_numbers(kind, tv_weight, iterations, scale, active_width)
+    refuse_others(engine.scene, illumination, recorded, start, modes, rows)
     scratch = scratch or Scratch()
     unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
     if light_unit != 1.0:
@@ -231,7 +225,14 @@ def reconstruct(
         )
     recorded = in_unit(recorded, unit)
     model = RecordingModel(
-        engine, illumination, recorded, scale and scale * light_unit / unit, active_width, scratch, modes
+        engine,
+        illumination,
+        recorded,
+        scale and scale * light_unit / unit,
+        active_width,
+        scratch,
+        modes,
+        rows,
     )
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     distances = tuple(plane.distance_mm for plane in recorded)
@@ -330,7 +331,12 @@ class _Descent:
         )
 
     def _is_far(self, state: Progressed) -> bool:
-        """Whether the misfit was more than noise leaves, as far as that is known."""
+        """Whether the misfit was more than noise leaves, as far as that is known.
+
+        Where planes do not share a field behind the lens, they cannot go down the misfit together by itself.
+        """
+        if self.model.rows:
+            return False
         known = self.misfit_of_noise is not None and state.misfit
         return not known or state.misfit[-1] > FAR * (self.misfit_of_noise or 0.0)
 
@@ -368,29 +374,3 @@ def _uphill(now: Array, ahead: Array, after: Array) -> bool:
     blocks = (slice(start, start + FEW_ROWS) for start in range(0, len(now), FEW_ROWS))
     along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
     return sum(float(one.real) for one in along) > 0.0
-
-
-def _refuse(
-    engine: Operator,
-    illumination: Field,
-    recorded: Sequence[Recorded],
-    kind: str,
-    tv_weight: float | str,
-    iterations: int,
-    scale: float | None,
-) -> None:
-    if illumination.grid != engine.scene.object_grid:
-        raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
-    if not np.any(np.abs(illumination.values) > 0.0):
-        raise InputError("illumination: is all dark")
-    if not recorded:
-        raise InputError("recorded: must be one plane at least")
-    refuse_planes(recorded, engine.scene.exit_grid.shape, "the exit grid's")
-    refuse_other("kind", kind, ("complex", "amplitude"))
-    if tv_weight != "auto" and (
-        isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
-    ):
-        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
-    refuse_not_whole("iterations", iterations, 1)
-    if scale is not None:
-        refuse_not_positive("scale", scale)

@@ -27,7 +27,13 @@ from wavesim.camera.recorded import Recorded, full_weight_sigma, weights_of
 from wavesim.fields.field import Field
 from wavesim.fields.slight_tilts import way_to
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
-from wavesim.reconstruction.recording.planes import ROWS, FieldBehind, PlaneRecord, add_share
+from wavesim.reconstruction.recording.planes import (
+    EVERY_ROW,
+    ROWS,
+    FieldBehind,
+    PlaneRecord,
+    add_share,
+)
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.bench import LightErrors
@@ -53,6 +59,9 @@ class RecordingModel:
         Where arrays that are kept lie; in memory if left out.
     modes
         Of the light, if its source is wide, all of one wavelength; one mode if left out.
+    rows
+        Of the exit grid, for each plane those in which the engine gives the field on its pixels, which then
+        are points, and at no distance; left out, planes are reached through free space from the whole grid.
     """
 
     def __init__(
@@ -64,8 +73,9 @@ class RecordingModel:
         active_width: float = 0.0,
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
+        rows: Sequence[slice] = (),
     ) -> None:
-        self.engine, self.illumination, self.recorded = engine, illumination, recorded
+        self.engine, self.illumination, self.recorded, self.rows = engine, illumination, recorded, rows
         self.modes = modes if len(modes) > 1 else ()
         power = np.abs(illumination.values)
         power *= power
@@ -81,8 +91,8 @@ class RecordingModel:
         ]
         least = full_weight_sigma(recorded)
         self._planes = [
-            PlaneRecord.of(one, way, least, self.real, scratch or Scratch())
-            for one, way in zip(recorded, self.ways, strict=True)
+            PlaneRecord.of(one, way, part, least, self.real, scratch or Scratch())
+            for one, way, part in zip(recorded, self.ways, rows or [EVERY_ROW] * len(recorded), strict=True)
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
         self.scale, self.fits_scale = scale or 1.0, False
@@ -150,6 +160,10 @@ class RecordingModel:
                 row[:] = size * random.standard_normal(len(row))
             for row in noise:
                 row *= np.exp(2j * np.pi * random.random(len(row)))
+            if plane.rows != EVERY_ROW:
+                total = np.zeros(shape, self.dtype) if total is None else total
+                total[plane.rows] += noise
+                continue
             part = noise.reshape(shape)
             if not plane.way.is_none:
                 part = scipy.fft.ifftn(plane.way.back(part), workers=-1, overwrite_x=True)
@@ -170,12 +184,12 @@ class RecordingModel:
                 self._fit_scale(plane.products(behind.intensity(plane)) for plane in self._planes)
             intensities = (behind.intensity(plane) for plane in self._planes)
         results = []
-        for plane, seen in zip(self._planes, intensities, strict=True):
+        for plane, one, seen in zip(self._planes, self.recorded, intensities, strict=True):
             seen *= seen.dtype.type(self.scale**2)
             if plane.background.size:
                 seen += plane.background
             np.sqrt(seen, out=seen)
-            results.append(seen.reshape(self.engine.scene.exit_grid.shape))
+            results.append(seen.reshape(one.amplitude.shape))
         return results
 
     def _at_exit(self, transmission: NDArray[Any], light: Field) -> ComplexArray:

@@ -15,7 +15,9 @@ from lensdesign.lens.lens import Lens
 from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.joint.some_pixels import SomePixels
 from wavesim.camera.frames import Frame
+from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.settings import CalibrationSettings
 
@@ -102,3 +104,24 @@ def test_frames_of_another_light_pitch_or_plane_are_refused(
     other = [replace(frame, settings=frame.settings.replaced(**change)) for frame in empty]
     with pytest.raises(InputError, match=message):
         calibrate_frames(lens, star, SETTINGS, empty=other)
+
+
+def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames are made with every pixel, through one field behind the lens."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 16)
+    bench = Bench(plane_shifts_um=((0.0, 0.0), (4.0, -3.0)))
+    small: dict[str, Any] = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
+    frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0, 1000.0), **small).frames
+    taken: list[int] = []
+
+    def spied(self: SomePixels, *given: Any) -> RecordingModel:
+        taken.append(self.recorded[0].amplitude.shape[0])
+        return model(self, *given)
+
+    model = SomePixels.model
+    monkeypatch.setattr(SomePixels, "model", spied)
+    names = "plane_2_shift_x_um,plane_2_shift_y_um"
+    found = calibrate_frames(lens, frames, parameters=names, most_mountings=8, iterations=4, **small)
+    assert set(taken) == {taken[0]}
+    assert 1.9 < frames[0].counts.shape[0] / taken[0] < 4.5
+    assert found.values == pytest.approx((4.0, -3.0), abs=0.3)

@@ -1,40 +1,32 @@
-"""What a small change of the lens does to the field behind it.
-
-A ray's path is stationary: to first order a change of the lens changes the path from an object point to a
-sensor point by what the changed lens's rays show there, and nothing else. A tile's field is multiplied by
-i k times that of its centre; away from it the path changes by the change of the direction in which rays leave
-the object, times the distance from the centre.
-"""
+"""What a small change of the lens, or of where the sensor sits, does to the field behind it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError
+from wavesim.calibration.joint.ray_changes import ON_GRID, Seat, ray_changes
+from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import Tile
+from wavesim.engines.tiles.operator import Tile, at_once
 from wavesim.fields.field import Field
-from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
-from wavesim.rays.ray_bundles import trace_bundle
-from wavesim.runtime.threads import one_blas_thread
+from wavesim.rays.maps import RayMap
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
-ORDER = 10
-"""Of the polynomials through changes of path, which are smooth."""
-
 
 class Changed(NamedTuple):
-    """A scene with a slightly changed lens or object, and by how much of its parameter."""
+    """A scene whose lens, object or sensor is slightly changed, and by how much of its parameter."""
 
     scene: Scene
     step: float
+    seat: Seat = ON_GRID
 
 
 def lens_changes(
@@ -58,15 +50,19 @@ def lens_changes(
     InputError
         If the rays of a changed lens do not arrive.
     """
-    if not isinstance(engine, EikonalTiles):
+    if not isinstance(engine, EikonalTiles | TurnedTiles):
         now = engine.forward(lit).values
         return [(make(one.scene).forward(_at(lit, one.scene)).values - now) / one.step for one in changed]
     grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
+    axes = grid.y_mm, grid.x_mm
     results = [np.zeros(grid.shape, lit.values.dtype) for _ in changed]
-    for tile, carrier, alone in engine.tile_fields(lit):
+    for tile, carrier, alone in _tile_fields(engine, lit):
+        own = None
+        if isinstance(engine, TurnedTiles):
+            own = ray_changes(engine.scene, tile, carrier, grid, engine.seat).on_axes(axes)
         for one, result in zip(changed, results, strict=True):
-            found = ray_changes(one.scene, tile, carrier, grid.z_mm).on_axes((grid.y_mm, grid.x_mm))
-            path, *cosines = found.astype(alone.real.dtype)
+            found = ray_changes(one.scene, tile, carrier, grid, one.seat).on_axes(axes)
+            path, *cosines = (found if own is None else found - own).astype(alone.real.dtype)
             turned = path * alone[0]
             for cosine, moment in zip(cosines, alone[1:], strict=True):
                 turned -= cosine * moment
@@ -76,29 +72,23 @@ def lens_changes(
     return [np.asarray(engine.plane.beyond.forward(one.astype(complex)), lit.values.dtype) for one in results]
 
 
-def ray_changes(scene: Scene, tile: Tile, carrier: RayMap, plane_z_mm: float) -> SmoothMap:
-    """How a scene's rays differ from those that carry a tile.
+def _tile_fields(
+    engine: EikonalTiles | TurnedTiles, field: Field
+) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
+    """Each tile, the rays that carry it, and fields of it alone on the plane on which tiles are summed.
 
-    Returns
-    -------
-    SmoothMap
-        On the sensor plane of that z: how much longer the path from the tile's centre is (mm), and changes
-        of the cosines along y and x with which rays leave it.
-
-    Raises
-    ------
-    InputError
-        If no ray arrives.
+    Of its object, and of that times y and times x from the tile's centre (mm), shape (3, ny, nx).
     """
-    with one_blas_thread():
-        rays = trace_bundle(
-            scene, np.asarray(tile.centre_mm), sample_points(carrier.traced, ORDER), plane_z_mm
-        )
-        if not np.any(rays.ok):
-            raise InputError("no ray of the changed lens arrives: the change is too large")
-        there = rays.sensor_mm[rays.ok]
-        now = np.concatenate([rays.path_mm[None], rays.cosines.T])[:, rays.ok]
-        return fit_map(there, now - carrier.maps.at(there)[[0, 2, 3]], ORDER)
+    scaled = field.values * field.values.real.dtype.type(engine.scene.object_grid.cell)
+    for tile, carrier, operator in engine.tile_operators(scaled.dtype):
+        y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
+        part = scaled[operator.part]
+        moments = part, part * y_mm[:, None], part * x_mm
+        alone = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
+        carried = at_once([partial(operator.carried, moment) for moment in moments])
+        for one, result in zip(carried, alone, strict=True):
+            operator.add(one, result)
+        yield tile, carrier, alone
 
 
 def _at(lit: Field, scene: Scene) -> Field:

@@ -6,19 +6,15 @@ Residuals are weighted, and shares of the length of what was recorded, as one ar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
+from wavesim.calibration.joint.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
 from wavesim.fields.field import Field
-from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
-from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 from wavesim.reconstruction.recording_model import RecordingModel
-
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
-RealArray = NDArray[np.floating[Any]]
 
 DARK = 1e-5
 """Of a plane's mean intensity: keeps roots of dark pixels smooth."""
@@ -48,20 +44,18 @@ class Linearised:
 
     def __init__(self, model: RecordingModel, transmission: ComplexArray, fits_scale: bool) -> None:
         self.model, self.lit = model, self._behind_object(model, transmission)
-        self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
         behind = model.engine.forward(self.lit)
-        self.spectrum: ComplexArray = scipy.fft.fft2(behind.values, workers=-1)
         self._index = behind.index
-        self._rows = [self.pixels.carried(self.spectrum, way) for way in model.ways]
+        self.sight: Sight = (OnPixels if model.rows else ThroughSpace)(model, behind.values)
         self._root_weights = [
             np.float32(1.0) if weight is None else np.sqrt(weight) for weight in model.weights
         ]
-        intensity = [self.pixels.intensity(rows) for rows in self._rows]
+        intensity = self.sight.intensities()
         size = math.sqrt(
             sum(_sum((w * p.amplitude) ** 2) for w, p in zip(self._root_weights, model.recorded, strict=True))
         )
         self.scale = self._fitted_scale(intensity) if fits_scale else model.scale
-        real = self.spectrum.real.dtype.type
+        real = behind.values.real.dtype.type
         power = real(self.scale**2)
         residual, seen, self._slopes = [], [], []
         for plane, weight, own in zip(model.recorded, self._root_weights, intensity, strict=True):
@@ -83,8 +77,16 @@ class Linearised:
 
     def of_exit(self, change: ComplexArray) -> RealArray:
         """Change of the modelled amplitudes with one of the field on the exit grid."""
-        spectrum = scipy.fft.fft2(change, workers=-1)
-        return self.without_scale(np.stack([self._seen(n, spectrum) for n in range(len(self._rows))]))
+        return self.of_planes(self.sight.products(change))
+
+    def of_planes(self, products: Sequence[RealArray]) -> RealArray:
+        """With pixels' means of Re(conj(u) v), plane by plane."""
+        seen = zip(self._slopes, products, strict=True)
+        return self.without_scale(np.stack([slope * own for slope, own in seen]))
+
+    def of_plane(self, plane: int, products: RealArray) -> RealArray:
+        """With those of one plane, of a change that the others do not see."""
+        return self._alone(plane, self._slopes[plane] * products)
 
     def of_object(self, change: NDArray[Any]) -> RealArray:
         """With one of the transmission."""
@@ -95,28 +97,6 @@ class Linearised:
         lit = self.lit.with_values((self.lit.values * change).astype(self.lit.values.dtype))
         return self.model.engine.forward(lit).values
 
-    def of_distance(self, plane: int) -> RealArray:
-        """With a mm of a plane's distance."""
-        grid = self.model.engine.scene.exit_grid
-        cycles = fft_frequencies(grid.shape, grid.pitch_mm)
-        kz, _ = axial_wavenumbers(cycles, self.lit.wavelength_um, 1.0)
-        return self._alone(plane, self._seen(plane, self.spectrum * (1j * kz).astype(self.spectrum.dtype)))
-
-    def of_shift(self, plane: int, axis: int) -> RealArray:
-        """With a um of a plane's shift along x (axis 0) or y (1)."""
-        grid = self.model.engine.scene.exit_grid
-        cycles = fft_frequencies(grid.shape, grid.pitch_mm)[1 - axis]
-        moved = self.spectrum * (2e-3j * np.pi * cycles).astype(self.spectrum.dtype)
-        return self._alone(plane, self._seen(plane, moved))
-
-    def of_sensor_tilt(self, axis: int) -> RealArray:
-        """With a degree of the sensor's tilt about x (axis 0) or y (1)."""
-        changes = []
-        for plane, way in enumerate(self.model.ways):
-            turned = tilt_changes(self.pixels, self.spectrum, way, self.lit.wavelength_um)[axis]
-            changes.append(self._slopes[plane] * self.pixels.products(self._rows[plane], turned))
-        return self.without_scale(np.stack(changes))
-
     def of_background(self, plane: int) -> RealArray:
         """With an even background as large as the plane's mean recorded intensity."""
         mean = np.float32(np.mean(self.model.recorded[plane].amplitude ** 2))
@@ -124,12 +104,8 @@ class Linearised:
 
     def to_object(self, left: RealArray) -> ComplexArray:
         """The adjoint of :meth:`of_object`."""
-        total = np.zeros_like(self.spectrum)
         left = self.without_scale(left)
-        for rows, way, slope, one in zip(self._rows, self.model.ways, self._slopes, left, strict=True):
-            copied = rows[0].copy(), rows[1].copy()
-            self.pixels.add_back(copied, (slope * one).astype(self.spectrum.real.dtype), way, total)
-        change = scipy.fft.ifft2(total, workers=-1, overwrite_x=True)
+        change = self.sight.back([slope * one for slope, one in zip(self._slopes, left, strict=True)])
         scene = self.model.engine.scene
         back = self.model.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
         # Engines' adjoints are those of integrals, and not of sums.
@@ -140,10 +116,6 @@ class Linearised:
     def _behind_object(model: RecordingModel, transmission: NDArray[Any]) -> Field:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
-
-    def _seen(self, plane: int, spectrum: ComplexArray) -> RealArray:
-        changed = self.pixels.carried(spectrum, self.model.ways[plane])
-        return np.asarray(self._slopes[plane] * self.pixels.products(self._rows[plane], changed))
 
     def _alone(self, plane: int, change: RealArray) -> RealArray:
         changes = np.zeros_like(self.residual)

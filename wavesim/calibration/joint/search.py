@@ -10,7 +10,7 @@ every reconstruction half as long again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,20 +19,13 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint.lens_changes import Changed, lens_changes
-from wavesim.calibration.joint.linearised import Linearised, RealArray
+from wavesim.calibration.joint.linearised import Linearised
+from wavesim.calibration.joint.pixels import Pixels
 from wavesim.calibration.joint.step import JointStep
-from wavesim.calibration.joint.turned_tiles import TurnedTiles
-from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
-from wavesim.camera.mounting import light_on, planes_at
-from wavesim.camera.recorded import Recorded
-from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.fields.field import Field
+from wavesim.calibration.parameters import Parameter, Unknowns
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.bench import Orders, light_mode
-from wavesim.scene.engine import Engine, Operator
-from wavesim.scene.scene import Scene, placed_scene
+from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 
 ROUNDS = 6
@@ -113,14 +106,14 @@ class JointSearch:
 
     Attributes
     ----------
-    scene, illumination, recorded, kind, scale, active_width
-        As of :func:`wavesim.calibration.estimation.calibrate`.
+    pixels : Pixels
+        What is seen of the frames, and by which engines.
+    kind : {"amplitude", "complex"}
+        Of the object.
     parameters : tuple of Parameter
         What is sought.
     iterations : int
         Of each reconstruction.
-    make : callable
-        Makes the engine of a scene.
     most_benches : int
         That are tried.
     noise_misfit : float or None
@@ -133,15 +126,10 @@ class JointSearch:
         Given where the search stands after each step.
     """
 
-    scene: Scene
-    illumination: Field
-    recorded: Sequence[Recorded]
+    pixels: Pixels
     kind: Kind
-    scale: float | None
-    active_width: float
     parameters: tuple[Parameter, ...]
     iterations: int
-    make: Callable[[Scene], Engine]
     most_benches: int
     noise_misfit: float | None
     known: NDArray[Any] | None = None
@@ -235,7 +223,7 @@ class JointSearch:
         """Of a bench not far from an engine's."""
         try:
             model, transmission = self._reconstructed(unknowns, near)
-            return Linearised(model, transmission, self.scale is None).misfit
+            return Linearised(model, transmission, self.pixels.scale is None).misfit
         except TransferLensError:
             return RUNAWAY
 
@@ -249,9 +237,9 @@ class JointSearch:
     def _reconstructed(
         self, unknowns: Unknowns, near: Operator | None = None
     ) -> tuple[RecordingModel, NDArray[Any]]:
-        model = self._model(unknowns, near)
+        model = self.pixels.model(unknowns, near)
         if self.known is not None:
-            model.scale = Linearised(model, self.known, self.scale is None).scale
+            model.scale = Linearised(model, self.known, self.pixels.scale is None).scale
             return model, self.known
         found = reconstruct(
             model.engine,
@@ -260,22 +248,13 @@ class JointSearch:
             kind=self.kind,
             tv_weight="auto" if self.noise_misfit is not None else 0.0,
             iterations=self.iterations,
-            scale=self.scale,
-            active_width=self.active_width,
+            scale=self.pixels.scale,
+            active_width=self.pixels.active_width,
+            rows=self.pixels.rows,
         )
         values = found.transmission.values
         model.scale = found.scale
         return model, values.real if self.kind == "amplitude" else values
-
-    def _model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
-        bench, scene = unknowns.bench, self._placed(unknowns)
-        return RecordingModel(
-            TurnedTiles(near, scene) if isinstance(near, EikonalTiles) else self.make(scene),
-            light_on(self.illumination, bench),
-            planes_at(self.recorded, bench),
-            self.scale,
-            self.active_width,
-        )
 
     def _joint(
         self,
@@ -284,68 +263,17 @@ class JointSearch:
         transmission: NDArray[Any],
         parameters: tuple[Parameter, ...],
     ) -> JointStep:
-        linear = Linearised(model, transmission, self.scale is None)
-        columns = self._columns(unknowns, linear, parameters)
+        linear = Linearised(model, transmission, self.pixels.scale is None)
+        columns = self.pixels.columns(unknowns, linear, parameters)
         values = unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
         variance, follows = _variance(linear.misfit), self.known is None
         return JointStep(linear, columns, values, typical, variance, transmission, follows)
 
-    def _columns(
-        self, unknowns: Unknowns, linear: Linearised, parameters: tuple[Parameter, ...]
-    ) -> RealArray:
-        engine = linear.model.engine
-        carried = [p for p in parameters if p.part in ("lens", "mounting")]
-        steps = [Changed(self._placed(_moved(unknowns, p)), p.small) for p in carried]
-        changes = iter(lens_changes(engine, linear.lit, steps, self.make) if steps else [])
-        through: dict[Orders, NDArray[Any]] = {}
-        result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
-        for n, parameter in enumerate(parameters):
-            if parameter.part in ("lens", "mounting"):
-                result[n] = linear.of_exit(next(changes))
-            elif parameter.part == "light":
-                # Amplitude and phase of one mode go through the lens alike.
-                orders, change = light_orders(parameter.name), self._light_change(unknowns, parameter)
-                mode = light_mode(orders, change.shape)
-                if orders not in through:
-                    through[orders] = linear.exit_of_light(mode)
-                share = np.complex64(np.vdot(mode, change) / np.vdot(mode, mode))
-                result[n] = linear.of_exit(share * through[orders])
-            else:
-                result[n] = _of_camera(linear, parameter.name)
-        return result
-
-    def _placed(self, unknowns: Unknowns) -> Scene:
-        return placed_scene(self.scene, unknowns.bench.placement)
-
-    def _light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
-        """Relative change of the illumination for a unit."""
-        even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
-        now = unknowns.bench.light.on(even).values
-        there = _moved(unknowns, parameter).bench.light.on(even).values
-        return np.asarray((there / now - 1.0) / parameter.small)
-
 
 def _variance(misfit: float) -> float:
     """Of the residuals' length along what a parameter does."""
     return NOT_TOLD_GAIN * misfit**2
-
-
-def _moved(unknowns: Unknowns, parameter: Parameter) -> Unknowns:
-    here = unknowns.values.get(parameter.name, 0.0)
-    return unknowns.changed([parameter.name], [here + parameter.small])
-
-
-def _of_camera(linear: Linearised, name: str) -> RealArray:
-    words = name.split("_")
-    if name in SENSOR_TILTS:
-        return linear.of_sensor_tilt(SENSOR_TILTS.index(name))
-    if name.startswith("plane_distance"):
-        return linear.of_distance(int(words[2]) - 1)
-    plane = int(words[1]) - 1
-    if words[2] == "background":
-        return linear.of_background(plane)
-    return linear.of_shift(plane, "xy".index(words[3]))
 
 
 class _Line:

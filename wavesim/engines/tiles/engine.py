@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
@@ -25,13 +25,11 @@ from wavesim.engines.tiles.operator import (
     TileOperator,
     add_tiles,
     add_tiles_back,
-    at_once,
     precision_for,
 )
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
 from wavesim.engines.tiles.residual import Quadratic, Separable
 from wavesim.engines.tiles.rim_light import rim_light
-from wavesim.fields.field import Field
 from wavesim.rays.exit_planes import ExitPlane, exit_plane
 from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
@@ -202,27 +200,6 @@ class EikonalTiles(Engine):
         if self.plane.beyond is None:
             return result
         return self.plane.beyond.forward(result.astype(complex)).astype(field.dtype)
-
-    def tile_fields(self, field: Field) -> Iterator[tuple[Tile, RayMap, NDArray[np.complexfloating]]]:
-        """Each tile, the rays that carry it, and fields of it alone on the plane on which tiles are summed.
-
-        Of its object, and of that times y and times x from the tile's centre (mm), shape (3, ny, nx).
-
-        Parameters
-        ----------
-        field
-            On the object grid, which is a plane.
-        """
-        scaled = field.values * field.values.real.dtype.type(self.scene.object_grid.cell)
-        for tile, carrier, operator in self.tile_operators(scaled.dtype):
-            y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
-            part = scaled[operator.part]
-            moments = part, part * y_mm[:, None], part * x_mm
-            alone = np.zeros((3, *self.plane.grid.shape), scaled.dtype)
-            carried = at_once([partial(operator.carried, moment) for moment in moments])
-            for one, result in zip(carried, alone, strict=True):
-                operator.add(one, result)
-            yield tile, carrier, alone
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
         """Each tile, the rays that carry it, and what carries fields of a type."""

@@ -26,23 +26,30 @@ DARK = 1e-6
 ROWS = 64
 """Of a plane, for a thread at a time."""
 
+EVERY_ROW = slice(None)
+"""Of the field on the exit grid, for planes that are reached from all of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlaneRecord:
     """What was recorded on a plane, in the model's precision; a line is one row.
 
+    `rows` of the field behind the lens are what the plane sees of it, the way from there included.
     `sigma` has no samples where all pixels are alike, `background` where there is none; up to `least` sigma
     weighs 1.
     """
 
     way: Way
+    rows: slice
     amplitude: RealArray
     sigma: RealArray
     background: RealArray
     least: float
 
     @classmethod
-    def of(cls, one: Recorded, way: Way, least: float, dtype: np.dtype[Any], scratch: Scratch) -> PlaneRecord:
+    def of(
+        cls, one: Recorded, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
+    ) -> PlaneRecord:
         def kept(values: RealArray, what: str) -> RealArray:
             values = np.atleast_2d(values)
             if values.dtype == dtype:
@@ -54,7 +61,7 @@ class PlaneRecord:
         none = np.empty((0, 0), dtype)
         sigma = none if one.sigma is None else kept(one.sigma, "the standard deviations")
         background = none if one.background is None else kept(one.background, "the backgrounds")
-        return cls(way, kept(one.amplitude, "the recorded amplitudes"), sigma, background, least)
+        return cls(way, rows, kept(one.amplitude, "the recorded amplitudes"), sigma, background, least)
 
     @property
     def energy(self) -> float:
@@ -155,7 +162,11 @@ class FieldBehind:
             return missed
         field = self._samples(plane)
         missed = plane.change_samples(field, scale)
-        if plane.way.is_none:
+        if plane.rows != EVERY_ROW:
+            if self._change is None:
+                self._change = np.zeros_like(self.values)
+            self._change[plane.rows] += field
+        elif plane.way.is_none:
             self._change = _added(self._change, field)
         else:
             self._spectrum_change = _added(self._spectrum_change, plane.way.back(field))
@@ -199,7 +210,7 @@ class FieldBehind:
     def _samples(self, plane: PlaneRecord) -> ComplexArray:
         if plane.way.is_none:
             assert self.values is not None
-            return self.values.copy()
+            return self.values[plane.rows].copy()
         return plane.way.there(self.spectrum)
 
 

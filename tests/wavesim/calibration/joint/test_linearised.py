@@ -9,6 +9,7 @@ import pytest
 from small_twins import small_twin
 
 from wavesim.calibration.joint.linearised import Linearised
+from wavesim.calibration.joint.sight import ThroughSpace
 from wavesim.camera.recorded import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 
@@ -54,12 +55,21 @@ def test_the_way_back_is_the_adjoint(parts: tuple) -> None:
 def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
     """The scale follows by itself, so that what it does is left out of the differences too."""
     here, small = linear(parts), 1e-3
-    way = np.random.default_rng(3).standard_normal(parts[3].shape)
+    way, seen = np.random.default_rng(3).standard_normal(parts[3].shape), here.sight
+    assert isinstance(seen, ThroughSpace)
     cases = {
         "object": (here.of_object(way), linear(parts, transmission=parts[3] + 1e-4 * way), 1e-4),
-        "distance": (here.of_distance(1), linear(parts, changed={"distance_mm": 0.6 + small}), small),
-        "tilt": (here.of_sensor_tilt(1), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
-        "shift": (here.of_shift(1, 0), linear(parts, changed={"shift_mm": (1e-5, 0.0)}), 1e-2),
+        "distance": (
+            here.of_plane(1, seen.by_distance(1)),
+            linear(parts, changed={"distance_mm": 0.6 + small}),
+            small,
+        ),
+        "tilt": (here.of_planes(seen.by_tilt(1)), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
+        "shift": (
+            here.of_plane(1, seen.by_shift(1, 0)),
+            linear(parts, changed={"shift_mm": (1e-5, 0.0)}),
+            1e-2,
+        ),
     }
     for name, (slope, there, step) in cases.items():
         found = here.without_scale((here.residual - there.residual) / step)

@@ -14,6 +14,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import read_calibration, traded
+from wavesim.calibration.joint.pixels import AllPixels
 from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.mounting import light_on, planes_at
@@ -63,15 +64,10 @@ def search(lens: Lens) -> JointSearch:
         recorded.append(Recorded(plane.distance_mm, noisy, sigma))
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
     return JointSearch(
-        scene,
-        light,
-        recorded,
+        AllPixels(scene, light, recorded, None, 1.0, tiles),
         "amplitude",
-        None,
-        1.0,
         chosen_parameters(",".join([*TRUE, "plane_2_background"]), allowed),
         8,
-        tiles,
         40,
         noise_misfit(recorded),
     )

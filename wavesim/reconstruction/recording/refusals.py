@@ -1,0 +1,59 @@
+"""What a reconstruction of an object cannot work with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from lensdesign.errors import InputError, refuse_not_positive, refuse_not_whole, refuse_other
+from wavesim.camera.recorded import Recorded
+from wavesim.fields.field import Field
+from wavesim.reconstruction.from_field import refuse_planes
+from wavesim.scene.engine import Grids
+from wavesim.scene.source import SourceMode
+
+
+def refuse_numbers(
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
+) -> None:
+    """Refuse settings out of their range; all as of :func:`wavesim.reconstruct`."""
+    refuse_other("kind", kind, ("complex", "amplitude"))
+    if tv_weight != "auto" and (
+        isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
+    ):
+        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
+    refuse_not_whole("iterations", iterations, 1)
+    if scale is not None:
+        refuse_not_positive("scale", scale)
+    if not 0.0 <= active_width <= 1.0:
+        raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
+
+
+def refuse_others(
+    grids: Grids,
+    illumination: Field,
+    recorded: Sequence[Recorded],
+    start: Any,
+    modes: Sequence[SourceMode],
+    rows: Sequence[slice],
+) -> None:
+    """Refuse light, planes or a start that are none of an engine; as of :func:`wavesim.reconstruct`."""
+    if illumination.grid != grids.object_grid:
+        raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
+    if not np.any(np.abs(illumination.values) > 0.0):
+        raise InputError("illumination: is all dark")
+    if not recorded:
+        raise InputError("recorded: must be one plane at least")
+    shape = grids.exit_grid.shape
+    if rows:
+        shape = (shape[0] // len(rows), *shape[1:])
+    refuse_planes(recorded, shape, "the exit grid's")
+    if not (start is None or start == "amplitude" or isinstance(start, Field)):
+        raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
+    if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
+        raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
+    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
+        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")
