@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
@@ -22,6 +23,7 @@ from lensdesign.tracing.bundles import PupilSamples, launch_compiled, pupil_ring
 from lensdesign.tracing.compiled import compile_system
 from lensdesign.tracing.rays import trace_compiled
 from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.wavefronts.motions import pair_weights, second_by_pairs
 from tolerancing.wavefronts.paths import Figures, Paths
 from tolerancing.wavefronts.system import Changes, changes_of
 
@@ -44,8 +46,9 @@ class FieldDifferentials:
         What registration and refocusing take out: 1 and the direction cosines.
     first : ndarray, shape (n, d)
         Of the path difference in waves, by the changes.
-    second : ndarray, shape (n, d, d)
-        Empty along the first axis where it was not asked for.
+    second : ndarray, shape (n, d (d + 1) / 2)
+        By pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`; no columns where it was not
+        asked for.
     """
 
     weights: Array
@@ -60,9 +63,24 @@ class FieldDifferentials:
 
     @cached_property
     def registered_second(self) -> Array:
-        """Second derivatives with shift and focus taken out, shape (n, d, d)."""
-        flat = self.second.reshape(len(self.second), -1)
-        return self.without_focus(flat).reshape(self.second.shape)
+        """Second derivatives with shift and focus taken out, shape (n, pairs)."""
+        return self.without_focus(self.second)
+
+    def waves(self, amounts: Array) -> Array:
+        """Path differences of trials with shift and focus taken out, shape (trials, n).
+
+        Parameters
+        ----------
+        amounts : ndarray, shape (trials, d)
+            How much of each change each trial has.
+        """
+        found = amounts @ self.registered.T
+        if self.second.shape[1]:
+            i, j = np.triu_indices(amounts.shape[1])
+            products = amounts[:, i] * amounts[:, j]
+            products[:, i == j] *= 0.5
+            found += products @ self.registered_second.T
+        return np.asarray(found)
 
     def without_focus(self, waves: Array) -> Array:
         """Path differences, shape (n, ...), less the piston, shift and refocus that fit them best."""
@@ -132,23 +150,27 @@ def differentials(
     changes = changes_of(lens, parameters, sizes, pivot_z_mm, wavelength, second)
     stop = pupil_rings(RINGS, ARMS)
     paths = nominal_paths(lens, fields_mm, stop, wavelength, plane_distance_mm)
-    figures = figures_on(paths, changes)
-    waves = 1e3 / wavelength
-    first = waves * first_by(paths, changes, figures)
-    n, d = len(stop.points), changes.count
-    by_second = (
-        waves * paths.second(changes.first, changes.second, figures) if second else np.zeros((0, d, d))
-    )
-    cosines = paths.cosines
-    fields = []
-    for k in range(len(fields_mm)):
-        part = slice(k * n, (k + 1) * n)
-        fields.append(
-            FieldDifferentials(
-                weights_over_stop(cosines[part], stop), basis_of(cosines[part]), first[part], by_second[part]
-            )
-        )
+    weights = pair_weights(changes) if second else None
+    n, waves = len(stop.points), 1e3 / wavelength
+    fields = [
+        _field(paths.part(slice(k * n, (k + 1) * n)), changes, stop, waves, weights)
+        for k in range(len(fields_mm))
+    ]
     return Differentials(changes, tuple(fields))
+
+
+def _field(
+    paths: Paths, changes: Changes, stop: PupilSamples, waves_per_mm: float, weights: csr_array | None
+) -> FieldDifferentials:
+    figures = figures_on(paths, changes)
+    first = waves_per_mm * first_by(paths, changes, figures)
+    if weights is None:
+        second = np.zeros((len(first), 0))
+    else:
+        second = second_by_pairs(paths, weights, figures)
+        second *= waves_per_mm
+    cosines = paths.cosines
+    return FieldDifferentials(weights_over_stop(cosines, stop), basis_of(cosines), first, second)
 
 
 def first_by(paths: Paths, changes: Changes, figures: Sequence[Figures]) -> Array:

@@ -10,7 +10,6 @@ All arrays may be complex, so that derivatives by design variables follow by com
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -92,6 +91,11 @@ class Paths:
     heights_mm: Array
     sensors_mm: Array
 
+    def part(self, rays: slice) -> Paths:
+        """Some of the rays."""
+        ends = self.objects_mm[rays], self.heights_mm[rays], self.sensors_mm[rays]
+        return Paths(self.shapes, self.vertices_mm, self.index, *ends)
+
     @cached_property
     def layout(self) -> Layout:
         """Where each number stands."""
@@ -131,19 +135,29 @@ class Paths:
         return lengths, ways / lengths[..., None]
 
     @property
+    def lengths(self) -> Array:
+        """Length of each segment in mm, shape (n, s + 1)."""
+        return self._steps[0]
+
+    @property
+    def directions(self) -> Array:
+        """Direction cosines of each segment, shape (n, s + 1, 3)."""
+        return self._steps[1]
+
+    @property
     def path_mm(self) -> Array:
         """Optical path, shape (n,)."""
-        return np.asarray(self._steps[0] @ self.index)
+        return np.asarray(self.lengths @ self.index)
 
     @property
     def cosines(self) -> Array:
         """Direction cosines at the object, shape (n, 3)."""
-        return np.asarray(self._steps[1][:, 0])
+        return self.directions[:, 0]
 
     @cached_property
     def pulls(self) -> Array:
         """Derivatives of the path by the points, shape (n, s + 2, 3); along the normal on each surface."""
-        optical = self.index[:, None] * self._steps[1]
+        optical = self.index[:, None] * self.directions
         edge = np.zeros_like(optical[:, :1])
         return np.concatenate([edge, optical], axis=1) - np.concatenate([optical, edge], axis=1)
 
@@ -156,9 +170,9 @@ class Paths:
             rotation = pulls[:, k, :, None] * self.own_points[:, k, None, :]
             found[:, layout.pose(k)] = np.concatenate([rotation.reshape(len(pulls), 9), pulls[:, k]], axis=1)
         for k, shape in enumerate(self.shapes):
-            sags = [self._by_term(k, term)[0] for term in shape.TERMS[: layout.terms[k]]]
+            sags = [self.by_term(k, term)[0] for term in shape.TERMS[: layout.terms[k]]]
             found[:, layout.of_shape(k)] = np.stack(sags, axis=1) * pulls[:, k + 1, 2:]
-        found[:, layout.indices] = self._steps[0]
+        found[:, layout.indices] = self.lengths
         found[:, layout.waves] = self.path_mm
         return found
 
@@ -167,12 +181,13 @@ class Paths:
         pull = self.pulls[:, surface + 1, 2]
         return np.asarray(pull.reshape(-1, *(1,) * (sag.ndim - 1)) * sag)
 
-    def _by_term(self, surface: int, term: str) -> tuple[Array, Array, Array]:
+    def by_term(self, surface: int, term: str) -> tuple[Array, Array, Array]:
+        """Derivatives of a surface's sag, and of its slopes along x and y, by a term of its shape."""
         x, y = self.heights_mm[:, surface, 0], self.heights_mm[:, surface, 1]
         return self.shapes[surface].derivatives_by(term, x, y)
 
     @cached_property
-    def _tangents(self) -> Array:
+    def tangents(self) -> Array:
         """Change of each surface's point with x and y on it, shape (n, s, 3, 2)."""
         found = np.zeros((len(self.objects_mm), len(self.shapes), 3, 2), self._kind)
         for k, (_, across, down) in enumerate(self._sags):
@@ -181,9 +196,9 @@ class Paths:
         return found
 
     @cached_property
-    def _stiffness(self) -> Array:
+    def stiffness(self) -> Array:
         """Second derivatives of the path by the points, shape (n, 3 (s + 2), 3 (s + 2))."""
-        lengths, ways = self._steps
+        lengths, ways = self.lengths, self.directions
         stations = len(self.shapes) + 2
         across = np.eye(3) - ways[..., :, None] * ways[..., None, :]
         across = across * (self.index / lengths)[..., None, None]
@@ -195,19 +210,19 @@ class Paths:
             found[:, j + 1, :, j] -= across[:, j]
         return found.reshape(len(lengths), 3 * stations, 3 * stations)
 
-    def _along_surfaces(self, vectors: Array) -> Array:
+    def along_surfaces(self, vectors: Array) -> Array:
         """Of vectors at the stations, shape (n, 3 (s + 2), d), the parts along x and y on each surface."""
         n, surfaces = len(vectors), len(self.shapes)
         inner = vectors.reshape(n, surfaces + 2, 3, -1)[:, 1:-1]
-        return np.einsum("nkac,nkad->nkcd", self._tangents, inner).reshape(n, 2 * surfaces, -1)
+        return (np.swapaxes(self.tangents, 2, 3) @ inner).reshape(n, 2 * surfaces, -1)
 
     @cached_property
-    def _sliding(self) -> Array:
+    def sliding(self) -> Array:
         """Second derivatives of the path by x and y on the surfaces, shape (n, 2 s, 2 s)."""
         n, s = len(self.objects_mm), len(self.shapes)
-        half = self._along_surfaces(self._stiffness)
+        half = self.along_surfaces(self.stiffness)
         half = half.reshape(n, 2 * s, s + 2, 3)[:, :, 1:-1]
-        found = np.einsum("nwka,nkac->nwkc", half, self._tangents)
+        found = np.einsum("nwka,nkac->nwkc", half, self.tangents)
         for k, shape in enumerate(self.shapes):
             bends = shape.second_derivatives(self.heights_mm[:, k, 0], self.heights_mm[:, k, 1])
             pull = self.pulls[:, k + 1, 2]
@@ -216,45 +231,6 @@ class Paths:
                 if i != j:
                     found[:, 2 * k + j, k, i] += pull * bend
         return found.reshape(n, 2 * s, 2 * s)
-
-    def second(self, change: Array, bend: Array, figures: Sequence[Figures] = ()) -> Array:
-        """Second derivatives of the path by d changes of the system, object and sensor points kept.
-
-        Parameters
-        ----------
-        change : ndarray, shape (numbers, d)
-            First derivatives of the system's numbers by the changes.
-        bend : ndarray, shape (numbers, d, d)
-            Second derivatives.
-        figures
-            Sag errors that come with the changes.
-
-        Returns
-        -------
-        ndarray, shape (n, d, d)
-        """
-        moved = _Moved(self, change, figures)
-        slide = moved.by_sliding()
-        index, own = change[self.layout.indices], change[[self.layout.waves]]
-        plain = self.by_numbers[:, : self.layout.waves] @ change[: self.layout.waves] + moved.by_figures
-        # Products of two things that the changes do, all in one: what is crossed stands both ways round.
-        products = [
-            (moved.points, self._stiffness @ moved.points),
-            (-slide, np.linalg.solve(self._sliding, slide)),
-            *_crossed(moved.lengths, index),
-            *_crossed(plain[:, None], own),
-            *moved.sag_products(),
-        ]
-        n = len(slide)
-        left, right = (
-            np.concatenate([np.broadcast_to(part, (n, *part.shape[-2:])) for part in side], axis=1)
-            for side in zip(*products, strict=True)
-        )
-        found = np.swapaxes(left, 1, 2) @ right
-        rows, columns = np.nonzero(np.any(bend != 0.0, axis=0))
-        if len(rows):
-            found[:, rows, columns] += self.by_numbers @ bend[:, rows, columns]
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,88 +252,3 @@ class Figures:
     sag: Array
     slope_x: Array
     slope_y: Array
-
-
-class _Moved:
-    """What d changes do to the points of rays that stay where they are on each surface."""
-
-    def __init__(self, paths: Paths, change: Array, figures: Sequence[Figures]) -> None:
-        self.paths, self.change = paths, change
-        layout, n, d = paths.layout, len(paths.objects_mm), change.shape[1]
-        # Sag and slopes, by surface: shape (n, 3, d).
-        self.sags = [np.zeros((n, 3, d), paths._kind) for _ in paths.shapes]
-        for k, shape in enumerate(paths.shapes):
-            own = change[layout.of_shape(k)]
-            for term, row in zip(shape.TERMS, own, strict=False):
-                if np.any(row):
-                    self.sags[k] += np.stack(paths._by_term(k, term), axis=1)[:, :, None] * row
-        self.by_figures = np.zeros((n, d), paths._kind)
-        for figure in figures:
-            parts = np.stack([figure.sag, figure.slope_x, figure.slope_y], axis=1)
-            self.sags[figure.surface][:, :, figure.columns] += parts
-            self.by_figures[:, figure.columns] += paths.by_figure(figure.surface, figure.sag)
-        self.rotations = [change[layout.pose(k)][:9].reshape(3, 3, d) for k in range(layout.surfaces + 2)]
-        shifts = [change[layout.pose(k)][9:] for k in range(layout.surfaces + 2)]
-        moves = np.stack(
-            [
-                np.einsum("abd,nb->nad", r, paths.own_points[:, k]) + shift
-                for k, (r, shift) in enumerate(zip(self.rotations, shifts, strict=True))
-            ],
-            axis=1,
-        )
-        for k, sags in enumerate(self.sags):
-            moves[:, k + 1, 2] += sags[:, 0]
-        self._moves = moves
-        self.points = moves.reshape(n, -1, d)
-
-    @property
-    def lengths(self) -> Array:
-        """Change of each segment's length, shape (n, s + 1, d)."""
-        return np.einsum("nja,njad->njd", self.paths._steps[1], np.diff(self._moves, axis=1))
-
-    def by_sliding(self) -> Array:
-        """Derivatives by x and y on the surfaces of what the changes do to the path, shape (n, 2 s, d)."""
-        paths, layout = self.paths, self.paths.layout
-        slide = paths._along_surfaces(paths._stiffness @ self.points)
-        optical = paths._steps[1][..., None] * self.change[layout.indices][None, :, None, :]
-        edge = np.zeros_like(optical[:, :1])
-        pulls = np.concatenate([edge, optical], axis=1) - np.concatenate([optical, edge], axis=1)
-        slide += paths._along_surfaces(pulls.reshape(len(slide), -1, pulls.shape[-1]))
-        for k, sags in enumerate(self.sags):
-            pull = paths.pulls[:, k + 1]
-            turned = np.einsum("na,abd,nbc->ncd", pull, self.rotations[k + 1], paths._tangents[:, k])
-            slide[:, 2 * k : 2 * k + 2] += turned + pull[:, 2, None, None] * sags[:, 1:]
-        return slide
-
-    def sag_products(self) -> list[tuple[Array, Array]]:
-        """What two changes do together that one alone does not: a turned sag, and a sag's own bend."""
-        products = []
-        for k, sags in enumerate(self.sags):
-            pull, shape = self.paths.pulls[:, k + 1], self.paths.shapes[k]
-            turned = np.einsum("na,ad->nd", pull, self.rotations[k + 1][:, 2])
-            if np.any(turned):
-                products += _crossed(turned[:, None], sags[:, :1])
-            own = self.change[self.paths.layout.of_shape(k)]
-            if np.any(own):
-                bends = _sag_bends(shape, self.paths.heights_mm[:, k]) * pull[:, 2, None, None]
-                products.append((own, bends @ own))
-        return products
-
-
-def _crossed(one: Array, other: Array) -> list[tuple[Array, Array]]:
-    return [(one, other), (other, one)]
-
-
-def _sag_bends(shape: Shape, heights_mm: Array) -> Array:
-    """Second derivatives of a sag by its shape's terms, shape (n, terms, terms), at real points.
-
-    By complex step, exact to rounding.
-    """
-    names = shape.TERMS[: shape.terms.shape[-1]]
-    x, y = heights_mm[:, 0], heights_mm[:, 1]
-    step = 1e-30
-    columns = [
-        np.stack([shape.moved(b, step * 1j).derivatives_by(a, x, y)[0].imag / step for a in names], axis=1)
-        for b in names
-    ]
-    return np.stack(columns, axis=2)

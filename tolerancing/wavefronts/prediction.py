@@ -250,15 +250,8 @@ def replace_draws(study: Study, count: int) -> Study:
 def mean_squares(known: Differentials, amounts: Array) -> Array:
     """Mean square of the refocused path difference, in waves, of each trial; shape (trials,)."""
     (field,) = known.fields
-    first, second = field.registered, field.registered_second
-    found = np.empty(len(amounts))
-    for start in range(0, len(amounts), BLOCK):
-        part = amounts[start : start + BLOCK]
-        waves = part @ first.T
-        for ray, bend in enumerate(second):
-            waves[:, ray] += 0.5 * np.sum((part @ bend) * part, axis=1)
-        found[start : start + BLOCK] = waves**2 @ field.weights
-    return found
+    parts = [amounts[start : start + BLOCK] for start in range(0, len(amounts), BLOCK)]
+    return np.concatenate([field.waves(part) ** 2 @ field.weights for part in parts])
 
 
 def first_order(known: Differentials) -> Array:

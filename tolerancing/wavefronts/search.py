@@ -285,7 +285,7 @@ class _Forms:
                 weights_over_stop(cosines[part], self.stop),
                 basis_of(cosines[part]),
                 slopes[part],
-                np.zeros((0, 0, 0)),
+                np.zeros((n, 0)),
             )
             forms.append((field.registered.T * field.weights) @ field.registered)
         return np.stack(forms)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.figure import SurfaceFigure
@@ -36,8 +37,8 @@ class Changes:
     layout : Layout
     first : ndarray, shape (numbers, d)
         Derivatives of the system's numbers, for a unit of each change.
-    second : ndarray, shape (numbers, d, d)
-        Second derivatives.
+    second : sparse array, shape (d (d + 1) / 2, numbers)
+        Second derivatives by pairs of changes (i, j), i <= j, in the order of `numpy.triu_indices`.
     columns : tuple of slice
         Which changes each perturbation is.
     figures : tuple of (int, slice, SurfaceFigure)
@@ -46,7 +47,7 @@ class Changes:
 
     layout: Layout
     first: Array
-    second: Array
+    second: sparse.csr_array
     columns: tuple[slice, ...]
     figures: tuple[tuple[int, slice, SurfaceFigure], ...]
 
@@ -100,23 +101,31 @@ def changes_of(
     """
     smooth = [k for k, p in enumerate(parameters) if not p.is_irregularity]
     numbers = _Numbers(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
-    slopes, bends = numbers.derivatives(STEP_SHARE * np.asarray(sizes, float)[smooth], second)
+    steps = STEP_SHARE * np.asarray(sizes, float)[smooth]
+    slopes, (i, j, bends) = numbers.derivatives(steps, second)
     columns, place = [], 0
     for parameter in parameters:
         count = len(INDICES) if parameter.is_irregularity else 1
         columns.append(slice(place, place + count))
         place += count
-    own = [columns[k].start for k in smooth]
+    own = np.array([columns[k].start for k in smooth], int)
     first_all = np.zeros((len(slopes), place))
     first_all[:, own] = slopes
-    second_all = np.zeros((len(slopes), place, place))
-    second_all[:, np.array(own, int)[:, None], own] = bends
+    at, number = np.nonzero(bends)
+    pairs = pair_places(place, own[i], own[j])[at]
+    shape = (place * (place + 1) // 2, len(slopes))
+    second_all = sparse.csr_array((bends[at, number], (pairs, number)), shape=shape)
     figures = tuple(
         (surface, columns[k], _unit_figures(lens, surface))
         for k, p in enumerate(parameters)
         if p.is_irregularity and (surface := p.surface) is not None
     )
     return Changes(numbers.layout, first_all, second_all, tuple(columns), figures)
+
+
+def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Where pairs (i, j), i <= j, stand in the upper triangle, row by row, of so many changes."""
+    return i * (2 * count - i - 1) // 2 + j
 
 
 def _unit_figures(lens: Lens, surface: int) -> SurfaceFigure:
@@ -159,29 +168,34 @@ class _Numbers:
         found[:, layout.waves] = self.wavelength_um / (self.wavelength_um + shift)
         return found
 
-    def derivatives(self, steps: Array, second: bool) -> tuple[Array, Array]:
-        """First and second derivatives at nominal, shapes (numbers, d) and (numbers, d, d)."""
-        d = len(steps)
+    def derivatives(
+        self, steps: Array, second: bool
+    ) -> tuple[Array, tuple[NDArray[np.intp], NDArray[np.intp], Array]]:
+        """First derivatives at nominal, shape (numbers, d), and the second ones by pairs i <= j.
+
+        The latter of shape (pairs, numbers); of other pairs they are 0.
+        """
+        d, none = len(steps), np.zeros(0, int)
         if d == 0:
-            return np.zeros((self.layout.size, 0)), np.zeros((self.layout.size, 0, 0))
+            return np.zeros((self.layout.size, 0)), (none, none, np.zeros((0, self.layout.size)))
         ends = self.at(np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, d))]))
         high, low, middle = ends[:d], ends[d : 2 * d], ends[-1]
         slopes = ((high - low) / (2.0 * steps[:, None])).T
-        bends = np.zeros((self.layout.size, d, d))
         if not second:
-            return slopes, bends
+            return slopes, (none, none, np.zeros((0, self.layout.size)))
         alone = high + low - 2.0 * middle
         alone[np.abs(alone) <= ROUNDING * np.abs(high - low)] = 0.0
-        bends[:, np.arange(d), np.arange(d)] = (alone / steps[:, None] ** 2).T
         i, j = self._pairs(slopes)
-        if len(i):
-            values = np.zeros((len(i), d))
-            values[np.arange(len(i)), i], values[np.arange(len(i)), j] = steps[i], steps[j]
-            crossed = self.at(values) - high[i] - high[j] + middle
-            crossed[np.abs(crossed) <= ROUNDING * (np.abs(high[i] - middle) + np.abs(high[j] - middle))] = 0.0
-            mixed = (crossed / (steps[i] * steps[j])[:, None]).T
-            bends[:, i, j] = bends[:, j, i] = mixed
-        return slopes, bends
+        values = np.zeros((d, len(i)))
+        values[i, np.arange(len(i))], values[j, np.arange(len(i))] = steps[i], steps[j]
+        high -= middle
+        crossed = (self.at(values.T) if len(i) else np.zeros((0, self.layout.size))) - middle
+        crossed -= high[i]
+        crossed -= high[j]
+        size = np.abs(high)
+        crossed[np.abs(crossed) <= ROUNDING * (size[i] + size[j])] = 0.0
+        bends = np.concatenate([alone / steps[:, None] ** 2, crossed / (steps[i] * steps[j])[:, None]])
+        return slopes, (np.append(np.arange(d), i), np.append(np.arange(d), j), bends)
 
     def _pairs(self, slopes: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Perturbations that may act on one and the same number together: one of them turns a part."""
