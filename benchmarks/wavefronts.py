@@ -19,13 +19,16 @@ from lensdesign.optimization.asked.specification import load_specification
 from lensdesign.optimization.search import optimize
 from lensdesign.tracing.bundles import pupil_rings
 from tolerancing import load_study
+from tolerancing.merits.rays import FootprintRadius, LargestSpread
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.wavefronts import differentials, predict
+from tolerancing.study.evaluate import context_of, realise
+from tolerancing.wavefronts import differentials, predict, predict_rays
 from tolerancing.wavefronts.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
 from tolerancing.wavefronts.paths import Paths
 
 ROUNDS = 9
 OPTILAND_TRIALS = 20
+RAY_TRIALS = 10_000
 STUDY = DESIGNS / "as_built_tolerances.toml"
 
 EVERY = {
@@ -68,6 +71,7 @@ def main() -> None:
     loaded = load_study(STUDY)
     predict(loaded.lens, loaded.study)
     print(f"predict, 12 tolerances, 3 object points, 8192 draws: {time.perf_counter() - began:.2f} s")
+    rays_beside_trials()
     trials = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     found = optimize(load_specification(DESIGNS / "as_built_spec.toml"))
     report = read_as_built(Tolerances(study=str(STUDY))).trials(
@@ -80,6 +84,34 @@ def main() -> None:
         told = predict(lens if row is report.rows[0] else found.lens, loaded.study).good
         good = f"{row.good:.4f} ({row.low:.4f} to {row.high:.4f})"
         print(f"{row.name}: good predicted {told:.4f}, by trials {good}")
+
+
+def rays_beside_trials() -> None:
+    """Largest spread and footprint, each ray to first order, beside traced trials of the same tolerances."""
+    loaded = load_study(DESIGNS / "paper_tolerances.toml")
+    lens, study = loaded.lens, loaded.study
+    merits = (
+        LargestSpread(kind="largest_spread_deg", at_most=4.84),
+        FootprintRadius(kind="footprint_radius_mm", at_most=11.19),
+    )
+    for factor in (1.0, 5.0, 15.0, 40.0):
+        wide = tuple(p.scaled(factor) for p in study.perturbations)
+        own = study.model_copy(update={"all_merits": merits, "perturbations": wide, "trials": RAY_TRIALS})
+        began = time.process_time()
+        predicted = predict_rays(lens, own)
+        seconds = time.process_time() - began
+        context, scores = context_of(lens, own), []
+        for start in range(0, RAY_TRIALS, 500):
+            batch = realise(own, range(start, start + 500))
+            scores.append(np.stack([merit.scores(context, batch) for merit in merits], axis=1))
+        for told, traced in zip(predicted, np.concatenate(scores).T, strict=True):
+            good = np.mean(told.merit.passed(traced))
+            print(
+                f"tolerances x {factor:g}, {told.merit.label}: mean, deviation, good predicted "
+                f"{told.mean:.4f}, {told.deviation:.4f}, {100 * told.good:.1f} %; by {RAY_TRIALS} trials "
+                f"{np.mean(traced):.4f}, {np.std(traced):.4f}, {100 * good:.1f} %; "
+                f"told to be off by {100 * told.left:.1f} % of the deviation; {seconds:.1f} s"
+            )
 
 
 def beside_optiland(lens: Lens) -> None:

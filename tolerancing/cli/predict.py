@@ -12,6 +12,7 @@ from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
     from tolerancing.wavefronts.prediction import WavefrontPrediction
+    from tolerancing.wavefronts.rays import RayPrediction
 
 MOST_ROWS = 12
 """Perturbations that the table shows."""
@@ -21,23 +22,32 @@ def predict(
     study: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Predict wavefronts and yield from the rays of the nominal lens, without trials.
+    """Predict wavefronts, spreads, footprints and yields from the rays of the nominal lens, without trials.
 
     Path differences to second order in the perturbations, shift and focus taken out, at the object points of
-    the study's merits of kind rms_waves and strehl.
+    the study's merits of kind rms_waves and strehl; for largest_spread_deg and footprint_radius_mm rays to
+    first order, of which 64 draws are traced to know whether that suffices.
 
-    Exit status: 0, 1 if second order does not suffice and trials should be run, 2 for bad input.
+    Exit status: 0, 1 if these orders do not suffice and trials should be run, 2 for bad input.
     """
     from tolerancing.study.files import load_study
     from tolerancing.wavefronts.prediction import predict as predicted
+    from tolerancing.wavefronts.prediction import wavefront_points
+    from tolerancing.wavefronts.rays import predict_rays
 
     loaded = load_study(study)
-    found = predicted(loaded.lens, loaded.study)
+    rays = predict_rays(loaded.lens, loaded.study)
+    waves = predicted(loaded.lens, loaded.study) if wavefront_points(loaded.study) or not rays else None
+    columns = tuple(p.column for p in loaded.study.perturbations)
     if as_json:
-        print_json(_as_dict(found))
+        print_json(({} if waves is None else _as_dict(waves)) | {"rays": _rays_dict(rays, columns)})
     else:
-        _print(loaded.study.title, found)
-    raise typer.Exit(0 if found.second_order_suffices else 1)
+        if waves is not None:
+            _print(loaded.study.title, waves)
+        if rays:
+            _print_rays(loaded.study.title, rays, columns)
+    suffices = (waves is None or waves.second_order_suffices) and all(r.first_order_suffices for r in rays)
+    raise typer.Exit(0 if suffices else 1)
 
 
 def _as_dict(found: WavefrontPrediction) -> dict[str, Any]:
@@ -58,6 +68,23 @@ def _as_dict(found: WavefrontPrediction) -> dict[str, Any]:
             for p in found.points
         ],
     }
+
+
+def _rays_dict(rays: tuple[RayPrediction, ...], columns: tuple[str, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "merit": r.merit.label,
+            "unit": r.merit.unit,
+            "nominal": r.nominal,
+            "mean": r.mean,
+            "deviation": r.deviation,
+            "good": r.good,
+            "alone": dict(zip(columns, r.alone.tolist(), strict=True)),
+            "left": r.left,
+            "first_order_suffices": r.first_order_suffices,
+        }
+        for r in rays
+    ]
 
 
 def _print(title: str, found: WavefrontPrediction) -> None:
@@ -83,3 +110,22 @@ def _print(title: str, found: WavefrontPrediction) -> None:
     print(f"good at all points: {100.0 * found.good:.1f} % of {found.draws} draws; no trial was traced")
     if not found.second_order_suffices:
         print("tolerances are too large for second order, which may be 5 % off and more: run the study")
+
+
+def _print_rays(title: str, rays: tuple[RayPrediction, ...], columns: tuple[str, ...]) -> None:
+    rows = [
+        (
+            r.merit.column,
+            *(f"{value:.4f}" for value in (r.nominal, r.mean, r.deviation)),
+            f"{100.0 * r.good:.1f}",
+            f"{100.0 * r.left:.1f}",
+        )
+        for r in rays
+    ]
+    heads = ["nominal", "mean", "deviation", "good, %", "off, % of deviation"]
+    print_table(f"{title}: rays, to first order", ["merit"], heads, rows)
+    order = sorted(range(len(columns)), key=lambda k: -max(r.shares[k] for r in rays))
+    alone = [(columns[k], *(f"{r.alone[k]:.4f}" for r in rays)) for k in order[:MOST_ROWS]]
+    print_table("Deviation by itself", ["perturbation"], [row[0] for row in rows], alone)
+    if not all(r.first_order_suffices for r in rays):
+        print("tolerances are too large for rays to first order, as traced draws tell: run the study")

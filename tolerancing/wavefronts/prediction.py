@@ -108,28 +108,35 @@ class WavefrontPrediction:
         return all(point.second_order_share <= SECOND_MATTERS for point in self.points)
 
 
-def judged_points(study: Study) -> tuple[Judged, ...]:
+def wavefront_points(study: Study) -> tuple[Judged, ...]:
     """Object points that a study judges by the wavefront, with their limits.
 
     Strehl ratios count as the root mean square that they stand for: S = exp(-(2 pi rms)^2).
+    """
+    return tuple(
+        Judged(point, merit.wavelength_um, _limit_waves(merit))
+        for merit in study.merits
+        if isinstance(merit, RmsWaves | Strehl) and merit.refocus
+        for point in merit.points
+    )
+
+
+def judged_points(study: Study) -> tuple[Judged, ...]:
+    """As :func:`wavefront_points`, of a study that has some.
 
     Raises
     ------
     InputError
         If the study has no merit of the kind.
     """
-    found = []
-    for merit in study.merits:
-        if isinstance(merit, RmsWaves | Strehl) and merit.refocus:
-            limit = _limit_waves(merit)
-            found += [Judged(point, merit.wavelength_um, limit) for point in merit.points]
+    found = wavefront_points(study)
     if not found:
         kinds = ", ".join(merit.label for merit in study.merits)
         raise InputError(
             f"no merit judges the refocused wavefront itself ({kinds}): add one of kind rms_waves, with "
             "field_points_mm and at_most, or strehl with at_least"
         )
-    return tuple(found)
+    return found
 
 
 def _limit_waves(merit: PupilMerit) -> float:

@@ -1,0 +1,166 @@
+"""Merits of rays without trials, from the derivatives of the nominal lens's rays.
+
+Each ray follows the perturbations to first order; which is the outermost is asked anew for each draw, so that
+an extreme that goes from ray to ray is told as it is. A few draws are traced all the same, to know whether
+first order suffices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.lens import Lens
+from tolerancing.merits.arrival import Arrival
+from tolerancing.merits.context import Context, Points
+from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.study.evaluate import realise
+from tolerancing.study.study import Study
+from tolerancing.wavefronts.arrivals import ArrivalDifferentials, arrival_differentials
+
+RAY_DRAWS = 4096
+"""Sobol draws of a study's perturbations."""
+
+BLOCK = 128
+"""Draws whose rays are held at one time; and those that tell what each perturbation does by itself."""
+
+TRACED = 64
+"""Draws that are traced."""
+
+FIRST_SUFFICES = 0.05
+"""Root mean square that first order may leave of the traced draws, as a share of their deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class RayPrediction:
+    """What is predicted of a merit of rays, in its unit.
+
+    Attributes
+    ----------
+    merit : RayMerit
+    nominal : float
+        Of the nominal lens.
+    mean, deviation : float
+        Over lenses.
+    good : float
+        Share of lenses within the limit.
+    alone : ndarray, shape (perturbations,)
+        Deviation that each perturbation brings by itself.
+    left : float
+        Root mean square by which predictions of the traced draws are off, as a share of their deviation.
+    """
+
+    merit: RayMerit
+    nominal: float
+    mean: float
+    deviation: float
+    good: float
+    alone: Array
+    left: float
+
+    @property
+    def shares(self) -> Array:
+        """Of the sum of these squares that each perturbation brings, shape (perturbations,)."""
+        squares = self.alone**2
+        return np.asarray(squares / max(float(np.sum(squares)), np.finfo(float).tiny))
+
+    @property
+    def first_order_suffices(self) -> bool:
+        """Whether what first order leaves is small."""
+        return self.left <= FIRST_SUFFICES
+
+
+class FirstOrderRays(Context):
+    """What ray merits score by: rays that follow the perturbations to first order, none clipped."""
+
+    def __init__(self, lens: Lens, study: Study) -> None:
+        super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
+        self._study = study
+
+    def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
+        wavelength, study = self.wavelength_um(wavelength_um), self._study
+
+        def make() -> ArrivalDifferentials:
+            return arrival_differentials(
+                self.lens,
+                study.perturbations,
+                np.array([p.tolerance for p in study.perturbations]),
+                field_points_mm,
+                self.stop_samples(),
+                wavelength_um=wavelength,
+                pivot_z_mm=study.pivot_z_mm,
+            )
+
+        known = self.kept(("arrivals", field_points_mm, wavelength), make)
+        return self._once(
+            batch,
+            ("rays", field_points_mm, wavelength),
+            lambda: known.arrival(known.changes.amounts(batch)),
+        )
+
+
+def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
+    """Merits of rays that can be predicted: spreads and footprints."""
+    return tuple(merit for merit in study.merits if isinstance(merit, LargestSpread | FootprintRadius))
+
+
+def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
+    """Predict a study's largest spreads and footprints.
+
+    What it neglects: second order of the single ray, and rays that a perturbed lens clips.
+
+    Parameters
+    ----------
+    lens
+        The study's lens.
+    study
+        What scatters, and its merits.
+
+    Returns
+    -------
+    tuple of RayPrediction
+        One for each merit `largest_spread_deg` and `footprint_radius_mm`.
+
+    Raises
+    ------
+    DesignError
+        If rays from an object point do not pass.
+    """
+    merits = predicted_merits(study)
+    if not merits:
+        return ()
+    drawn = study.model_copy(update={"draws": "sobol", "trials": RAY_DRAWS})
+    context = FirstOrderRays(lens, study)
+    blocks = [realise(drawn, range(start, start + BLOCK)) for start in range(0, RAY_DRAWS, BLOCK)]
+    scores = np.concatenate([_scores(merits, context, block) for block in blocks])
+    still = replace(blocks[0], values=np.zeros_like(blocks[0].values))
+    nominal = _scores(merits, context, still)[0]
+    alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
+    traced = _scores(merits, Context(lens, study.sampling), realise(drawn, range(TRACED)))
+    off = np.sqrt(np.mean((scores[:TRACED] - traced) ** 2, axis=0))
+    left = off / np.maximum(np.std(traced, axis=0), np.finfo(float).tiny)
+    return tuple(
+        RayPrediction(
+            merit,
+            float(nominal[k]),
+            float(np.mean(scores[:, k])),
+            float(np.std(scores[:, k])),
+            float(np.mean(merit.passed(scores[:, k]))),
+            alone[:, k],
+            float(left[k]),
+        )
+        for k, merit in enumerate(merits)
+    )
+
+
+def _scores(merits: tuple[RayMerit, ...], context: Context, batch: PerturbationBatch) -> Array:
+    return np.stack([merit.scores(context, batch) for merit in merits], axis=1)
+
+
+def _one_by_one(batch: PerturbationBatch) -> list[PerturbationBatch]:
+    """The batch with all perturbations but one at 0, for each of them."""
+    kept = np.eye(batch.values.shape[1])
+    return [replace(batch, values=batch.values * own) for own in kept]
