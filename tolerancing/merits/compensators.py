@@ -166,8 +166,6 @@ def compensate(pupils: Sequence[ReconstructionPupil], models: Sequence[ModelPupi
     ndarray, shape (compensators,)
         In the compensators' units, within their limits.
     """
-    from scipy.optimize import lsq_linear
-
     limits = np.array([c.limit for c in models[0].compensators])
     shares = np.zeros(len(limits))
     for _ in range(ROUNDS):
@@ -178,13 +176,31 @@ def compensate(pupils: Sequence[ReconstructionPupil], models: Sequence[ModelPupi
             slopes = np.where(rest.valid, model.slopes, 0.0) / len(rest.valid)
             matrix += slopes @ model.slopes.T
             wanted += slopes @ registered(rest)
-        # Directions that do next to nothing are held where they are.
-        floor = 1e-9 * np.trace(matrix) / len(matrix) + np.finfo(float).tiny
-        triangle = np.linalg.cholesky(matrix + floor * np.eye(len(matrix)))
-        bounds = (-1.0 - shares, 1.0 - shares)
-        change = lsq_linear(triangle.T, np.linalg.solve(triangle, wanted), bounds=bounds, method="bvls").x
-        shares = np.clip(shares + change, -1.0, 1.0)
+        shares = np.clip(shares + bounded_change(matrix, wanted, shares), -1.0, 1.0)
     return np.asarray(shares * limits)
+
+
+def bounded_change(matrix: Array, wanted: Array, shares: Array) -> Array:
+    """Change of shares that solves normal equations in the least squares sense, shares staying within +-1.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (k, k)
+    wanted, shares : ndarray, shape (k,)
+    """
+    from scipy.optimize import lsq_linear
+
+    triangle = np.linalg.cholesky(steadied(matrix))
+    bounds = (-1.0 - shares, 1.0 - shares)
+    return np.asarray(
+        lsq_linear(triangle.T, np.linalg.solve(triangle, wanted), bounds=bounds, method="bvls").x
+    )
+
+
+def steadied(matrix: Array) -> Array:
+    """Normal equations whose directions that do next to nothing are held where they are."""
+    floor = 1e-9 * np.trace(matrix) / len(matrix) + np.finfo(float).tiny
+    return np.asarray(matrix + floor * np.eye(len(matrix)))
 
 
 def less_model(pupil: ReconstructionPupil, model: ModelPupils, values: Array) -> ReconstructionPupil:

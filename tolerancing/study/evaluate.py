@@ -49,15 +49,19 @@ def make_ready(study: Study) -> None:
 
 def pupils_of(lens: Lens, study: Study) -> Context:
     """As :func:`context_of`, for those who look at pupils and score by no merit."""
+    points = compensated_points(study)
+    return Context(lens, study.sampling, study.compensators, points, study.pivot_z_mm, study.seed)
+
+
+def compensated_points(study: Study) -> tuple[tuple[tuple[float, float], float | None], ...]:
+    """Field points and wavelengths whose pupils together tell compensators their values."""
     points = dict.fromkeys(
         (point, merit.wavelength_um)
         for merit in study.all_merits
         if isinstance(merit, PupilMerit)
         for point in merit.points
     )
-    compensators = study.compensators
-    compensated = tuple(points) or (((0.0, 0.0), None),)
-    return Context(lens, study.sampling, compensators, compensated, study.pivot_z_mm, study.seed)
+    return tuple(points) or (((0.0, 0.0), None),)
 
 
 def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:

@@ -30,6 +30,9 @@ from tolerancing.wavefronts.system import Changes, changes_of
 RINGS, ARMS = 6, 14
 """Of rays over the stop."""
 
+BLOCK = 512
+"""Trials whose products of perturbations are held at one time."""
+
 POLYNOMIALS = 28
 """Of Zernike, to the sixth radial order: direction cosines are followed over the stop by them."""
 
@@ -77,9 +80,10 @@ class FieldDifferentials:
         found = amounts @ self.registered.T
         if self.second.shape[1]:
             i, j = np.triu_indices(amounts.shape[1])
-            products = amounts[:, i] * amounts[:, j]
-            products[:, i == j] *= 0.5
-            found += products @ self.registered_second.T
+            halves = np.where(i == j, 0.5, 1.0)
+            for start in range(0, len(amounts), BLOCK):
+                part = amounts[start : start + BLOCK]
+                found[start : start + BLOCK] += (halves * part[:, i] * part[:, j]) @ self.registered_second.T
         return np.asarray(found)
 
     def without_focus(self, waves: Array) -> Array:

@@ -17,15 +17,20 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.pupil import PupilMerit, RmsWaves, Strehl
-from tolerancing.study.evaluate import realise
+from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.study.evaluate import compensated_points, realise
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.derivatives import Differentials, differentials
+from tolerancing.wavefronts.compensation import Compensation, less_model
+from tolerancing.wavefronts.derivatives import FieldDifferentials, differentials
+from tolerancing.wavefronts.system import Changes
+
+Place = tuple[tuple[float, float], float | None]
+"""An object point and a wavelength, the lens's first for None."""
+
+_At = tuple[Changes, tuple[FieldDifferentials, ...]]
 
 DRAWS = 8192
 """Sobol draws of a study's perturbations."""
-
-BLOCK = 512
-"""Draws whose path differences are held at one time."""
 
 SECOND_MATTERS = 0.003
 """Share of the root mean square that second order changes, above which predictions may be 5 % off.
@@ -149,8 +154,8 @@ def _limit_waves(merit: PupilMerit) -> float:
 def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) -> WavefrontPrediction:
     """Predict wavefronts and yield of a study without trials.
 
-    What it neglects: third order, compensators other than shift and focus, merits other than the wavefront's,
-    and rays that a perturbed stop lets through or not.
+    What it neglects: third order, merits other than the wavefront's, and rays that a perturbed stop lets
+    through or not.
 
     Parameters
     ----------
@@ -164,23 +169,21 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
     Raises
     ------
     InputError
-        If the study has compensators, or no merit that can be predicted.
+        If the study has no merit that can be predicted.
     DesignError
         If rays from an object point do not pass.
     """
-    _refuse_compensators(study)
     judged = judged_points(study) if points is None else tuple(points)
     batch = realise(replace_draws(study, DRAWS), range(DRAWS))
-    squares, found = np.empty((DRAWS, len(judged))), []
-    for k, point in enumerate(judged):
-        known = _known(lens, study, point, second=True)
-        amounts = known.changes.amounts(batch)
-        squares[:, k] = mean_squares(known, amounts)
-        found.append(_point(known, amounts, point, squares[:, k]))
+    known = _known(lens, study, judged, second=True)
+    amounts = known.changes.amounts(batch)
+    together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
+    squares = np.stack([mean_squares(field, together) for field in known.fields], axis=1)
+    found = tuple(_point(known, k, amounts, together, squares[:, k]) for k in range(len(judged)))
     limits = np.array([point.limit_waves for point in judged])
     good = np.all(squares <= limits**2, axis=1)
     columns = tuple(p.column for p in study.perturbations)
-    return WavefrontPrediction(tuple(found), float(np.mean(good)), DRAWS, columns)
+    return WavefrontPrediction(found, float(np.mean(good)), DRAWS, columns)
 
 
 @dataclass(frozen=True)
@@ -208,19 +211,17 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     InputError, DesignError
         As of :func:`predict`.
     """
-    _refuse_compensators(study)
     judged = judged_points(study)
     batch = realise(replace_draws(study, DRAWS), range(DRAWS))
-    forms, limits = [], np.array([point.limit_waves**2 for point in judged])
-    for point in judged:
-        known = _known(lens, study, point, second=False)
-        forms.append(first_order(known))
-    amounts = known.changes.amounts(batch)
+    known = _known(lens, study, judged, second=False)
+    forms = [first_order(field) for field in known.fields]
+    amounts, limits = known.changes.amounts(batch), np.array([point.limit_waves**2 for point in judged])
 
     def good(columns: slice, factor: float) -> float:
         changed = amounts.copy()
         changed[:, columns] *= factor
-        squares = np.stack([np.sum((changed @ form) * changed, axis=1) for form in forms], axis=1)
+        together = np.concatenate([changed, known.compensation.values(changed)], axis=1)
+        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in forms], axis=1)
         return float(np.mean(np.all(squares <= limits, axis=1)))
 
     return tuple(
@@ -229,24 +230,47 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     )
 
 
-def _known(lens: Lens, study: Study, point: Judged, second: bool) -> Differentials:
-    """Derivatives at one object point by all that a study perturbs."""
-    return differentials(
-        lens,
-        study.perturbations,
-        np.array([p.tolerance for p in study.perturbations]),
-        [point.field_mm],
-        wavelength_um=point.wavelength_um,
-        plane_distance_mm=study.sampling.plane_distance_mm,
-        pivot_z_mm=study.pivot_z_mm,
-        second=second,
-    )
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Of a study: its changes, what compensators take, and derivatives by both at the judged points."""
+
+    judged: tuple[Judged, ...]
+    changes: Changes
+    compensation: Compensation
+    fields: tuple[FieldDifferentials, ...]
 
 
-def _refuse_compensators(study: Study) -> None:
-    if study.compensators:
-        names = ", ".join(c.column for c in study.compensators)
-        raise InputError(f"compensators ({names}): predictions know shift and focus alone; run the study")
+def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> _Known:
+    """Derivatives by all that a study perturbs and compensates."""
+
+    def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:
+        found = [
+            differentials(
+                lens,
+                perturbed,
+                np.array(sizes),
+                [point],
+                wavelength_um=wavelength,
+                plane_distance_mm=study.sampling.plane_distance_mm,
+                pivot_z_mm=study.pivot_z_mm,
+                second=second,
+            )
+            for point, wavelength in points
+        ]
+        return found[0].changes, tuple(known.fields[0] for known in found)
+
+    own = [(point.field_mm, point.wavelength_um) for point in judged]
+    scatter = study.perturbations, [p.tolerance for p in study.perturbations]
+    changes, fields = at(own, *scatter)
+    limits = [c.limit for c in study.compensators]
+    if not limits:
+        return _Known(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
+    adapted = study.compensators, limits
+    told = compensated_points(study)
+    compensation = Compensation(np.array(limits), at(told, *scatter)[1], at(told, *adapted)[1])
+    models = at(own, *adapted)[1]
+    left = tuple(less_model(field, model) for field, model in zip(fields, models, strict=True))
+    return _Known(tuple(judged), changes, compensation, left)
 
 
 def replace_draws(study: Study, count: int) -> Study:
@@ -254,28 +278,27 @@ def replace_draws(study: Study, count: int) -> Study:
     return study.model_copy(update={"draws": "sobol", "trials": count})
 
 
-def mean_squares(known: Differentials, amounts: Array) -> Array:
+def mean_squares(field: FieldDifferentials, amounts: Array) -> Array:
     """Mean square of the refocused path difference, in waves, of each trial; shape (trials,)."""
-    (field,) = known.fields
-    parts = [amounts[start : start + BLOCK] for start in range(0, len(amounts), BLOCK)]
-    return np.concatenate([field.waves(part) ** 2 @ field.weights for part in parts])
+    return np.asarray(field.waves(amounts) ** 2 @ field.weights)
 
 
-def first_order(known: Differentials) -> Array:
+def first_order(field: FieldDifferentials) -> Array:
     """Mean square of the refocused path difference as a quadratic form of the amounts, shape (d, d)."""
-    (field,) = known.fields
     return np.asarray((field.registered.T * field.weights) @ field.registered)
 
 
-def _point(known: Differentials, amounts: Array, judged: Judged, squares: Array) -> PointPrediction:
-    form = first_order(known)
-    moments = amounts.T @ amounts / len(amounts)
-    alone = [float(np.sum(form[own, own] * moments[own, own])) for own in known.changes.columns]
-    linear = float(np.sum(form * moments))
+def _point(known: _Known, k: int, amounts: Array, together: Array, squares: Array) -> PointPrediction:
+    judged, form = known.judged[k], first_order(known.fields[k])
+    linear = float(np.mean(np.sum((together @ form) * together, axis=1)))
+    # What a perturbation brings by itself is what compensators leave of it.
+    follow = known.compensation.following(known.changes.count)
+    alone = (follow.T @ form @ follow) * (amounts.T @ amounts / len(amounts))
+    shares = [float(np.sum(alone[own, own])) for own in known.changes.columns]
     return PointPrediction(
         judged,
         math.sqrt(float(np.mean(squares))),
         math.sqrt(max(linear, 0.0)),
-        np.array(alone) / max(linear, np.finfo(float).tiny),
+        np.array(shares) / max(float(np.sum(alone)), np.finfo(float).tiny),
         float(np.mean(squares <= judged.limit_waves**2)),
     )

@@ -1,0 +1,88 @@
+"""What compensators take of predicted wavefronts.
+
+A compensator adapts the reconstruction's model, whose path is taken from that of the lens as built. So a
+model's derivatives by its compensators stand beside the lens's by its perturbations, with the other sign and
+without products of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from tolerancing.merits.compensators import ROUNDS, bounded_change, steadied
+from tolerancing.wavefronts.derivatives import FieldDifferentials
+from tolerancing.wavefronts.system import pair_places
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Compensators of lenses whose wavefronts are predicted; k of them, d changes.
+
+    Attributes
+    ----------
+    limits : ndarray, shape (k,)
+        Largest value of either sign.
+    fields, models : tuple of FieldDifferentials
+        At the object points that tell compensators their values: by the changes of the lens, and by the
+        compensators of the model.
+    """
+
+    limits: Array
+    fields: tuple[FieldDifferentials, ...]
+    models: tuple[FieldDifferentials, ...]
+
+    def values(self, amounts: Array) -> Array:
+        """Values that leave the least of trials' wavefronts within the limits, shape (trials, k).
+
+        As :func:`tolerancing.merits.compensators.compensate` finds them in a trial's pupils.
+
+        Parameters
+        ----------
+        amounts : ndarray, shape (trials, d)
+            How much of each change each trial has.
+        """
+        shares = np.zeros((len(amounts), len(self.limits)))
+        if not len(self.limits):
+            return shares
+        slopes = [model.registered * self.limits for model in self.models]
+        matrix = np.sum(
+            [(own.T * m.weights) @ own for own, m in zip(slopes, self.models, strict=True)], axis=0
+        )
+        steady = steadied(matrix)
+        waves = [field.waves(amounts) for field in self.fields]
+        for _ in range(ROUNDS):
+            wanted = np.zeros_like(shares)
+            for whole, model, own in zip(waves, self.models, slopes, strict=True):
+                wanted += (whole - model.waves(shares * self.limits)) * model.weights @ own
+            free = shares + np.linalg.solve(steady, wanted.T).T
+            for k in np.flatnonzero(np.any(np.abs(free) > 1.0, axis=1)):
+                free[k] = shares[k] + bounded_change(matrix, wanted[k], shares[k])
+            shares = np.clip(free, -1.0, 1.0)
+        return shares * self.limits
+
+    def following(self, count: int) -> Array:
+        """How lens and compensators follow the changes to first order, within no limits; shape (d + k, d)."""
+        changes = np.eye(count)
+        if not len(self.limits):
+            return changes
+        pairs = list(zip(self.fields, self.models, strict=True))
+        matrix = np.sum([(m.registered.T * m.weights) @ m.registered for _, m in pairs], axis=0)
+        wanted = np.sum([(m.registered.T * m.weights) @ f.registered for f, m in pairs], axis=0)
+        return np.concatenate([changes, np.linalg.solve(steadied(matrix), wanted)])
+
+
+def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDifferentials:
+    """Derivatives by d changes of the lens and then by k compensators of the model that is taken from it."""
+    d, k = field.first.shape[1], model.first.shape[1]
+    first = np.concatenate([field.first, -model.first], axis=1)
+    if not field.second.shape[1]:
+        return replace(field, first=first)
+    second = np.zeros((len(first), (d + k) * (d + k + 1) // 2))
+    i, j = np.triu_indices(d)
+    second[:, pair_places(d + k, i, j)] = field.second
+    i, j = np.triu_indices(k)
+    second[:, pair_places(d + k, d + i, d + j)] = -model.second
+    return replace(field, first=first, second=second)
