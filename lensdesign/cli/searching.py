@@ -243,7 +243,7 @@ def _print_optimization(result: OptimizationResult) -> None:
 
 def _as_built(report: AsBuiltReport) -> Any:
     """Start and result beside each other, by trials."""
-    points = [f"rms at ({x:g}, {y:g}) mm" for x, y in report.points_mm]
+    points = [f"rms at {place}" for place in report.places]
     trials = report.rows[0].trials
     found = table(f"As built: waves over {trials} trials each, and as predicted", "lens", *points, "good")
     for row in report.rows:

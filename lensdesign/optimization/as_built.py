@@ -80,6 +80,8 @@ class AsBuiltReport:
     ----------
     points_mm : tuple of (x, y)
         Object points.
+    wavelengths_um : tuple of float or None
+        At which each is judged; None: the lens's first.
     limits_waves : tuple of float
         Largest root mean square of a good lens at each.
     rows : tuple of TrialsOf
@@ -87,8 +89,18 @@ class AsBuiltReport:
     """
 
     points_mm: tuple[tuple[float, float], ...]
+    wavelengths_um: tuple[float | None, ...]
     limits_waves: tuple[float, ...]
     rows: tuple[TrialsOf, ...]
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Object points in words, with the wavelength where it is not the lens's first."""
+        pairs = zip(self.points_mm, self.wavelengths_um, strict=True)
+        return tuple(
+            f"({x:g}, {y:g}) mm" + ("" if wavelength is None else f", {wavelength:g} um")
+            for (x, y), wavelength in pairs
+        )
 
 
 class AsBuilt(Protocol):

@@ -209,8 +209,8 @@ def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | N
         rows.append(constraint("yield", found.good, ">=", limits.min_yield, "", met, miss))
     if limits.max_as_built_rms_waves is not None:
         most = limits.max_as_built_rms_waves
-        for (x, y), rms, error in zip(built.points_mm, found.rms_waves, found.rms_errors_waves, strict=True):
-            name = f"as-built rms at ({x:g}, {y:g}) mm"
+        for place, rms, error in zip(built.places, found.rms_waves, found.rms_errors_waves, strict=True):
+            name = f"as-built rms at {place}"
             miss = f"{name}: {rms:.4f} +- {2.0 * error:.4f} waves exceeds the limit of {most:g} waves"
             rows.append(constraint(name, rms, "<=", most, "waves", rms - 2.0 * error <= most, miss))
     return rows

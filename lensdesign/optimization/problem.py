@@ -147,10 +147,10 @@ class DesignProblem:
         return State(lens, variables, rays.fields_mm, traces)
 
     def trace(
-        self, point: Array, rays: Rays, variables: tuple[Variable, ...], planes_mm: Array
+        self, point: Array, rays: Rays, variables: tuple[Variable, ...], planes_mm: Array, wavelength: int
     ) -> GradientTrace:
-        """Trace rays at the first wavelength, to planes of one's own."""
-        return self._trace(self.lens_at(point), self.compiled[0], rays, variables, planes_mm)
+        """Trace rays at one of the wavelengths, counted from 0, to planes of one's own."""
+        return self._trace(self.lens_at(point), self.compiled[wavelength], rays, variables, planes_mm)
 
     def _trace(
         self,

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, TransferLensError
@@ -107,11 +108,12 @@ class StudyAsBuilt:
         if self.study.compensators:
             raise DesignError(f"{self.source}: compensators: a search knows shift and focus alone")
         check_against(self.study, _bent(lens), self.source)
-        own = {p.wavelength_um for p in self.judged} - {None, lens.wavelengths_um[0]}
+        own = {p.wavelength_um for p in self.judged} - {None, *lens.wavelengths_um}
         if own:
+            known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
             raise DesignError(
-                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own)} um: a search knows the first "
-                f"wavelength alone, {lens.wavelengths_um[0]:g} um"
+                f"{self.source}: merits at {', '.join(f'{w:g}' for w in own if w is not None)} um: a search "
+                f"knows the wavelengths of its specification alone, {known} um"
             )
 
     def evaluate(self, problem: DesignProblem, point: Array, derivatives: bool) -> AsBuiltValues:
@@ -120,19 +122,24 @@ class StudyAsBuilt:
         Derivatives are by the variables' own values.
         """
         variables = problem.variables if derivatives else ()
+        wavelengths = problem.base.wavelengths_um
+        own = np.array([wavelengths.index(p.wavelength_um or wavelengths[0]) for p in self.judged])
         try:
-            forms = _Forms(self, problem, point, variables)
+            parts = [_Forms(self, problem, point, variables, w, own == w) for w in np.unique(own)]
         except (TransferLensError, np.linalg.LinAlgError):
             return untraceable(len(self.judged), len(variables))
-        if not forms.ok:
+        if not all(part.ok for part in parts):
             return untraceable(len(self.judged), len(variables))
-        amounts = forms.changes.amounts(self._drawn)
+        order = np.argsort(np.argsort(own, kind="stable"))
+        values = np.concatenate([part.values for part in parts])[order]
+        values_by = np.concatenate([part.by for part in parts], axis=1)[:, order]
+        amounts = parts[0].changes.amounts(self._drawn)
         moments = amounts.T @ amounts / len(amounts)
-        squares = np.sum(forms.values * moments, axis=(1, 2))
+        squares = np.sum(values * moments, axis=(1, 2))
         rms = np.sqrt(squares)
-        by = np.sum(forms.by * moments, axis=(2, 3)).T / (2.0 * rms[:, None])
+        by = np.sum(values_by * moments, axis=(2, 3)).T / (2.0 * rms[:, None])
         limits = np.array([p.limit_waves for p in self.judged]) ** 2
-        each = np.einsum("td,pde,te->tp", amounts, forms.values, amounts, optimize=True) / limits
+        each = np.einsum("td,pde,te->tp", amounts, values, amounts, optimize=True) / limits
         worst = np.argmax(each, axis=1)
         rows = np.arange(len(worst))
         soft = 1.0 / (1.0 + np.exp(np.clip((1.0 - each[rows, worst]) / SOFTNESS, -500.0, 500.0)))
@@ -141,7 +148,7 @@ class StudyAsBuilt:
         heavy = np.stack(
             [(amounts[worst == p].T * slope[worst == p]) @ amounts[worst == p] for p in range(len(limits))]
         )
-        failing_by = np.einsum("vpde,pde->v", forms.by, heavy)
+        failing_by = np.einsum("vpde,pde->v", values_by, heavy)
         return AsBuiltValues(rms, by, float(np.mean(soft)), failing_by)
 
     def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
@@ -162,7 +169,9 @@ class StudyAsBuilt:
             }
         )
         rows = [_tried(name, lens, fresh) for name, lens in lenses]
-        return AsBuiltReport(self.points_mm, tuple(p.limit_waves for p in self.judged), tuple(rows))
+        places = [(p.field_mm, p.wavelength_um, p.limit_waves) for p in self.judged]
+        points, wavelengths, limits = zip(*places, strict=True)
+        return AsBuiltReport(points, wavelengths, limits, tuple(rows))
 
     @cached_property
     def _labels(self) -> set[str]:
@@ -203,24 +212,36 @@ def _tried(name: str, lens: Lens, study: Study) -> TrialsOf:
 
 
 class _Forms:
-    """Mean squares as quadratic forms of the drawn amounts, one for each object point, with derivatives."""
+    """Mean squares as quadratic forms of the drawn amounts, with derivatives.
+
+    One for each of the object points that are judged at a wavelength of the specification.
+    """
 
     def __init__(
-        self, own: StudyAsBuilt, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]
+        self,
+        own: StudyAsBuilt,
+        problem: DesignProblem,
+        point: Array,
+        variables: tuple[Variable, ...],
+        wavelength: int,
+        judged: NDArray[np.bool_],
     ) -> None:
-        self.own, self.problem = own, problem
+        self.own, self.system = own, problem.compiled[wavelength]
+        self.wavelength_um = problem.base.wavelengths_um[wavelength]
+        points = np.array(own.points_mm)[judged]
+        self.count = len(points)
         stop = pupil_rings(RINGS, ARMS)
         self.stop, self.lens = stop, problem.lens_at(point)
         rim = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-        fields = np.repeat(np.array(own.points_mm), len(stop.points), axis=0)
+        fields = np.repeat(points, len(stop.points), axis=0)
         edge = np.tile([0.0, self.lens.half_field_mm], (RIM_POINTS, 1))
-        pupil = np.tile(stop.points, (len(own.points_mm), 1))
+        pupil = np.tile(stop.points, (len(points), 1))
         rays = Rays(
             np.concatenate([fields, edge]),
             np.concatenate([pupil, np.column_stack([np.cos(rim), np.sin(rim)])]),
         )
         plane_mm = own.study.sampling.plane_distance_mm
-        self.trace = problem.trace(point, rays, variables, np.array([plane_mm]))
+        self.trace = problem.trace(point, rays, variables, np.array([plane_mm]), wavelength)
         self.inner = slice(0, len(fields))
         self.ok = bool(np.all(self.trace.ok))
         if not self.ok:
@@ -258,8 +279,8 @@ class _Forms:
             for s, c in zip(lens.surfaces, clear_mm, strict=True)
         ]
         whole = _bent(lens.model_copy(update={"surfaces": tuple(surfaces)}))
-        study, wavelength = own.study, lens.wavelengths_um[0]
-        return changes_of(whole, study.perturbations, own._sizes, study.pivot_z_mm, wavelength, False)
+        study = own.study
+        return changes_of(whole, study.perturbations, own._sizes, study.pivot_z_mm, self.wavelength_um, False)
 
     def _forms(
         self, moved: tuple[int, Variable] | None, ends: tuple[Changes, Changes, float] | None
@@ -275,11 +296,10 @@ class _Forms:
             for k, pair in enumerate(zip(figures_on(still, high), figures_on(still, low), strict=True)):
                 change = 1j * STEP * (pair[0].sag - pair[1].sag) / width
                 figures[k] = replace(figures[k], sag=figures[k].sag + change)
-        wavelength = self.lens.wavelengths_um[0]
-        slopes = 1e3 / wavelength * first_by(paths, changes, figures)
+        slopes = 1e3 / self.wavelength_um * first_by(paths, changes, figures)
         cosines, n = paths.cosines, len(self.stop.points)
         forms = []
-        for k in range(len(self.own.judged)):
+        for k in range(self.count):
             part = slice(k * n, (k + 1) * n)
             field = FieldDifferentials(
                 weights_over_stop(cosines[part], self.stop),
@@ -291,7 +311,7 @@ class _Forms:
         return np.stack(forms)
 
     def _paths(self, trace: GradientTrace, moved: tuple[int, Variable] | None) -> Paths:
-        lens, system = self.lens, self.problem.compiled[0]
+        lens = self.lens
         heights, ends = trace.heights[self.inner], trace.plane_points[self.inner, 0]
         shapes = [surface.shape for surface in lens.surfaces]
         vertices: Array = lens.vertex_z_mm
@@ -309,7 +329,7 @@ class _Forms:
         plane_z = vertices[-1] + self.own.study.sampling.plane_distance_mm
         origins = np.column_stack([self.fields_mm, np.full(len(heights), object_z)])
         arrivals = np.column_stack([ends, np.full(len(heights), plane_z)])
-        return Paths(tuple(shapes), vertices, system.index[0], origins, heights, arrivals)
+        return Paths(tuple(shapes), vertices, self.system.index[0], origins, heights, arrivals)
 
 
 def _bent(lens: Lens) -> Lens:

@@ -60,9 +60,25 @@ def figured_study(wavefront_study: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_gradients_are_those_of_differences(figured_study: Path) -> None:
+SECOND_WAVELENGTH = """
+[[merit]]
+name = "red"
+kind = "rms_waves"
+field_points_mm = [[0.0, 0.0], [0.0, 1.2]]
+wavelength_um = 0.6328
+at_most = 0.1
+"""
+
+
+@pytest.mark.parametrize("wavelengths", ["[0.532]", "[0.6328, 0.532]"])
+def test_gradients_are_those_of_differences(figured_study: Path, wavelengths: str) -> None:
     """Of all variables at once, a figure on a surface of open size among the perturbations."""
-    path = specified(figured_study, "spec.toml", CONIC, **{'"thinnest lens"': '"yield"'})
+    asked = {'"thinnest lens"': '"yield"', "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}"}
+    if "0.6328" in wavelengths:
+        whole = figured_study.read_text(encoding="utf-8")
+        both = whole.replace('kind = "rms_waves"\n', 'kind = "rms_waves"\nwavelength_um = 0.532\n')
+        figured_study.write_text(both + SECOND_WAVELENGTH, encoding="utf-8")
+    path = specified(figured_study, "spec.toml", CONIC, **asked)
     problem = DesignProblem(specification := load_specification(path), specification.lens)
     point = problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml"))
     here = problem.as_built(point)
@@ -123,6 +139,40 @@ def test_what_a_search_cannot_use_is_refused(wavefront_study: Path, tmp_path: Pa
     lone.write_text(text.replace("[tolerances]\n", "").replace('study = "study.toml"\ntrials = 200\n', ""))
     with pytest.raises(DesignError, match=r"need their tolerances: \[tolerances\] study"):
         load_specification(lone)
+
+
+def test_each_wavelength_is_judged_as_by_itself(wavefront_study: Path, tmp_path: Path) -> None:
+    (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+    green = wavefront_study.read_text(encoding="utf-8")
+    found = []
+    for name, study, wavelengths in (
+        ("both", green + SECOND_WAVELENGTH, "[0.532, 0.6328]"),
+        ("green", green, "[0.532]"),
+        ("red", green[: green.index("[[merit]]")] + SECOND_WAVELENGTH, "[0.6328]"),
+    ):
+        own = tmp_path / f"{name}.toml"
+        own.write_text(study, encoding="utf-8")
+        asked = {
+            '"thinnest lens"': '"yield"',
+            "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}",
+        }
+        specification = load_specification(specified(own, f"{name}_spec.toml", **asked))
+        problem = DesignProblem(specification, specification.lens)
+        values = problem.as_built(problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml")))
+        assert values is not None
+        found.append(values)
+    both, one, other = found
+    np.testing.assert_allclose(both.rms_waves, [*one.rms_waves, *other.rms_waves])
+    np.testing.assert_allclose(both.rms_by, np.concatenate([one.rms_by, other.rms_by]))
+    assert both.failing > one.failing
+
+
+def test_a_wavelength_that_the_specification_does_not_have_is_refused(figured_study: Path) -> None:
+    with figured_study.open("a", encoding="utf-8") as more:
+        more.write(SECOND_WAVELENGTH)
+    study = read_as_built(Tolerances(study=str(figured_study)))
+    with pytest.raises(DesignError, match=r"merits at 0\.6328 um: .* alone, 0\.532 um"):
+        study.check(load_design(DESIGNS / "paper_singlet.toml"))
 
 
 def test_tolerances_of_surfaces_that_are_not_there_are_refused(wavefront_study: Path) -> None:
