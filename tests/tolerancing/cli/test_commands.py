@@ -1,6 +1,7 @@
 """The command, end to end; in a process of its own where it is interrupted."""
 
 import json
+import re
 import signal
 import sqlite3
 import subprocess
@@ -10,6 +11,7 @@ from typing import NamedTuple
 
 import pytest
 from stopping import heeding
+from typer.testing import CliRunner
 
 from tolerancing.analysis import scorer
 from tolerancing.cli.commands import main
@@ -61,6 +63,28 @@ def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray
         "--process '2=moulded_glass': must be NAME"
         in command("cost", study, "--process", "2=moulded_glass").stderr
     )
+
+
+def test_the_cheapest_budget_goes_to_the_drawing(command, write_study, ray_study, tmp_path):
+    """As it was written: the sheet states the tolerances that the budget found, the mount's apart."""
+    from lensdesign.cli.commands import app
+
+    study, store, out = write_study(ray_study), tmp_path / "a.db", tmp_path / "b.toml"
+    command("run", study, "--store", store, "--workers", "1")
+    ran = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "40", "--costs", "relative")
+    assert ran.returncode == 0, ran.stderr
+    (radius,) = [p for p in load_study(out).study.perturbations if p.parameter.startswith("radius")]
+    sheets = []
+    for file in (study, out):
+        sheet = tmp_path / f"{file.stem}.svg"
+        made = ["drawing", tmp_path / "design.toml", "--tolerances", file, "-o", sheet]
+        shown = CliRunner().invoke(app, [str(argument) for argument in made])
+        assert shown.exit_code == 0, shown.output
+        assert "not on the sheet: lens decenter" in shown.output
+        sheets.append(re.findall(r">(R [^<]*±[^<]*)<", sheet.read_text(encoding="utf-8")))
+    before, after = sheets
+    assert before != after
+    assert any(f"±{radius.tolerance:.4g}" in words for words in after)
 
 
 def test_indices_and_their_chart(command, write_study, ray_study, tmp_path):
