@@ -24,6 +24,18 @@ HOW_TO_GET = (
 TOLERANCE = 1e-9
 
 
+OPTILAND_NAMES: dict[str, tuple[str, dict[str, Any]]] = {
+    "decenter_x_mm": ("decenter", {"axis": "x"}),
+    "decenter_y_mm": ("decenter", {"axis": "y"}),
+    "tilt_x_rad": ("tilt", {"axis": "x"}),
+    "tilt_y_rad": ("tilt", {"axis": "y"}),
+    "radius_mm": ("radius", {}),
+    "conic": ("conic", {}),
+    "index": ("index", {"wavelength": 0.532}),
+}
+"""Perturbations of the last surface, and of the index before it, as Optiland calls them."""
+
+
 class Tracer(Protocol):
     """A lens in another program, and one bundle of rays for it."""
 
@@ -51,7 +63,8 @@ class OptilandTracer:
         self.make_rays = import_module("optiland.rays").RealRays
         self.columns = [np.ascontiguousarray(column) for column in (*origins.T, *directions.T)]
         self.columns += [np.ones(len(origins)), np.full(len(origins), wavelength_um)]
-        surfaces = import_module("optiland.optic").Optic().surfaces
+        self.optic = import_module("optiland.optic").Optic()
+        surfaces = self.optic.surfaces
         surfaces.add(index=0, z=lens.object_z_mm)
         media = [make_medium(float(index)) for index in lens.indices(wavelength_um)[1:]]
         vertices = lens.vertex_z_mm
@@ -78,6 +91,48 @@ class OptilandTracer:
         tilt_x, tilt_y = np.deg2rad([tilt_x_deg, tilt_y_deg])
         frame.rx = np.arcsin(np.sin(tilt_x) * np.cos(tilt_y))
         frame.ry = np.arctan2(np.tan(tilt_y), np.cos(tilt_x))
+
+    def monte_carlo(self, deviations: dict[str, float], index: float, trials: int) -> tuple[Array, Array]:
+        """Largest sine of a ray's angle by Optiland's own Monte Carlo, perturbing the last surface.
+
+        Parameters
+        ----------
+        deviations
+            Standard deviation of each perturbation.
+        index
+            Nominal, of the glass before the last surface.
+        trials
+            How many.
+
+        Returns
+        -------
+        values : ndarray, shape (trials, perturbations)
+        sines : ndarray, shape (trials,)
+        """
+        tolerancing = import_module("optiland.tolerancing")
+        samplers = import_module("optiland.tolerancing.perturbation").DistributionSampler
+        geometry, last = self.surfaces[-2].geometry, len(self.surfaces) - 2
+        middles = {"radius_mm": float(geometry.radius), "conic": float(geometry.k), "index": index}
+
+        def largest_sine(optic: Any) -> float:
+            self.trace()
+            return float(np.max(np.hypot(self.rays.L, self.rays.M)))
+
+        import_module("optiland.optimization.operand").operand_registry.register(
+            "largest_sine", largest_sine, overwrite=True
+        )
+        asked = tolerancing.Tolerancing(self.optic)
+        asked.add_operand("largest_sine", {"optic": self.optic}, target=0.0)
+        for seed, (name, deviation) in enumerate(deviations.items()):
+            kind, options = OPTILAND_NAMES[name]
+            sampler = samplers("normal", seed=seed, loc=middles.get(name, 0.0), scale=deviation)
+            surface = last - 1 if name == "index" else last
+            asked.add_perturbation(kind, sampler, surface_number=surface, **options)
+        runner = import_module("optiland.tolerancing.monte_carlo").MonteCarlo(asked)
+        runner.run(trials)
+        table = runner.get_results().to_numpy(float)
+        nominal = np.array([middles.get(name, 0.0) for name in deviations])
+        return table[:, : len(deviations)] - nominal, table[:, len(deviations)]
 
     def result(self) -> tuple[Array, Array]:
         rays = self.rays
@@ -117,6 +172,45 @@ class PrysmTracer:
 
     def result(self) -> tuple[Array, Array]:
         return self.history[0][-1], self.history[1][-1]
+
+
+def prysm_tangents(
+    lens: Lens, origins: Array, directions: Array, wavelength_um: float, plane_z_mm: float
+) -> Array | None:
+    """Derivatives of rays' last directions by the perturbations of `OPTILAND_NAMES`, shape (n, 3, 7).
+
+    By prysm's forward tangents, which no release has; None without them.
+    """
+    try:
+        tangents = import_module("prysm.x.raytracing._diff_raytrace")
+    except ImportError:
+        return None
+    shapes, materials = import_module("prysm.x.raytracing.surfaces"), import_module("prysm.x.materials")
+    indices, vertices = lens.indices(wavelength_um)[1:], lens.vertex_z_mm
+    system = [
+        shapes.Surface(
+            shapes.Conic(s.curvature, s.conic),
+            interaction="refr",
+            P=[0.0, 0.0, z],
+            material=materials.ConstantMaterial(float(index)),
+        )
+        for s, z, index in zip(lens.surfaces, vertices, indices, strict=True)
+    ]
+    system.append(shapes.Surface(shapes.Plane(), interaction="eval", P=[0.0, 0.0, plane_z_mm]))
+    last = len(lens.surfaces) - 1
+    seeds = [
+        *(tangents.seed_decenter(last, axis) for axis in "xy"),
+        *(tangents.seed_tilt(last, axis) for axis in "xy"),
+        tangents.seed_curvature(last),
+        tangents.seed_conic(last),
+        tangents.seed_index(last - 1),
+    ]
+    found = np.array(
+        tangents.raytrace_with_tangents(system, origins, directions, wavelength_um, seeds).Sdot[-1]
+    )
+    found[..., 2:4] *= -1.0  # prysm's rotations lead into the surface's frame
+    found[..., 4] *= -(lens.surfaces[-1].curvature ** 2)  # by radius
+    return found
 
 
 def _give_unit_normals(module: Any) -> None:

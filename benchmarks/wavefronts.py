@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from benchmarks.others import OptilandTracer, missing_packages
+from benchmarks.others import OptilandTracer, missing_packages, prysm_tangents
 from benchmarks.timing import DESIGNS
 from lensdesign import Lens, load_design
 from lensdesign.optimization.as_built import read_as_built
@@ -20,11 +20,13 @@ from lensdesign.optimization.search import optimize
 from lensdesign.tracing.bundles import pupil_rings
 from tolerancing import load_study
 from tolerancing.analysis.yields import yield_of
+from tolerancing.merits.arrival import arriving_rays
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.rays import FootprintRadius, LargestSpread
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.evaluate import context_of, realise
-from tolerancing.wavefronts import differentials, predict, predict_rays
+from tolerancing.wavefronts import arrival_differentials, differentials, predict, predict_rays
 from tolerancing.wavefronts.derivatives import ARMS, RINGS, FieldDifferentials, nominal_paths
 from tolerancing.wavefronts.paths import Paths
 
@@ -32,6 +34,7 @@ ROUNDS = 9
 OPTILAND_TRIALS = 20
 RAY_TRIALS = 10_000
 COMPENSATED_TRIALS = 1_000
+SPREAD_TRIALS = 1_000
 STUDY = DESIGNS / "as_built_tolerances.toml"
 
 EVERY = {
@@ -70,6 +73,7 @@ def main() -> None:
         print(f"100 tolerances, 9 object points, {orders} order: {1e3 * min(seconds):.0f} ms")
     if "optiland" not in missing_packages():
         beside_optiland(lens)
+        spreads_beside_others(lens)
     began = time.perf_counter()
     loaded = load_study(STUDY)
     predict(loaded.lens, loaded.study)
@@ -88,6 +92,62 @@ def main() -> None:
         told = predict(lens if row is report.rows[0] else found.lens, loaded.study).good
         good = f"{row.good:.4f} ({row.low:.4f} to {row.high:.4f})"
         print(f"{row.name}: good predicted {told:.4f}, by trials {good}")
+
+
+def spreads_beside_others(lens: Lens) -> None:
+    """Largest spread by Optiland's Monte Carlo, its rays' derivatives by prysm, and both by ours."""
+    deviations = {
+        "decenter_x_mm": 0.02,
+        "decenter_y_mm": 0.02,
+        "tilt_x_rad": 1e-3,
+        "tilt_y_rad": 1e-3,
+        "radius_mm": 0.01,
+        "conic": 1e-3,
+        "index": 2e-4,
+    }
+    moved = [
+        PerturbedParameter(target=f"surface {1 + (name != 'index')}", parameter=name.replace("_rad", "_deg"))
+        for name in deviations
+    ]
+    units = np.array([180.0 / np.pi if name.endswith("_rad") else 1.0 for name in deviations])
+    sizes = units * np.array(list(deviations.values()))
+    wavelength, plane_z = lens.wavelengths_um[0], float(lens.sensor_z_mm[0])
+    points, stop = ((0.0, 0.0), (0.0, 1.5), (1.5, 0.0)), pupil_rings(6, 24, edge=True)
+    arrival_differentials(lens, moved, sizes, points, stop)  # kernels are compiled by now
+    began = time.perf_counter()
+    known = arrival_differentials(lens, moved, sizes, points, stop)
+    seconds = {"derivatives": time.perf_counter() - began}
+    paths = nominal_paths(lens, points, stop, wavelength, lens.sensor.plane_distances_mm[0])
+    bundle = paths.objects_mm, paths.cosines, wavelength, plane_z
+    prysm_tangents(lens, *bundle)
+    began = time.perf_counter()
+    theirs = prysm_tangents(lens, *bundle)
+    if theirs is not None:
+        off = np.abs(theirs[:, :2] / units - known.direction_by) / np.max(
+            np.abs(known.direction_by), axis=(0, 1)
+        )
+        print(f"directions of {len(bundle[0])} rays by 7 perturbations, prysm: {np.max(off):.1e} off")
+        print(f"seconds: {time.perf_counter() - began:.4f} and {seconds['derivatives']:.4f}")
+    tracer = OptilandTracer(lens, *bundle)
+    began = time.perf_counter()
+    values, sines = tracer.monte_carlo(deviations, float(lens.indices(wavelength)[1]), SPREAD_TRIALS)
+    seconds["Optiland"] = time.perf_counter() - began
+    batch = PerturbationBatch(tuple(moved), values * units, 0.0)
+    began = time.perf_counter()
+    rays = known.arrival(known.changes.amounts(batch))
+    told = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
+    seconds["derivatives"] += time.perf_counter() - began
+    began = time.perf_counter()
+    rays = arriving_rays(lens, batch, points, stop.points, wavelength)
+    traced = np.max(np.hypot(rays.direction[..., 0], rays.direction[..., 1]), axis=1)
+    seconds["trials"] = time.perf_counter() - began
+    for name, own in (("Optiland", sines), ("trials", traced), ("derivatives", told)):
+        angles = np.rad2deg(np.arcsin(own))
+        off = np.max(np.abs(angles - np.rad2deg(np.arcsin(sines))))
+        print(
+            f"largest spread of {SPREAD_TRIALS} trials, {name}: mean {np.mean(angles):.5f}, deviation "
+            f"{np.std(angles):.5f} deg; at most {off:.1e} deg from Optiland's; {seconds[name]:.3f} s"
+        )
 
 
 def rays_beside_trials() -> None:
