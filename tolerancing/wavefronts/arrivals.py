@@ -75,7 +75,7 @@ def arrival_differentials(
     sizes : ndarray, shape (parameters,)
         Roughly by how much.
     fields_mm
-        Object points (x, y); rays stand field point by field point.
+        Object points (x, y); rays stand field point by field point, without those that do not pass.
     stop
         Points on the stop, which rays pass however it stands.
     wavelength_um
@@ -88,11 +88,12 @@ def arrival_differentials(
     InputError
         If a perturbation is none of this lens.
     DesignError
-        If not all rays pass.
+        If no ray passes.
     """
     wavelength = lens.wavelengths_um[0] if wavelength_um is None else wavelength_um
     changes = changes_of(lens, parameters, sizes, pivot_z_mm, wavelength, False)
-    paths = nominal_paths(lens, fields_mm, stop, wavelength, lens.sensor.plane_distances_mm[0])
+    first_plane_mm = lens.sensor.plane_distances_mm[0]
+    paths = nominal_paths(lens, fields_mm, stop, wavelength, first_plane_mm, whole=False)
     motions = Motions(paths, figures_on(paths, changes))
     position, direction = arrivals_by(motions, lens.stop_index)
     moved = motions_of(changes)

@@ -201,13 +201,16 @@ def nominal_paths(
     stop: PupilSamples,
     wavelength_um: float,
     plane_distance_mm: float,
+    whole: bool = True,
 ) -> Paths:
     """Trace rays from object points, one after the other, through the stop.
+
+    Those that do not arrive are left out unless the `whole` pupil is asked for.
 
     Raises
     ------
     DesignError
-        If not all of them arrive.
+        If not all of a whole pupil arrive, or none at all.
     """
     system = compile_system(lens, wavelength_um)
     plane_z = lens.exit_vertex_z_mm + plane_distance_mm
@@ -216,7 +219,9 @@ def nominal_paths(
     )
     rays = trace_compiled(system, origins, directions, plane_z, record_hits=True)
     assert rays.hits is not None  # they were asked for
-    if not np.all(rays.ok):
+    if not np.any(rays.ok):
+        raise DesignError("no ray from the object points passes the lens")
+    if whole and not np.all(rays.ok):
         lost = np.flatnonzero(~rays.ok)[0] // len(stop.points)
         raise DesignError(
             f"rays from the object point ({fields_mm[lost][0]:g}, {fields_mm[lost][1]:g}) mm do not all pass "
@@ -226,9 +231,9 @@ def nominal_paths(
         system.shapes,
         system.vertex[0, :, 2],
         system.index[0],
-        origins,
-        rays.hits[..., :2],
-        rays.position,
+        origins[rays.ok],
+        rays.hits[rays.ok, :, :2],
+        rays.position[rays.ok],
     )
 
 

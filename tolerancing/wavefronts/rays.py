@@ -33,6 +33,9 @@ TRACED = 64
 FIRST_SUFFICES = 0.05
 """Root mean square that first order may leave of the traced draws, as a share of their deviation."""
 
+ROUNDING = 1e-9
+"""Deviations below this share of the nominal value are none."""
+
 
 @dataclass(frozen=True, eq=False)
 class RayPrediction:
@@ -110,7 +113,8 @@ def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
 def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
     """Predict a study's largest spreads and footprints.
 
-    What it neglects: second order of the single ray, and rays that a perturbed lens clips.
+    What it neglects: second order of the single ray, and rays that a perturbed lens clips or lets through
+    where the nominal one does not.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
     Raises
     ------
     DesignError
-        If rays from an object point do not pass.
+        If no ray passes.
     """
     merits = predicted_merits(study)
     if not merits:
@@ -141,7 +145,8 @@ def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
     traced = _scores(merits, Context(lens, study.sampling), realise(drawn, range(TRACED)))
     off = np.sqrt(np.mean((scores[:TRACED] - traced) ** 2, axis=0))
-    left = off / np.maximum(np.std(traced, axis=0), np.finfo(float).tiny)
+    # What no perturbation moves deviates by rounding alone.
+    left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
     return tuple(
         RayPrediction(
             merit,

@@ -7,6 +7,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import Lens, load_design
+from lensdesign.errors import DesignError
 from lensdesign.tracing.bundles import pupil_rings
 from tolerancing.merits.arrival import arriving_rays
 from tolerancing.perturbations.batch import batch_of
@@ -54,6 +55,24 @@ def test_what_first_order_leaves_falls_with_the_square(stop: int) -> None:
         left.append(np.max(np.abs(off), axis=(2, 3)))
         assert np.all(left[-1][:, len(sizes) :] < 0.05 * np.max(np.abs(moved), axis=(2, 3))[:, len(sizes) :])
     assert np.all(left[1] <= left[0] / 3.0 + 2e-9)
+
+
+def test_rays_that_the_nominal_lens_clips_are_left_out() -> None:
+    whole = load_design(DESIGNS / "paper_singlet.toml")
+    narrow = whole.surfaces[1].model_copy(update={"semi_diameter_mm": 8.0})
+    lens = whole.model_copy(update={"surfaces": (whole.surfaces[0], narrow)})
+    moved = [PerturbedParameter(target="lens", parameter="decenter_x_mm")]
+    samples = pupil_rings(2, 12, edge=True)
+    all_rays, left = (
+        len(arrival_differentials(one, moved, np.ones(1), FIELDS, samples).direction) for one in (whole, lens)
+    )
+    assert all_rays == 2 * len(samples.points)
+    assert 0 < left < all_rays
+    blind = whole.model_copy(
+        update={"surfaces": (whole.surfaces[0], narrow.model_copy(update={"semi_diameter_mm": 1e-6}))}
+    )
+    with pytest.raises(DesignError, match="no ray from the object points"):
+        arrival_differentials(blind, moved, np.ones(1), ((1.0, 1.0),), samples)
 
 
 def _with_stop(lens: Lens, stop: int) -> Lens:

@@ -72,6 +72,7 @@ def test_what_a_perturbation_does_by_itself_is_told(ray_study: Path) -> None:
     study = loaded.study.model_copy(update={"perturbations": (table,)})
     spread, footprint = predict_rays(loaded.lens, study)
     assert spread.deviation == pytest.approx(0.0, abs=1e-12)
+    assert spread.first_order_suffices
     assert footprint.alone[0] == pytest.approx(footprint.deviation, rel=0.2)
     assert footprint.deviation > 1e-3
 
