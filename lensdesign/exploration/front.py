@@ -19,8 +19,7 @@ from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.budget import Budget
-from lensdesign.optimization.local_search import Found, search_from
+from lensdesign.optimization.local_search import Budget, Found, search_from
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.rows.row import KEPT
 from lensdesign.optimization.search import bases_of, starts_of

@@ -12,8 +12,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.budget import Budget
-from lensdesign.optimization.local_search import search_from
+from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.rows.row import KEPT
 from lensdesign.optimization.search import bases_of, starts_of

@@ -10,8 +10,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.budget import Budget
-from lensdesign.optimization.local_search import search_from
+from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.rows.row import KEPT
 

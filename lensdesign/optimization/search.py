@@ -15,8 +15,7 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.asked.specification import Specification, refuse_impossible
-from lensdesign.optimization.budget import Budget
-from lensdesign.optimization.local_search import search_from
+from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.nlopt_driver import FEASIBLE, UNTRACEABLE
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.optimization.result import OptimizationResult, Tried, result_of
