@@ -2,13 +2,15 @@
 
 The plastic lens has the paper's field, aperture and distances; both are traced as they are at each
 temperature, and their wavefronts are those that a reconstruction with the design at 20 C is left with, with
-and without refocusing. `-o CHART.png` draws them.
+and without refocusing. `-o CHART.png` draws them. Then the thinnest lenses that keep their limits at 20 C,
+and from 0 to 50 C.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from lensdesign.analysis import check_design, first_order
 from lensdesign.lens import Lens, lens_at_temperature
 from lensdesign.lens.catalogues.thermal import REFERENCE_C
 from lensdesign.optimization import load_specification, optimize
+from lensdesign.optimization.asked.sections import Environment
 from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.pupil import RmsWaves
 from tolerancing.perturbations import PerturbationBatch, PerturbedParameter
@@ -43,6 +46,22 @@ def main() -> None:
             print(f"{temperature:4g} C  " + "  ".join(f"{value:8.4f}" for value in row))
     if output is not None:
         draw(found, output)
+    print("thinnest lens: thickness (mm); largest spread (deg) and footprint (mm) at 0 and 50 C; seconds")
+    for glass in ("N-BK7", PLASTIC, "PMMA"):
+        for words, environment in (("20 C", None), ("0 to 50 C", Environment(temperatures_c=(0.0, 50.0)))):
+            print(f"{glass:6} for {words:9}  {thinnest(glass, environment)}")
+
+
+def thinnest(glass: str, environment: Environment | None) -> str:
+    """The thinnest lens of a glass, and what it does at the ends of the range."""
+    asked = load_specification(DESIGNS / "thinnest_singlet_spec.toml").with_surface(0, material=glass)
+    began = time.process_time()
+    lens = optimize(asked.replaced(environment=environment)).lens
+    seconds = time.process_time() - began
+    hot = [check_design(lens_at_temperature(lens, t)) for t in (TEMPERATURES_C[0], TEMPERATURES_C[-1])]
+    spread = max(report.max_spread_deg for report in hot)
+    footprint = max(max(report.footprint_radius_mm) for report in hot)
+    return f"{lens.exit_vertex_z_mm:.3f}; {spread:.3f}, {footprint:.2f}; {seconds:.1f}"
 
 
 def lenses() -> dict[str, Lens]:

@@ -22,6 +22,8 @@ class Constraint:
         Such as 4.81, "<=", 4.77.
     met, miss
         Whether it holds; where it does not, a sentence with the numbers, else empty.
+    temperature_c
+        At which it is asked, as its name ends with; None as designed.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Constraint:
     unit: str
     met: bool
     miss: str
+    temperature_c: float | None = None
 
 
 @dataclass(frozen=True)

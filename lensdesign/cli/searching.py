@@ -16,6 +16,7 @@ from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
+    from lensdesign.analysis.report import Constraint
     from lensdesign.exploration.front import Explored
     from lensdesign.optimization.as_built import AsBuiltReport
     from lensdesign.optimization.asked.specification import Specification
@@ -222,7 +223,12 @@ def _print_optimization(result: OptimizationResult) -> None:
         for s in result.spreads:
             shown = f"{s.spread_deg:.4f} deg, {100.0 * s.share:.2f} % of {s.limit_deg:.4f} deg"
             variables.add_row(f"spread at {s.wavelength_um:g} um", shown)
-    print_tables(variables, *([] if result.as_built is None else [_as_built(result.as_built)]))
+    tables = [variables]
+    if any(one.temperature_c is not None for one in result.check.constraints):
+        tables.append(_at_temperatures(result.check.constraints))
+    if result.as_built is not None:
+        tables.append(_as_built(result.as_built))
+    print_tables(*tables)
     for name in result.binding:
         typer.echo(f"binding: {name}")
     for sentence in result.violations:
@@ -239,6 +245,22 @@ def _print_optimization(result: OptimizationResult) -> None:
         typer.echo(
             "hint: no other start came to this, which says little; allow more starts, or narrow the bounds"
         )
+
+
+def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
+    """What each constraint comes to at each temperature; lengths are those of the design."""
+    from lensdesign.lens.catalogues.thermal import REFERENCE_C
+    from lensdesign.lens.temperature import named_at
+
+    temperatures = list(dict.fromkeys(one.temperature_c for one in constraints))
+    heads = [f"{REFERENCE_C if t is None else t:g} C" for t in temperatures]
+    shown = table("Constraints at each temperature", "constraint", "limit", *heads)
+    values = {one.name: f"{one.value:.5g}" for one in constraints}
+    for one in constraints:
+        if one.temperature_c is None:
+            limit = f"{one.relation} {one.limit:.5g} {one.unit}".rstrip()
+            shown.add_row(one.name, limit, *(values.get(named_at(one.name, t), "") for t in temperatures))
+    return shown
 
 
 def _as_built(report: AsBuiltReport) -> Any:

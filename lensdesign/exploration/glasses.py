@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from lensdesign.errors import InputError
-from lensdesign.lens.glass import list_glasses, refractive_index
-from lensdesign.optimization.asked.specification import Specification
+from lensdesign.lens.glass import list_glasses
+from lensdesign.optimization.asked.specification import Specification, refuse_unknown
 from lensdesign.optimization.asked.variables import VariableRange
 
 CATALOGUE = "catalogue:"
@@ -22,27 +22,27 @@ def with_glasses(specification: Specification, text: str) -> Specification:
     Raises
     ------
     InputError
-        If no glass is named, there is no such catalogue, or none of its glasses is known at the wavelengths.
+        If no glass is named, there is no such catalogue, or of none of its glasses
+        enough is known.
     MaterialError
-        If a glass that is named is not known.
+        If too little is known of a glass that is named.
     """
+    first = specification.glass_fronts[0] + 1
     if text.startswith(CATALOGUE):
-        names = _of_catalogue(specification, text.removeprefix(CATALOGUE))
+        names = _of_catalogue(specification, first, text.removeprefix(CATALOGUE))
     else:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
         for name in names:
-            for wavelength in specification.wavelengths_um:
-                refractive_index(name, wavelength, catalogs=specification.glass_catalogs)
+            refuse_unknown(specification, first, name)
     if not names:
         raise InputError(f"--glasses {text}: names no glass")
-    first = specification.glass_fronts[0] + 1
     kept = tuple(v for v in specification.variables if not (v.parameter == "material" and v.surface == first))
     chosen = VariableRange(parameter="material", surface=first, choices=names)
     return specification.model_copy(update={"variables": (*kept, chosen)})
 
 
-def _of_catalogue(specification: Specification, name: str) -> tuple[str, ...]:
-    """Glasses of a catalogue that are known at all wavelengths."""
+def _of_catalogue(specification: Specification, surface: int, name: str) -> tuple[str, ...]:
+    """Glasses of a catalogue of which enough is known."""
     known = list_glasses(specification.glass_catalogs)
     names = sorted({glass for glass, catalogue in known if catalogue.casefold() == name.casefold()})
     if not names:
@@ -51,8 +51,7 @@ def _of_catalogue(specification: Specification, name: str) -> tuple[str, ...]:
     found = []
     for glass in names:
         try:
-            for wavelength in specification.wavelengths_um:
-                refractive_index(glass, wavelength, catalogs=specification.glass_catalogs)
+            refuse_unknown(specification, surface, glass)
         except InputError:
             continue
         found.append(glass)

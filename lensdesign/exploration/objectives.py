@@ -156,10 +156,11 @@ def values_of(
         elif name == "semi_diameter":
             value = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
         elif name == "spread":
-            sines = [np.max(np.linalg.norm(t.cosines[t.ok], axis=-1)) for t in state.traces]
+            sines = [np.max(np.linalg.norm(t.cosines[t.ok], axis=-1)) for s in state.all for t in s.traces]
             value = float(np.degrees(np.arcsin(max(sines))))
         else:
             built = problem.predicted(point)
-            value = float(np.max(built.rms_waves)) if name == "as_built_rms" else 1.0 - built.failing
+            rms, failing = (max(np.max(b.rms_waves) for b in built), max(b.failing for b in built))
+            value = rms if name == "as_built_rms" else 1.0 - failing
         found[axis.objective.column] = float(value)
     return found

@@ -25,7 +25,7 @@ from lensdesign.lens.catalogues.thermal import REFERENCE_C, at_temperature
 from lensdesign.lens.glass import Material, get_material, is_air
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.scaling import scaled_edge
-from lensdesign.lens.shapes.base import directions
+from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.lens.surface import Surface
 
 ALUMINIUM_PER_K = 23.6e-6
@@ -54,6 +54,63 @@ class Growth:
     planes_mm_per_k: Array
 
 
+@dataclass(frozen=True)
+class Expansions:
+    """Linear expansions of a lens's parts and of what holds them; in 1/K.
+
+    Attributes
+    ----------
+    surfaces : ndarray, shape (surfaces,)
+    glasses : tuple of float or None
+        Of the glass behind each surface; None of air.
+    mount
+    """
+
+    surfaces: Array
+    glasses: tuple[float | None, ...]
+    mount: float
+
+    def of_space(self, surface: int, length: Array, sags: Array) -> Array:
+        """Growth of the space behind a surface, from its length and the sags of all surfaces at their edges.
+
+        It is linear in both, so that of their derivatives it makes the derivatives of the growth.
+
+        Parameters
+        ----------
+        surface
+            Index of the surface; -1 for the object's space.
+        length : ndarray, shape (...)
+            On the axis, in mm.
+        sags : ndarray, shape (surfaces, ...)
+            In mm.
+        """
+        glass = self.glasses[surface] if surface >= 0 else None
+        if glass is not None:
+            return glass * length
+        grown = self.mount * length
+        if surface >= 0:
+            grown = grown - (self.mount - self.surfaces[surface]) * sags[surface]
+        if surface + 1 < len(self.surfaces):
+            grown = grown + (self.mount - self.surfaces[surface + 1]) * sags[surface + 1]
+        return grown
+
+
+def expansions(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Expansions:
+    """What a lens's parts expand by.
+
+    Raises
+    ------
+    MaterialError
+        If a glass has no known expansion, or is at a temperature already; the message names both.
+    """
+    own = [None if glass is None else glass.thermal.expansion_per_k for glass in _media(lens)]
+    surfaces = []
+    for before, behind in zip([None, *own[:-1]], own, strict=True):
+        known = [value for value in (before, behind) if value is not None]
+        surfaces.append(sum(known) / len(known) if known else mount_expansion_per_k)
+    return Expansions(np.array(surfaces), tuple(own), mount_expansion_per_k)
+
+
 def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Growth:
     """How a lens and the spaces about it grow.
 
@@ -67,33 +124,21 @@ def growth(lens: Lens, mount_expansion_per_k: float = ALUMINIUM_PER_K) -> Growth
     Raises
     ------
     MaterialError
-        If a glass has no known expansion, or is at a temperature already; the message names both.
+        As of :func:`expansions`.
     """
-    media = _media(lens)
-    own = [None if glass is None else glass.thermal.expansion_per_k for glass in media]
-    surfaces = []
-    for before, behind in zip([None, *own[:-1]], own, strict=True):
-        known = [value for value in (before, behind) if value is not None]
-        surfaces.append(sum(known) / len(known) if known else mount_expansion_per_k)
-    sags = [_edge_sag_mm(surface) for surface in lens.surfaces]
-
-    def space(length: float, front: int | None, back: int | None) -> float:
-        ends = [(0.0, 0.0) if i is None else (sags[i], surfaces[i]) for i in (front, back)]
-        (s, a), (s_back, a_back) = ends
-        return mount_expansion_per_k * (length + s_back - s) - a_back * s_back + a * s
-
+    found = expansions(lens, mount_expansion_per_k)
+    sags = np.array([edge_sag_mm(s.shape, s.semi_diameter_mm) for s in lens.surfaces])
     last = len(lens.surfaces) - 1
-    thickness = [
-        space(surface.thickness_mm or 0.0, i, i + 1)
-        if alpha is None
-        else alpha * (surface.thickness_mm or 0.0)
-        for i, (surface, alpha) in enumerate(zip(lens.surfaces[:-1], own, strict=False))
-    ]
     return Growth(
-        np.array(surfaces),
-        space(lens.object.working_distance_mm, None, 0),
-        np.array(thickness),
-        np.array([space(distance, last, None) for distance in lens.sensor.plane_distances_mm]),
+        found.surfaces,
+        float(found.of_space(-1, np.array(lens.object.working_distance_mm), sags)),
+        np.array(
+            [
+                found.of_space(i, np.array(s.thickness_mm or 0.0), sags)
+                for i, s in enumerate(lens.surfaces[:last])
+            ]
+        ),
+        found.of_space(last, np.array(lens.sensor.plane_distances_mm), sags),
     )
 
 
@@ -179,6 +224,24 @@ def heated_material(lens: Lens, surface: int, temperature_c: float) -> str | flo
     return at_temperature(str(material), temperature_c)
 
 
+def named_at(name: str, temperature_c: float | None) -> str:
+    """What something is called that is asked of a lens at a temperature; None is as designed."""
+    return name if temperature_c is None else f"{name} at {temperature_c:g} C"
+
+
+def check_heat(lens: Lens) -> None:
+    """Refuse a lens of which it is not known what heat does to it.
+
+    Raises
+    ------
+    MaterialError
+        Which surface and glass, and what is missing.
+    """
+    expansions(lens)
+    for i in range(len(lens.surfaces)):
+        heated_material(lens, i, REFERENCE_C)
+
+
 def _media(lens: Lens) -> list[Material | None]:
     """Glass behind each surface, or None; refuse one of unknown expansion."""
     media = [_glass(lens, i) for i in range(len(lens.surfaces))]
@@ -200,9 +263,9 @@ def _glass(lens: Lens, surface: int) -> Material | None:
     return get_material(material, lens.glass_catalogs)
 
 
-def _edge_sag_mm(surface: Surface) -> float:
-    """Mean sag along the rim of the clear aperture, where a mount holds it; 0 without one."""
-    if surface.semi_diameter_mm is None:
+def edge_sag_mm(shape: Shape, semi_diameter_mm: float | None) -> float:
+    """Mean sag along the rim of a clear aperture, where a mount holds it; 0 without one."""
+    if semi_diameter_mm is None:
         return 0.0
-    x, y = directions(surface.shape)
-    return float(np.mean(surface.shape.sag(surface.semi_diameter_mm * x, surface.semi_diameter_mm * y)))
+    x, y = directions(shape)
+    return float(np.mean(shape.sag(semi_diameter_mm * x, semi_diameter_mm * y)))

@@ -85,7 +85,7 @@ class AsBuiltReport:
     limits_waves : tuple of float
         Largest root mean square of a good lens at each.
     rows : tuple of TrialsOf
-        The result stands last.
+        The result stands last, as designed and then at each temperature that is asked for.
     """
 
     points_mm: tuple[tuple[float, float], ...]

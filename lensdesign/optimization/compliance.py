@@ -7,6 +7,7 @@ check` does it, through the lens as it was written.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -18,7 +19,9 @@ from lensdesign.analysis.spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
-from lensdesign.optimization.as_built import AsBuiltReport, read_as_built
+from lensdesign.lens.temperature import lens_at_temperature, named_at
+from lensdesign.optimization.as_built import AsBuiltReport, TrialsOf, read_as_built
+from lensdesign.optimization.asked.sections import Constraints
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.tracing.compiled import compile_system
@@ -32,7 +35,8 @@ def check_against(
 
     Field, numerical aperture, wavelengths and sensor are those of the specification, whatever the lens was
     written with; its surfaces, edges and working distance are its own. What is asked of it as built is judged
-    by Monte Carlo trials, whose statistical error speaks for the lens.
+    by Monte Carlo trials, whose statistical error speaks for the lens. At each temperature that is asked for,
+    spread, footprint, throughput and lenses as built are judged again.
 
     Parameters
     ----------
@@ -41,7 +45,7 @@ def check_against(
     specification
         What is asked.
     built
-        Trials of the lens, where they are known.
+        Trials of the lens, where they are known; its rows at temperatures stand last.
 
     Returns
     -------
@@ -60,13 +64,12 @@ def check_against(
     )
     report = check_design(judged)
     constraints = (
-        *_spread(judged, specification, report),
-        *_footprints(judged, specification, report),
-        _throughput(specification, report),
+        *_light(judged, specification, report),
         _aperture(judged, specification, report),
         *_thicknesses(judged, specification),
         *_lengths(judged, specification),
         *_slopes(judged, specification),
+        *_light_in_heat(judged, specification),
         *_as_built(judged, specification, built),
     )
     return replace(
@@ -75,6 +78,44 @@ def check_against(
         feasible=all(c.met for c in constraints),
         violations=tuple(c.miss for c in constraints if not c.met),
     )
+
+
+def _light(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
+    """Where light may go, and how much of it passes."""
+    spread, footprints = _spread(lens, specification, report), _footprints(lens, specification, report)
+    return [*spread, *footprints, _throughput(specification, report)]
+
+
+def _light_in_heat(lens: Lens, specification: Specification) -> list[Constraint]:
+    """The same at each temperature that is asked for."""
+    return [
+        _told_at(temperature_c, one)
+        for temperature_c, hot in at_temperatures(lens, specification)
+        for one in _light(hot, specification, check_design(hot))
+    ]
+
+
+def _told_at(temperature_c: float | None, one: Constraint) -> Constraint:
+    """A demand on the lens as a demand at a temperature."""
+    if temperature_c is None:
+        return one
+    name = named_at(one.name, temperature_c)
+    return replace(one, name=name, miss=one.miss.replace(one.name, name, 1), temperature_c=temperature_c)
+
+
+def at_temperatures(lens: Lens, specification: Specification) -> list[tuple[float, Lens]]:
+    """The lens as it is at each temperature that is asked for.
+
+    Raises
+    ------
+    MaterialError
+        If it is not known what heat does to one of its glasses.
+    """
+    asked = specification.environment
+    if asked is None:
+        return []
+    mount = asked.mount_expansion_per_k
+    return [(t, lens_at_temperature(lens, t, mount_expansion_per_k=mount)) for t in asked.temperatures_c]
 
 
 def _spread(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
@@ -107,20 +148,21 @@ def _along(axis: int, _position: Array, direction: Array) -> Array:
 
 
 def _footprints(lens: Lens, specification: Specification, report: CheckReport) -> list[Constraint]:
-    """On each sensor plane, at the wavelength at which light reaches farthest."""
+    """On each sensor plane, named as designed, at the wavelength at which light reaches farthest."""
+    distances_mm = specification.sensor.plane_distances_mm
     if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
         # Asked for as the check did, whose worst rays are kept.
         planes_mm = (0.0, *lens.sensor.plane_distances_mm)
         found = [spread_and_footprints(lens, w, planes_mm)[1] for w in lens.wavelengths_um]
         parts = [min(same, key=lambda f: f.margin_mm) for same in zip(*found, strict=True)][1:]
         return [
-            _at_least(f"margin of the footprint at {f.plane_distance_mm:g} mm", f.margin_mm, 0.0, "mm")
-            for f in parts
+            _at_least(f"margin of the footprint at {distance:g} mm", f.margin_mm, 0.0, "mm")
+            for distance, f in zip(distances_mm, parts, strict=True)
         ]
     return [
         _at_most(f"footprint radius at {distance:g} mm", radius, limit, "mm")
         for distance, radius, limit in zip(
-            report.plane_distances_mm,
+            distances_mm,
             report.footprint_radius_mm,
             specification.footprint_limits(),
             strict=True,
@@ -199,9 +241,17 @@ def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | N
     limits, tolerances = specification.constraints, specification.tolerances
     if (limits.min_yield is None and limits.max_as_built_rms_waves is None) or tolerances is None:
         return []
+    hot = at_temperatures(lens, specification)
     if built is None:
-        built = read_as_built(tolerances).trials([("", lens)], tolerances.trials)
-    found, rows = built.rows[-1], []
+        lenses = [("", lens), *((named_at("", t), one) for t, one in hot)]
+        built = read_as_built(tolerances).trials(lenses, tolerances.trials)
+    tried = zip([None, *(t for t, _ in hot)], built.rows[-1 - len(hot) :], strict=True)
+    return [_told_at(t, one) for t, row in tried for one in _as_tried(limits, row, built.places)]
+
+
+def _as_tried(limits: Constraints, found: TrialsOf, places: Sequence[str]) -> list[Constraint]:
+    """What is asked of a lens as built, by its trials."""
+    rows = []
     if limits.min_yield is not None:
         met = found.high >= limits.min_yield
         words = f"yield: {found.good:.3f} ({found.low:.3f} to {found.high:.3f}) of {found.trials} trials"
@@ -209,7 +259,7 @@ def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | N
         rows.append(constraint("yield", found.good, ">=", limits.min_yield, "", met, miss))
     if limits.max_as_built_rms_waves is not None:
         most = limits.max_as_built_rms_waves
-        for place, rms, error in zip(built.places, found.rms_waves, found.rms_errors_waves, strict=True):
+        for place, rms, error in zip(places, found.rms_waves, found.rms_errors_waves, strict=True):
             name = f"as-built rms at {place}"
             miss = f"{name}: {rms:.4f} +- {2.0 * error:.4f} waves exceeds the limit of {most:g} waves"
             rows.append(constraint(name, rms, "<=", most, "waves", rms - 2.0 * error <= most, miss))

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
+from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.as_built import AsBuiltValues, read_as_built
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.asked.variables import VariableRange
+from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.rows.requirements import constraint_rows, goal_rows
@@ -93,18 +95,37 @@ class DesignProblem:
         What is asked.
     base
         The lens whose fixed values count (the specification's own, perhaps with another glass).
+    temperature_c
+        The problem of the lens at this temperature alone, on the same unit box. None is that of the lens as
+        designed, and with it those of the specification's temperatures, as `heated`.
+
+    Raises
+    ------
+    MaterialError
+        If of a glass it is not known what heat does to it, where temperatures are asked for.
     """
 
-    def __init__(self, specification: Specification, base: Lens) -> None:
+    def __init__(self, specification: Specification, base: Lens, temperature_c: float | None = None) -> None:
         self.specification, self.base = specification, base
         self.ranges: tuple[VariableRange, ...] = tuple(v for v in specification.variables if not v.discrete)
         self.variables: tuple[Variable, ...] = tuple(v.variable() for v in self.ranges)
         limits = np.array([v.limits() for v in self.ranges]).reshape(-1, 2)
         self.lower, self.width = limits[:, 0], limits[:, 1] - limits[:, 0]
-        self.planes = np.array(base.sensor.plane_distances_mm)
         self.rotational = all(surface.shape.ROTATIONAL for surface in base.surfaces)
         self._tolerances = specification.as_built
         self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
+        self._hot: tuple[tuple[bytes, bool], Heated] | None = None
+        self.heat, self.heated = self._temperatures(temperature_c)
+
+    def _temperatures(self, temperature_c: float | None) -> tuple[Heat | None, tuple[DesignProblem, ...]]:
+        """The temperature of this problem, or the problems at those that are asked for."""
+        asked = self.specification.environment
+        if asked is None:
+            return None, ()
+        if temperature_c is not None:
+            return Heat(self.base, self.variables, temperature_c, asked.mount_expansion_per_k), ()
+        others = (DesignProblem(self.specification, self.base, t) for t in asked.temperatures_c)
+        return None, tuple(others)
 
     def sample_rays(self, fields: int, fan: int, skew: int, heights: tuple[float, ...] = ()) -> Rays:
         """As :func:`sample_rays`, all round where a surface is none of revolution."""
@@ -114,7 +135,8 @@ class DesignProblem:
     @cached_property
     def compiled(self) -> tuple[CompiledSystem, ...]:
         """The fixed values, at each wavelength."""
-        return tuple(compile_system(self.base, w) for w in self.base.wavelengths_um)
+        base = self.base if self.heat is None else self.heat.with_glasses(self.base)
+        return tuple(compile_system(base, w) for w in base.wavelengths_um)
 
     def to_unit(self, lens: Lens) -> Array:
         """Point of the unit box nearest to a lens."""
@@ -123,6 +145,9 @@ class DesignProblem:
 
     def lens_at(self, point: Array) -> Lens:
         """The lens at a point of the unit box, with semi-diameters as given; not validated."""
+        return self._designed(point) if self.heat is None else self._heated(point, False).lens
+
+    def _designed(self, point: Array) -> Lens:
         changes: dict[int, dict[str, object]] = {}
         scene = self.base.object
         for variable, value in zip(self.variables, self.lower + self.width * point, strict=True):
@@ -139,42 +164,95 @@ class DesignProblem:
         surfaces = [s.model_copy(update=changes.get(i, {})) for i, s in enumerate(self.base.surfaces)]
         return self.base.model_copy(update={"surfaces": tuple(surfaces), "object": scene})
 
+    def _heated(self, point: Array, derivatives: bool) -> Heated:
+        """The lens at the temperature, which follows from that as designed, rim rays of the stop and all."""
+        assert self.heat is not None  # whoever asks looks
+        key = point.tobytes(), derivatives
+        if self._hot is None or self._hot[0] != key:
+            self._hot = key, self.heat.at(self._cold.state(point, self._rim, derivatives))
+        return self._hot[1]
+
+    @cached_property
+    def _cold(self) -> DesignProblem:
+        bare = self.specification.model_copy(update={"environment": None, "tolerances": None})
+        return DesignProblem(bare, self.base)
+
+    @cached_property
+    def _rim(self) -> Rays:
+        return self.sample_rays(3, 3, 4)
+
     def state(self, point: Array, rays: Rays, derivatives: bool = True) -> State:
         """Trace rays through the lens at a point of the unit box, with derivatives or none."""
-        variables = self.variables if derivatives else ()
-        lens = self.lens_at(point)
-        traces = tuple(self._trace(lens, base, rays, variables, self.planes) for base in self.compiled)
-        return State(lens, variables, rays.fields_mm, traces)
+        heat = self.heat
+        return State(
+            self.lens_at(point),
+            self.variables if derivatives else (),
+            rays.fields_mm,
+            tuple(self._trace(point, base, rays, derivatives) for base in self.compiled),
+            self.as_built(point, derivatives),
+            None if heat is None else heat.temperature_c,
+            None if heat is None else heat.sizes,
+            tuple(other.state(point, rays, derivatives) for other in self.heated),
+        )
 
     def trace(
-        self, point: Array, rays: Rays, variables: tuple[Variable, ...], planes_mm: Array, wavelength: int
+        self, point: Array, rays: Rays, derivatives: bool, planes_mm: Array, wavelength: int
     ) -> GradientTrace:
-        """Trace rays at one of the wavelengths, counted from 0, to planes of one's own."""
-        return self._trace(self.lens_at(point), self.compiled[wavelength], rays, variables, planes_mm)
+        """Trace rays at a wavelength of that number to planes of one's own, which heat does not move."""
+        return self._trace(point, self.compiled[wavelength], rays, derivatives, planes_mm)
 
     def _trace(
         self,
-        lens: Lens,
+        point: Array,
         base: CompiledSystem,
         rays: Rays,
-        variables: tuple[Variable, ...],
-        planes_mm: Array,
+        derivatives: bool,
+        planes_mm: Array | None = None,
     ) -> GradientTrace:
-        fixed = self.specification.optimize.stop == "fixed"
+        """To some planes, or to those of the sensor."""
+        lens, chain = self.lens_at(point), None
+        stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
+        variables = self.variables if derivatives else ()
+        if self.heat is not None:
+            hot = self._heated(point, derivatives)
+            stop = hot.stop_semi_diameter_mm
+            if derivatives:
+                variables = self.heat.own
+                chain = hot.chain if planes_mm is None else hot.chain.to_still_planes(len(planes_mm))
         return gradient_trace(
             _shaped(base, lens),
             lens.object_z_mm,
-            planes_mm,
+            np.array(lens.sensor.plane_distances_mm) if planes_mm is None else planes_mm,
             lens.stop_index,
-            self.base.stop_semi_diameter_mm if fixed else None,
+            stop,
             lens.object.numerical_aperture,
             rays.fields_mm,
             rays.pupil,
             variables,
+            chain,
         )
 
-    def predicted(self, point: Array) -> AsBuiltValues:
+    def placed(self, point: Array, variable: int, step: complex) -> tuple[list[Shape], Array, complex]:
+        """Shapes, vertices and the object's z, a step of a variable away, complex for derivatives."""
+        lens = self.lens_at(point)
+        shapes = [surface.shape for surface in lens.surfaces]
+        own, by = self.variables, np.eye(len(self.variables))[:, variable]
+        if self.heat is not None:
+            own, by = self.heat.own, self._heated(point, True).chain.variables[:, variable]
+        vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
+        for one, share in zip(own, step * by, strict=True):
+            if one.of_shape and share:
+                shapes[one.surface] = shapes[one.surface].moved(one.kind, share)
+            elif one.kind == "thickness":
+                vertices += share * (np.arange(len(vertices)) > one.surface)
+            elif one.kind == "working_distance":
+                object_z -= share
+        return shapes, vertices, object_z
+
+    def predicted(self, point: Array) -> tuple[AsBuiltValues, ...]:
         """What the specification's tolerances make of the lens at a point, whether or not that is asked for.
+
+        As designed, and at each temperature.
 
         Raises
         ------
@@ -184,7 +262,8 @@ class DesignProblem:
         tolerances = self.specification.tolerances
         if tolerances is None:
             raise DesignError("lenses as built need their tolerances: [tolerances] study")
-        return read_as_built(tolerances).evaluate(self, point, False)
+        study = read_as_built(tolerances)
+        return tuple(study.evaluate(one, point, False) for one in (self, *self.heated))
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
         """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""
@@ -199,7 +278,7 @@ class DesignProblem:
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
     ) -> tuple[list[Row], list[Row]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
-        state = replace(self.state(point, rays, derivatives), as_built=self.as_built(point, derivatives))
+        state = self.state(point, rays, derivatives)
         return goal_rows(self.specification, state), constraint_rows(self.specification, state, final)
 
     def evaluate(self, point: Array, rays: Rays, final: bool = False) -> Evaluation:
@@ -224,7 +303,7 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
     DesignError
         If that is no lens: surfaces cross, say, or no ray passes.
     """
-    state = problem.state(point, rays)
+    state = problem.state(point, rays, derivatives=False)
     lens = state.lens
     surfaces = []
     try:
@@ -234,7 +313,7 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
             elif surface.semi_diameter_mm is not None:
                 semi = surface.semi_diameter_mm
             else:
-                heights = np.concatenate([np.linalg.norm(t.heights[t.ok, i], axis=-1) for t in state.traces])
+                heights = _heights_mm(state, i)
                 if not len(heights):
                     raise DesignError("no ray passes it")
                 semi = _rounded_up_mm(float(np.max(heights)) * (1.0 + LIMIT_MARGIN))
@@ -245,6 +324,17 @@ def finished_lens(problem: DesignProblem, point: Array, rays: Rays) -> Lens:
             f"no lens was found: the one that violates the constraints least cannot be made ({error}); widen "
             "the bounds, or start elsewhere"
         ) from None
+
+
+def _heights_mm(state: State, surface: int) -> Array:
+    """Radial heights of all rays on a surface, those at other temperatures on it as it is when it is cold."""
+    heights = [
+        np.linalg.norm(trace.heights[trace.ok, surface], axis=-1)
+        / (1.0 if one.sizes is None else one.sizes[surface])
+        for one in state.all
+        for trace in one.traces
+    ]
+    return np.concatenate(heights)
 
 
 def _rounded_up_mm(semi_mm: float) -> float:

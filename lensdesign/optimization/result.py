@@ -14,9 +14,10 @@ from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.compliance import check_against
+from lensdesign.optimization.compliance import at_temperatures, check_against
 from lensdesign.optimization.local_search import Found
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.reach import Reach, largest_that_can
@@ -255,7 +256,8 @@ def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
         lenses.append(("start", specification.lens))
     lenses.append(("lens of the study", study.reference))
     kept = [(name, own) for name, own in lenses if _can_be_tried(study, own)]
-    return study.trials([*kept, ("result", lens)], tolerances.trials)
+    hot = [(named_at("result", t), one) for t, one in at_temperatures(lens, specification)]
+    return study.trials([*kept, ("result", lens), *hot], tolerances.trials)
 
 
 def _can_be_tried(study: AsBuilt, lens: Lens) -> bool:

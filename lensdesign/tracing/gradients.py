@@ -40,6 +40,29 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Chain:
+    """How all that is traced follows other variables, w of them; v variables, p planes.
+
+    Attributes
+    ----------
+    variables : ndarray, shape (v, w)
+        Derivatives of the variables.
+    stop : ndarray, shape (w,)
+        Of the stop's semi-diameter.
+    planes : ndarray, shape (p, w)
+        Of the distances of the planes.
+    """
+
+    variables: Array
+    stop: Array
+    planes: Array
+
+    def to_still_planes(self, count: int) -> Chain:
+        """The same with planes that stay where they are."""
+        return replace(self, planes=np.zeros((count, len(self.stop))))
+
+
+@dataclass(frozen=True)
 class GradientTrace:
     """Rays with their derivatives; n rays, s surfaces, p planes, v variables.
 
@@ -81,6 +104,7 @@ def gradient_trace(
     fields_mm: Array,
     pupil: Array,
     variables: tuple[Variable, ...],
+    chain: Chain | None = None,
 ) -> GradientTrace:
     """Trace named rays and differentiate them; each ray keeps its point on the stop.
 
@@ -101,6 +125,9 @@ def gradient_trace(
         Shape (n, 2) each: object point and stop point (as a share of the semi-diameter) of each ray.
     variables
         What to differentiate by.
+    chain
+        Where derivatives are wanted by other variables, which these, a stop that is given, and the planes
+        follow.
 
     Raises
     ------
@@ -114,9 +141,11 @@ def gradient_trace(
     )
     origins, directions = launch_pairs(system, fields_mm, pupil, object_z_mm, stop_index, semi)
     raw = _differentiate(system, origins, directions, planes_mm, variables)
+    if chain is not None:
+        raw, semi_by = _chained(raw, chain), chain.stop
     at_stop = raw.heights_by[:, stop_index]
     wanted = pupil[:, :, None] * semi_by
-    v = len(variables)
+    v = len(semi_by)
     launch = at_stop[:, :, v:]
     usable = raw.ok & reached & np.all(np.isfinite(launch), axis=(1, 2))
     launch = np.where(usable[:, None, None], launch, np.eye(2))
@@ -137,6 +166,22 @@ def gradient_trace(
         stop_semi_diameter_mm=semi,
         stop_semi_diameter_by=semi_by,
         ok=usable,
+    )
+
+
+def _chained(raw: GradientTrace, chain: Chain) -> GradientTrace:
+    """Derivatives at fixed launch directions, by other variables; the last two columns stay."""
+    v, w = chain.variables.shape
+    whole = np.zeros((v + 2, w + 2))
+    whole[:v, :w], whole[v:, w:] = chain.variables, np.eye(2)
+    forward = np.sqrt(1.0 - np.sum(raw.cosines**2, axis=-1, keepdims=True))
+    planes = raw.plane_points_by @ whole
+    planes[..., :w] += (raw.cosines / forward)[:, None, :, None] * chain.planes[:, None]
+    return replace(
+        raw,
+        heights_by=raw.heights_by @ whole,
+        cosines_by=raw.cosines_by @ whole,
+        plane_points_by=planes,
     )
 
 

@@ -69,19 +69,6 @@ def heat_shifts_mm(lens: Lens, change_c: Array, mount_expansion_per_k: float) ->
     return grown.object_mm_per_k * change_c, change_c[:, None] * planes
 
 
-def check_heat(lens: Lens) -> None:
-    """Refuse a lens of which it is not known what heat does to it.
-
-    Raises
-    ------
-    MaterialError
-        Which surface and glass, and what is missing.
-    """
-    growth(lens)
-    for i in range(len(lens.surfaces)):
-        heated_material(lens, i, REFERENCE_C)
-
-
 def _value(surface: Surface, parameter: str) -> float:
     """What a surface has of a parameter of its shape; 0 for the radius of a plane, which stays one."""
     if parameter in surface.shape_class.KEYS:

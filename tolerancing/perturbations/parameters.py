@@ -219,7 +219,7 @@ class PerturbedParameter(Section):
 
     @staticmethod
     def _check_environment(lens: Lens) -> None:
-        from tolerancing.perturbations.environment import check_heat
+        from lensdesign.lens.temperature import check_heat
 
         try:
             check_heat(lens)

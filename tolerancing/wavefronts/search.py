@@ -226,7 +226,8 @@ class _Forms:
         wavelength: int,
         judged: NDArray[np.bool_],
     ) -> None:
-        self.own, self.system = own, problem.compiled[wavelength]
+        self.own, self.problem, self.point = own, problem, point
+        self.system = problem.compiled[wavelength]
         self.wavelength_um = problem.base.wavelengths_um[wavelength]
         points = np.array(own.points_mm)[judged]
         self.count = len(points)
@@ -241,7 +242,7 @@ class _Forms:
             np.concatenate([pupil, np.column_stack([np.cos(rim), np.sin(rim)])]),
         )
         plane_mm = own.study.sampling.plane_distance_mm
-        self.trace = problem.trace(point, rays, variables, np.array([plane_mm]), wavelength)
+        self.trace = problem.trace(point, rays, bool(variables), np.array([plane_mm]), wavelength)
         self.inner = slice(0, len(fields))
         self.ok = bool(np.all(self.trace.ok))
         if not self.ok:
@@ -251,13 +252,13 @@ class _Forms:
         self.values = self._forms(None, None)
         steps = SHARE * problem.width
         self.by = np.empty((len(variables), *self.values.shape))
-        for k, variable in enumerate(variables):
+        for k in range(len(variables)):
             ends = [
                 self._changes(problem.lens_at(point + sign * SHARE * axis), self._clear(k, sign * steps[k]))
                 for axis in [np.eye(len(point))[k]]
                 for sign in (1.0, -1.0)
             ]
-            self.by[k] = self._forms((k, variable), (ends[0], ends[1], 2.0 * steps[k])).imag / STEP
+            self.by[k] = self._forms(k, (ends[0], ends[1], 2.0 * steps[k])).imag / STEP
 
     def _clear(self, variable: int | None, step: float) -> Array:
         """Clear height of each surface, and how it follows a variable."""
@@ -282,9 +283,7 @@ class _Forms:
         study = own.study
         return changes_of(whole, study.perturbations, own._sizes, study.pivot_z_mm, self.wavelength_um, False)
 
-    def _forms(
-        self, moved: tuple[int, Variable] | None, ends: tuple[Changes, Changes, float] | None
-    ) -> Array:
+    def _forms(self, moved: int | None, ends: tuple[Changes, Changes, float] | None) -> Array:
         """At the lens itself, or a complex step of one variable away."""
         paths = self._paths(self.trace, moved)
         changes, figures = self.changes, figures_on(paths, self.changes)
@@ -310,22 +309,15 @@ class _Forms:
             forms.append((field.registered.T * field.weights) @ field.registered)
         return np.stack(forms)
 
-    def _paths(self, trace: GradientTrace, moved: tuple[int, Variable] | None) -> Paths:
-        lens = self.lens
+    def _paths(self, trace: GradientTrace, moved: int | None) -> Paths:
         heights, ends = trace.heights[self.inner], trace.plane_points[self.inner, 0]
-        shapes = [surface.shape for surface in lens.surfaces]
-        vertices: Array = lens.vertex_z_mm
-        object_z: complex = lens.object_z_mm
+        shapes = [surface.shape for surface in self.lens.surfaces]
+        vertices: Array = self.lens.vertex_z_mm
+        object_z: complex = self.lens.object_z_mm
         if moved is not None:
-            k, variable = moved
-            heights = heights + 1j * STEP * trace.heights_by[self.inner, ..., k]
-            ends = ends + 1j * STEP * trace.plane_points_by[self.inner, 0, :, k]
-            if variable.of_shape:
-                shapes[variable.surface] = shapes[variable.surface].moved(variable.kind, 1j * STEP)
-            elif variable.kind == "thickness":
-                vertices = vertices + 1j * STEP * (np.arange(len(vertices)) > variable.surface)
-            else:
-                object_z = object_z - 1j * STEP
+            heights = heights + 1j * STEP * trace.heights_by[self.inner, ..., moved]
+            ends = ends + 1j * STEP * trace.plane_points_by[self.inner, 0, :, moved]
+            shapes, vertices, object_z = self.problem.placed(self.point, moved, 1j * STEP)
         plane_z = vertices[-1] + self.own.study.sampling.plane_distance_mm
         origins = np.column_stack([self.fields_mm, np.full(len(heights), object_z)])
         arrivals = np.column_stack([ends, np.full(len(heights), plane_z)])

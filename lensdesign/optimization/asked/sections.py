@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from lensdesign.common.section import Positive, Section, tuples
+from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
+from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from lensdesign.optimization.nlopt_driver import ALGORITHMS
 
 Angle = Annotated[float, Field(gt=0.0, lt=90.0)]
@@ -97,6 +99,35 @@ class Tolerances(Section):
     study: str
     factor: Positive = 1.0
     trials: Annotated[int, Field(ge=100, le=100_000)] = 1000
+
+
+class Environment(Section):
+    """Temperatures at which a lens must do what is asked of it, beside that at which it is designed.
+
+    Attributes
+    ----------
+    temperatures_c
+        Of lens, mount and air. At each of them spread, footprint, throughput and wavefronts as built must be
+        what is asked for, with sensor planes where the mount takes them; lengths are as designed.
+    mount_expansion_per_k
+        Linear expansion of what holds elements, object and sensor apart.
+    """
+
+    temperatures_c: Annotated[
+        tuple[Annotated[float, Field(ge=COLDEST_C, le=HOTTEST_C)], ...], Field(min_length=1)
+    ]
+    mount_expansion_per_k: Annotated[float, Field(ge=-1e-3, le=1e-3)] = ALUMINIUM_PER_K
+
+    _lists = field_validator("temperatures_c", mode="before")(tuples)
+
+    @field_validator("temperatures_c")
+    @classmethod
+    def _others(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if REFERENCE_C in value:
+            raise ValueError(f"{REFERENCE_C:g} C is the temperature of the design, which counts anyway")
+        if len(set(value)) < len(value):
+            raise ValueError(f"{list(value)}: a temperature is given twice")
+        return value
 
 
 AS_BUILT_GOALS = ("as-built rms", "yield")

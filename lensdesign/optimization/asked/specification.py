@@ -18,9 +18,17 @@ from lensdesign.common.section import tuples
 from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError
 from lensdesign.files.design import refuse_doubtful, refuse_other_kind
+from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.temperature import check_heat, lens_at_temperature
 from lensdesign.optimization.as_built import AsBuilt, read_as_built
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS, Constraints, Settings, Tolerances
+from lensdesign.optimization.asked.sections import (
+    AS_BUILT_GOALS,
+    Constraints,
+    Environment,
+    Settings,
+    Tolerances,
+)
 from lensdesign.optimization.asked.variables import VariableRange
 
 
@@ -30,6 +38,7 @@ class Specification(Lens):
     optimize: Settings = Settings()
     constraints: Constraints = Constraints()
     tolerances: Tolerances | None = None
+    environment: Environment | None = None
     variables: Annotated[tuple[VariableRange, ...], Field(alias="variable", min_length=1)]
 
     _variable_lists = field_validator("variables", mode="before")(tuples)
@@ -143,7 +152,11 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
     try:
         for wavelength in specification.wavelengths_um:
             specification.indices(wavelength)
-            _check_choices(specification, wavelength)
+        if specification.environment is not None:
+            _check_heat(specification, specification.environment.temperatures_c[0])
+        for variable in specification.variables:
+            for glass in variable.choices if variable.parameter == "material" else ():
+                refuse_unknown(specification, variable.surface or 1, glass)
         refuse_impossible(specification)
     except (DesignError, ValueError) as error:
         raise type(error)(f"{path}: {error}") from error
@@ -163,12 +176,25 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
     return specification
 
 
-def _check_choices(specification: Specification, wavelength_um: float) -> None:
-    from lensdesign.lens.glass import refractive_index
+def _check_heat(specification: Specification, temperature_c: float) -> None:
+    """Of its own glasses; and of a study, which may perturb the temperature of no lens that has one."""
+    check_heat(specification.lens)
+    if specification.as_built is not None:
+        specification.as_built.check(lens_at_temperature(specification.lens, temperature_c))
 
-    for variable in specification.variables:
-        for glass in variable.choices if variable.parameter == "material" else ():
-            refractive_index(glass, wavelength_um, catalogs=specification.glass_catalogs)
+
+def refuse_unknown(specification: Specification, surface: int, glass: str | float) -> None:
+    """Refuse a glass behind a surface, counted from 1, of which too little is known.
+
+    Raises
+    ------
+    MaterialError
+        If its index is not known at a wavelength, or, where temperatures are asked for, what heat does.
+    """
+    for wavelength in specification.wavelengths_um:
+        refractive_index(glass, wavelength, catalogs=specification.glass_catalogs)
+    if specification.environment is not None:
+        check_heat(specification.lens.with_surface(surface - 1, material=glass))
 
 
 def refuse_impossible(specification: Specification) -> None:

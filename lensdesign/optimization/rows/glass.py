@@ -130,10 +130,22 @@ def _end_by(shape: Shape, part: int, term: str) -> Array:
     return np.array([shape.moved(term, 1e-30j).ends()[part].imag / 1e-30])
 
 
+def edge_sag(state: State, i: int) -> tuple[float, Array]:
+    """Mean sag of a surface along the rim of its clear aperture, and its derivatives by all variables."""
+    shape, (height, height_by) = state.lens.surfaces[i].shape, _clear_height(state, i)
+    ux, uy = directions(shape)
+    x, y = height * ux, height * uy
+    sag, *slopes = shape.sag_and_slopes(x, y)
+    outward = slopes[0] * ux + slopes[1] * uy
+    by = _by(state, i, partial(_sag_by, shape, x, y)) + outward[:, None] * height_by
+    return float(np.mean(sag)), np.mean(by, axis=0)
+
+
 def _clear_height(state: State, i: int) -> tuple[float, Array]:
     """Clear semi-diameter of a surface: as given, as the stop's, or as its rays need, rounded up.
 
-    Rounding is taken to add a whole step: thickness and slope then hold for whatever it adds.
+    Rounding is taken to add a whole step: thickness and slope then hold for whatever it adds. What rays need
+    at other temperatures, the surface has when it has grown.
     """
     stop = state.traces[0]
     if i == state.lens.stop_index:
@@ -142,13 +154,15 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
     if given is not None:
         return given, np.zeros(len(state.variables))
     best = (0.0, np.zeros(len(state.variables)))
-    for trace in state.traces:
-        squares, by = heights_of(trace, i)
-        squares = np.where(trace.ok, squares, 0.0)
-        worst = int(np.argmax(squares))
-        height = math.sqrt(squares[worst])
-        if height and height + SEMI_DIAMETER_STEP_MM > best[0]:
-            best = (height + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height))
+    for one in state.all:
+        size = 1.0 if one.sizes is None else float(one.sizes[i])
+        for trace in one.traces:
+            squares, by = heights_of(trace, i)
+            squares = np.where(trace.ok, squares, 0.0)
+            worst = int(np.argmax(squares))
+            height = math.sqrt(squares[worst])
+            if height and height / size + SEMI_DIAMETER_STEP_MM > best[0]:
+                best = (height / size + SEMI_DIAMETER_STEP_MM, by[worst] / (2.0 * height * size))
     return best
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
@@ -27,23 +28,24 @@ def goal_rows(specification: Specification, state: State) -> list[Row]:
     goal = specification.optimize.goal
     lens: Lens = specification  # as it was at the start
     if goal in AS_BUILT_GOALS:
-        return [_as_built_goal(goal, state)]
+        return [_as_built_goal(goal, one) for one in state.all]
     if goal.startswith("smallest spread"):
         widest = _sine(lens, max(lens.wavelengths_um))
         own = goal == "smallest spread"
         return [
             _per_ray(
-                _named("spread", w, lens),
+                _named("spread", w, one),
                 squares_of(t.cosines, t.cosines_by),
                 (_sine(lens, w) if own else widest) ** 2,
                 t,
             )
-            for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
+            for one in state.all
+            for w, t in zip(lens.wavelengths_um, one.traces, strict=True)
         ]
     if goal == "smallest aperture":
         reference = lens.stop_semi_diameter_mm**2
         return [
-            _per_ray(_named(f"height on surface {i + 1}", w, lens), heights_of(t, i), reference, t)
+            _per_ray(_named(f"height on surface {i + 1}", w, state), heights_of(t, i), reference, t)
             for w, t in zip(lens.wavelengths_um, state.traces, strict=True)
             for i in range(len(lens.surfaces))
         ]
@@ -58,32 +60,40 @@ def constraint_rows(specification: Specification, state: State, final: bool = Fa
     Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
     against it.
     """
-    rows: list[Row] = []
-    lens: Lens = specification
     limited = final or not _limits_its_goal(specification)
-    for wavelength, trace in zip(lens.wavelengths_um, state.traces, strict=True):
+    rows = [row for one in state.all for row in _light_rows(specification, one, limited)]
+    most = specification.constraints.max_semi_diameter_mm
+    for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
+        for i in range(len(specification.surfaces)) if most is not None else ():
+            name = _named(f"semi-diameter of surface {i + 1}", wavelength, state)
+            rows.append(_limited(name, heights_of(trace, i), float(most or 0.0) ** 2, trace))
+    built = [row for one in state.all for row in _as_built_rows(specification, one)]
+    return rows + glass_rows(specification, state) + built
+
+
+def _light_rows(specification: Specification, state: State, limited: bool) -> list[Row]:
+    """Where light may go, at each wavelength."""
+    rows: list[Row] = []
+    for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
         rows += _spread_rows(specification, state, wavelength, trace, limited)
         for i, limit in enumerate(specification.footprint_limits()):
             if math.isfinite(limit):
-                name = _named(f"footprint on sensor plane {i + 1}", wavelength, lens)
+                name = _named(f"footprint on sensor plane {i + 1}", wavelength, state)
                 squares = squares_of(trace.plane_points[:, i], trace.plane_points_by[:, i])
                 rows.append(_limited(name, squares, limit**2, trace))
         if specification.constraints.max_footprint_radius_mm == "sensor rectangle":
-            rows += _rectangle_rows(specification, wavelength, trace)
+            rows += _rectangle_rows(specification, state, wavelength, trace)
         rows += _throughput_rows(specification, state, wavelength, trace)
-        most = specification.constraints.max_semi_diameter_mm
-        for i in range(len(lens.surfaces)) if most is not None else ():
-            name = _named(f"semi-diameter of surface {i + 1}", wavelength, lens)
-            rows.append(_limited(name, heights_of(trace, i), float(most or 0.0) ** 2, trace))
-    return rows + glass_rows(specification, state) + _as_built_rows(specification, state)
+    return rows
 
 
 def _as_built_goal(goal: str, state: State) -> Row:
     assert state.as_built is not None  # the goal asked for it
+    name = named_at(goal, state.temperature_c)
     if goal == "yield":
-        return finite_row(goal, np.array([state.as_built.failing]), state.as_built.failing_by[None])
+        return finite_row(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
     scale = AS_BUILT_SCALE_WAVES
-    return finite_row(goal, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
+    return finite_row(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
 
 
 def _as_built_rows(specification: Specification, state: State) -> list[Row]:
@@ -93,10 +103,13 @@ def _as_built_rows(specification: Specification, state: State) -> list[Row]:
         return []
     if limits.min_yield is not None:
         excess = found.failing - (1.0 - limits.min_yield)
-        rows.append(finite_row("yield", np.array([excess]), found.failing_by[None]))
+        rows.append(
+            finite_row(named_at("yield", state.temperature_c), np.array([excess]), found.failing_by[None])
+        )
     if limits.max_as_built_rms_waves is not None:
         most = limits.max_as_built_rms_waves
-        rows.append(finite_row("as-built rms", found.rms_waves / most - 1.0, found.rms_by / most))
+        name = named_at("as-built rms", state.temperature_c)
+        rows.append(finite_row(name, found.rms_waves / most - 1.0, found.rms_by / most))
     return rows
 
 
@@ -115,27 +128,29 @@ def _spread_rows(
     limit = specification.spread_limit(wavelength)
     rows = []
     if limited and math.isfinite(limit):
-        rows.append(_limited(_named("spread", wavelength, specification), squares, limit**2, trace))
+        rows.append(_limited(_named("spread", wavelength, state), squares, limit**2, trace))
     for axis, most_deg in enumerate(specification.constraints.max_spread_xy_deg or ()):
         at, by = trace.cosines[:, axis], trace.cosines_by[:, axis]
-        name = _named(f"spread along {'xy'[axis]}", wavelength, specification)
+        name = _named(f"spread along {'xy'[axis]}", wavelength, state)
         square = math.sin(math.radians(most_deg)) ** 2
         rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), square, trace))
     for own in specification.constraints.field_spread:
         at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
-        name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, specification)
+        name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, state)
         row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
         rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
     return rows
 
 
-def _rectangle_rows(specification: Specification, wavelength: float, trace: GradientTrace) -> list[Row]:
+def _rectangle_rows(
+    specification: Specification, state: State, wavelength: float, trace: GradientTrace
+) -> list[Row]:
     """Light within the sides of the sensor, x and y apart."""
     rows = []
     for i in range(len(specification.sensor.plane_distances_mm)):
         for axis, size in enumerate(specification.sensor.size_mm):
             at, by = trace.plane_points[:, i, axis], trace.plane_points_by[:, i, axis]
-            name = _named(f"{'xy'[axis]} of the footprint on sensor plane {i + 1}", wavelength, specification)
+            name = _named(f"{'xy'[axis]} of the footprint on sensor plane {i + 1}", wavelength, state)
             rows.append(_limited(name, (at**2, 2.0 * at[:, None] * by), (0.5 * size) ** 2, trace))
     return rows
 
@@ -144,7 +159,7 @@ def _throughput_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
 ) -> list[Row]:
     """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
-    lens, share = specification, specification.constraints.min_throughput
+    lens, share = state.lens, specification.constraints.min_throughput
     limits = [
         (i, s.semi_diameter_mm)
         for i, s in enumerate(lens.surfaces)
@@ -157,7 +172,7 @@ def _throughput_rows(
     rays = np.arange(len(worst))
     values = np.array([r.values for r in each])[worst, rays]
     by = np.array([r.by for r in each])[worst, rays]
-    name = _named("throughput", wavelength, lens)
+    name = _named("throughput", wavelength, state)
     if share == 1.0:
         return [Row(name, values, by, rays)]
     picked = []
@@ -184,5 +199,6 @@ def _sine(lens: Lens, wavelength: float) -> float:
     return min(1.0, wavelength / (2.0 * lens.sensor.pixel_pitch_um))
 
 
-def _named(name: str, wavelength: float, lens: Lens) -> str:
-    return name if len(lens.wavelengths_um) == 1 else f"{name} ({wavelength:g} um)"
+def _named(name: str, wavelength: float, state: State) -> str:
+    lone = len(state.lens.wavelengths_um) == 1
+    return named_at(name if lone else f"{name} ({wavelength:g} um)", state.temperature_c)

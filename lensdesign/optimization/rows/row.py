@@ -36,6 +36,12 @@ class State:
         One for each wavelength of the lens.
     as_built
         What is predicted of it as built, where goals or constraints ask for that.
+    temperature_c
+        Of the lens; None as designed.
+    sizes : ndarray, shape (surfaces,)
+        By which its surfaces have grown; None as designed.
+    heated
+        The same lens at other temperatures, where something is asked of it there.
     """
 
     lens: Lens
@@ -43,6 +49,14 @@ class State:
     fields_mm: Array
     traces: tuple[GradientTrace, ...]
     as_built: AsBuiltValues | None = None
+    temperature_c: float | None = None
+    sizes: Array | None = None
+    heated: tuple[State, ...] = ()
+
+    @property
+    def all(self) -> tuple[State, ...]:
+        """The lens as designed, and at other temperatures."""
+        return (self, *self.heated)
 
 
 @dataclass(frozen=True)

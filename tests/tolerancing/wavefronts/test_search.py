@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +182,43 @@ def test_tolerances_of_surfaces_that_are_not_there_are_refused(wavefront_study: 
     one = lens.model_copy(update={"surfaces": lens.surfaces[1:]})
     with pytest.raises(DesignError, match="surface 2"):
         study.check(one)
+
+
+HEAT = """
+[[perturbation]]
+target = "environment"
+parameter = "temperature_c"
+distribution = "normal"
+sigma = 2.0
+"""
+
+
+def test_lenses_as_built_are_asked_for_at_temperatures(wavefront_study: Path) -> None:
+    """Exact gradients there too, and a table of each constraint at each temperature in the end."""
+    warm = {"[constraints]\n": "[environment]\ntemperatures_c = [50]\n\n[constraints]\nmin_yield = 0.6\n"}
+    asked = load_specification(path := specified(wavefront_study, "warm.toml", **warm))
+    problem = DesignProblem(asked, asked.lens).heated[0]
+    point = problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml"))
+    here, step = problem.as_built(point), 1e-5
+    assert here is not None
+    for k, axis in enumerate(np.eye(len(point))):
+        ends = [problem.as_built(point + sign * step * axis, False) for sign in (1.0, -1.0)]
+        high, low = (end for end in ends if end is not None)
+        width = 2.0 * step * problem.width[k]
+        np.testing.assert_allclose(here.rms_by[:, k], (high.rms_waves - low.rms_waves) / width, rtol=1e-5)
+    command = ["optimize", str(path), "-o", str(path.with_suffix(".out.toml")), "--max-evaluations", "2"]
+    shown = CliRunner().invoke(app, command)
+    assert "max_evaluations = 2 cut the search" in shown.output
+    assert re.search(r"constraint +┃ +limit ┃ 20 C +┃ 50 C", shown.output)
+    assert re.search(r"│ yield +│ +>= 0\.6 │ [01](\.\d+)? +│ [01](\.\d+)? ", shown.output)
+
+
+def test_a_study_that_perturbs_the_temperature_is_none_of_a_lens_at_one(
+    wavefront_study: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+    study = tmp_path / "heat.toml"
+    study.write_text(wavefront_study.read_text(encoding="utf-8") + HEAT, encoding="utf-8")
+    warm = {"[constraints]\n": "[environment]\ntemperatures_c = [50]\n\n[constraints]\nmin_yield = 0.6\n"}
+    with pytest.raises(DesignError, match="is at a temperature already"):
+        load_specification(specified(study, "spec.toml", **warm))

@@ -1,0 +1,145 @@
+"""The lens of a search at another temperature, with derivatives by the variables of the lens as designed.
+
+All that heat changes follows from the lens as designed: terms of its shapes are multiplied, spaces grow with
+their lengths and with the sags at the edges on which a mount stands (:mod:`lensdesign.lens.temperature`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensdesign.common.arrays import Array
+from lensdesign.lens.catalogues.thermal import REFERENCE_C
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.registry import class_with
+from lensdesign.lens.surface import Surface
+from lensdesign.lens.temperature import expansions, heated_keys, heated_material
+from lensdesign.optimization.rows.glass import edge_sag
+from lensdesign.optimization.rows.row import State
+from lensdesign.tracing.gradients import Chain, Variable
+
+
+@dataclass(frozen=True)
+class Heated:
+    """A lens at a temperature; v variables of the lens as designed.
+
+    Attributes
+    ----------
+    lens
+        Not validated.
+    stop_semi_diameter_mm
+        Of the stop, grown.
+    chain
+        How the variables of :attr:`Heat.own`, the stop and the sensor's planes follow those of the search.
+    """
+
+    lens: Lens
+    stop_semi_diameter_mm: float
+    chain: Chain
+
+
+class Heat:
+    """A temperature at which lenses of a search are looked at.
+
+    Parameters
+    ----------
+    base
+        A lens with the glasses of them all.
+    variables
+        Of the search.
+    temperature_c, mount_expansion_per_k
+        As of :func:`lensdesign.lens.lens_at_temperature`.
+
+    Raises
+    ------
+    MaterialError
+        If of a glass it is not known how size or index change.
+    """
+
+    def __init__(
+        self, base: Lens, variables: tuple[Variable, ...], temperature_c: float, mount_expansion_per_k: float
+    ) -> None:
+        self.temperature_c, self.change_k = temperature_c, temperature_c - REFERENCE_C
+        self.variables = variables
+        self.expansions = expansions(base, mount_expansion_per_k)
+        self.sizes = 1.0 + self.change_k * self.expansions.surfaces
+        self.materials = [heated_material(base, i, temperature_c) for i in range(len(base.surfaces))]
+        self.shares = np.array(
+            [
+                _share(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface])) if v.of_shape else 0.0
+                for v in variables
+            ]
+        )
+        spaces = (Variable("thickness", i) for i in range(len(base.surfaces) - 1))
+        self.own = (*(v for v in variables if v.of_shape), Variable("working_distance"), *spaces)
+
+    def with_glasses(self, base: Lens) -> Lens:
+        """A lens with its glasses at the temperature, everything else as it is."""
+        surfaces = [
+            s.model_copy(update={"material": m}) for s, m in zip(base.surfaces, self.materials, strict=True)
+        ]
+        return base.model_copy(update={"surfaces": tuple(surfaces)})
+
+    def at(self, cold: State) -> Heated:
+        """The lens of a state, which is that of the lens as designed, with rays through the stop's rim."""
+        lens, last = cold.lens, len(cold.lens.surfaces) - 1
+        found = [edge_sag(cold, i) for i in range(last + 1)]
+        sags, sags_by = np.array([value for value, _ in found]), np.array([by for _, by in found])
+        thickness = np.array([s.thickness_mm or 0.0 for s in lens.surfaces[:last]])
+        lengths = np.array([lens.object.working_distance_mm, *thickness])
+        lengths_by = np.array([[float(_is_space(v, i - 1)) for v in cold.variables] for i in range(last + 1)])
+        spaces = [self._grown(i - 1, length, sags) for i, length in enumerate(lengths)]
+        planes = self._grown(last, np.array(lens.sensor.plane_distances_mm), sags)
+        stop, grown = lens.stop_index, cold.traces[0]
+        return Heated(
+            self._lens(lens, np.array(spaces), planes),
+            float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
+            Chain(
+                self._chained(cold.variables, lengths_by, sags_by),
+                self.sizes[stop] * grown.stop_semi_diameter_by,
+                self._grown(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
+            ),
+        )
+
+    def _grown(self, surface: int, length: Array, sags: Array) -> Array:
+        """The space behind a surface, or how it follows a variable."""
+        return length + self.change_k * self.expansions.of_space(surface, length, sags)
+
+    def _chained(self, variables: tuple[Variable, ...], lengths_by: Array, sags_by: Array) -> Array:
+        """How each variable of its own follows those of the search, shape (own, v)."""
+        if not variables:
+            return np.zeros((len(self.own), 0))
+        shapes = np.diag(self.shares)[[v.of_shape for v in variables]]
+        spaces = [self._grown(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
+        return np.vstack([shapes, *spaces])
+
+    def _lens(self, cold: Lens, spaces: Array, planes: Array) -> Lens:
+        thickness = [*spaces[1:].tolist(), None]
+        surfaces = [
+            surface.model_copy(
+                update=heated_keys(surface, size - 1.0) | {"thickness_mm": t, "material": material}
+            )
+            for surface, size, t, material in zip(
+                cold.surfaces, self.sizes.tolist(), thickness, self.materials, strict=True
+            )
+        ]
+        scene = cold.object.model_copy(update={"working_distance_mm": float(spaces[0])})
+        sensor = cold.sensor.model_copy(update={"plane_distances_mm": tuple(planes.tolist())})
+        return cold.model_copy(update={"surfaces": tuple(surfaces), "object": scene, "sensor": sensor})
+
+
+def _is_space(variable: Variable, surface: int) -> bool:
+    """Whether a variable is the length behind a surface, or that before the first (-1)."""
+    if surface < 0:
+        return variable.kind == "working_distance"
+    return variable.kind == "thickness" and variable.surface == surface
+
+
+def _share(surface: Surface, term: str, factor: float) -> float:
+    """By which a term is multiplied where all lengths are."""
+    shape = class_with(term)
+    keys = {key: getattr(surface, key) for key in shape.KEYS}
+    keys |= shape.changed_keys(keys, term, 1.0)
+    return shape.of_keys(shape.scaled_keys(keys, factor)).term(term)
