@@ -88,8 +88,8 @@ def explore(
         typer.Option(
             metavar="NAMES",
             help=(
-                "Two to four of thickness, track, semi_diameter, spread, as_built_rms, yield, field, na; "
-                "with bounds where wanted: field=2:4,thickness. The last is each search's goal."
+                "Two to four of thickness, track, semi_diameter, spread, as_built_rms, yield, field, na, "
+                "cost; with bounds where wanted: field=2:4,thickness. The last is each search's goal."
             ),
         ),
     ],

@@ -104,11 +104,13 @@ def folder_for(
     path: Path, specification: Specification, axes: Sequence[Axis], lenses: int
 ) -> ExplorationFolder:
     """The folder of an exploration, known by all that decides what it finds."""
-    study = specification.tolerances.study if specification.tolerances else None
+    tolerances = specification.tolerances
+    files = [] if tolerances is None else [tolerances.study, tolerances.costs]
     said = {
         "version": toolkit_version(),
         "specification": specification.model_dump(mode="json", exclude={"tolerances"}),
-        "study": None if study is None else Path(study).read_text(encoding="utf-8"),
+        "tolerances": None if tolerances is None else tolerances.model_dump(exclude={"study", "costs"}),
+        "files": [None if file is None else Path(file).read_text(encoding="utf-8") for file in files],
         "axes": [(axis.objective.name, axis.bounds) for axis in axes],
         "lenses": lenses,
     }

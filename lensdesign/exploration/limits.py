@@ -55,7 +55,7 @@ def find_limits(
     """Take field, aperture, pixel and, where a yield is asked for, tolerances as far as lenses are found.
 
     A coarser pixel sees a smaller spread (Eq. 2); the sensor keeps its size. Tolerances are multiplied all
-    together.
+    together, where they are not to cost what the specification says.
 
     Parameters
     ----------
@@ -68,7 +68,8 @@ def find_limits(
         ("numerical aperture", "", specification.object.numerical_aperture, _of_object("numerical_aperture")),
         ("pixel pitch", "um", specification.sensor.pixel_pitch_um, _with_pitch),
     ]
-    if specification.constraints.min_yield is not None:
+    tolerances = specification.tolerances
+    if specification.constraints.min_yield is not None and tolerances is not None and tolerances.cost is None:
         kinds.append(("tolerances", "times", 1.0, _with_tolerances))
     starts = _ends(specification, 1.0, lambda s, _: s)
     return tuple(_limit(specification, *kind, starts, report) for kind in kinds)

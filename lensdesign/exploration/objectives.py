@@ -9,6 +9,8 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from lensdesign.optimization.as_built import read_as_built
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.problem import DesignProblem, Rays
 
@@ -24,9 +26,9 @@ class Objective:
     unit
     larger_is_better
     goal
-        By which a search makes it as good as can be; empty where it is a value of the object.
+        By which a search makes it as good as can be; empty where it is a value of the object, or the cost.
     limit
-        Constraint, or value of the object, that holds it.
+        Constraint, or value of the object or of the tolerances, that holds it.
     """
 
     name: str
@@ -51,6 +53,10 @@ class Objective:
 
     def limited(self, specification: Specification, value: float) -> Specification:
         """The specification that allows it no worse a value."""
+        if self.name == "cost":
+            assert specification.tolerances is not None  # the axis asked for them
+            tolerances = specification.tolerances.replaced(cost=value, factor=1.0)
+            return specification.model_copy(update={"tolerances": tolerances})
         if self.scanned:
             scene = specification.object.replaced(**{self.limit: value})
             return specification.model_copy(update={"object": scene})
@@ -75,6 +81,7 @@ OBJECTIVES = {
         Objective("yield", "", "yield", "min_yield", larger_is_better=True),
         Objective("field", "mm", "", "field_diameter_mm", larger_is_better=True),
         Objective("na", "", "", "numerical_aperture", larger_is_better=True),
+        Objective("cost", "", "", "cost"),
     )
 }
 
@@ -113,6 +120,12 @@ def axes_of(text: str, specification: Specification) -> tuple[Axis, ...]:
     if all(axis.objective.scanned for axis in axes):
         allowed = ", ".join(name for name, found in OBJECTIVES.items() if not found.scanned)
         raise InputError(f"--over {text}: at least one must be sought: {allowed}")
+    built = any(axis.objective.goal in AS_BUILT_GOALS for axis in axes)
+    if "cost" in names and not (built or specification.asks_as_built):
+        raise InputError(
+            f"--over {text}: cost changes nothing without as_built_rms or yield; weigh one of them, or ask "
+            "for min_yield or max_as_built_rms_waves"
+        )
     # What is given stands first; what is sought last of all is the goal of each search.
     return tuple(sorted(axes, key=lambda axis: not axis.objective.scanned))
 
@@ -122,7 +135,7 @@ def _axis(text: str, specification: Specification) -> Axis:
     if name not in OBJECTIVES:
         raise InputError(f"--over: {name!r} is no objective; allowed: {', '.join(OBJECTIVES)}")
     objective = OBJECTIVES[name]
-    if objective.goal in ("as-built rms", "yield") and specification.tolerances is None:
+    if (name == "cost" or objective.goal in AS_BUILT_GOALS) and specification.tolerances is None:
         raise InputError(f"--over: {name} needs tolerances: [tolerances] study in the specification")
     if given:
         try:
@@ -132,10 +145,21 @@ def _axis(text: str, specification: Specification) -> Axis:
         if not 0.0 < low < high < np.inf:
             raise InputError(f"--over {text}: bounds must be above 0, the smaller first")
         return Axis(objective, (low, high))
+    if name == "cost":
+        return Axis(objective, _costs_about(specification))
     if objective.scanned:
         value = getattr(specification.object, objective.limit)
         return Axis(objective, (0.7 * value, value))
     return Axis(objective)
+
+
+def _costs_about(specification: Specification) -> tuple[float, float]:
+    """What the study's tolerances cost on its lens when they are twice as wide, and half as wide."""
+    assert specification.tolerances is not None  # the axis asked for them
+    lens = (study := read_as_built(specification.tolerances)).reference
+    elements = len(lens.glass_fronts)
+    own = study.cost(lens) - elements
+    return elements + 0.5 * own, elements + 2.0 * own
 
 
 def values_of(
@@ -146,7 +170,10 @@ def values_of(
     found = {}
     for axis in axes:
         name = axis.objective.name
-        if axis.objective.scanned:
+        if name == "cost":
+            assert problem.specification.tolerances is not None  # the axis asked for them
+            value = read_as_built(problem.specification.tolerances).cost(lens)
+        elif axis.objective.scanned:
             value = getattr(lens.object, axis.objective.limit)
         elif name == "thickness":
             value = lens.exit_vertex_z_mm

@@ -122,6 +122,15 @@ class AsBuilt(Protocol):
     def scaled(self, factor: float) -> AsBuilt:
         """The study with all tolerances multiplied."""
 
+    def priced(self, costs: Path | None, cost: float | None) -> AsBuilt:
+        """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""
+
+    def cost(self, lens: Lens) -> float:
+        """What the tolerances of a lens cost, its elements included.
+
+        Refuse, with an InputError, a table without a price for one of them.
+        """
+
     @property
     def reference(self) -> Lens:
         """The lens that the study was written for."""
@@ -141,18 +150,21 @@ def read_as_built(tolerances: Tolerances) -> AsBuilt:
     study = Path(tolerances.study)
     if not study.is_file():
         raise DesignError(f"tolerances: study = {tolerances.study!r}: there is no such file")
-    return _read(study, study.stat().st_mtime_ns, tolerances.factor)
+    files = [Path(file) for file in (tolerances.study, tolerances.costs) if file is not None]
+    changed = tuple(file.stat().st_mtime_ns for file in files if file.is_file())
+    return _read(study, changed, tolerances)
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, _changed: int, factor: float) -> AsBuilt:
+def _read(path: Path, _changed: tuple[int, ...], tolerances: Tolerances) -> AsBuilt:
     from importlib.metadata import entry_points
 
     readers = tuple(entry_points(group=READERS, name="study"))
     if not readers:
         raise DesignError(f"tolerances: no package that reads a study is installed (entry point {READERS})")
     found: AsBuilt = readers[0].load()(path)
-    return found if factor == 1.0 else found.scaled(factor)
+    costs = None if tolerances.costs is None else Path(tolerances.costs)
+    return found.scaled(tolerances.factor).priced(costs, tolerances.cost)
 
 
 def untraceable(points: int, variables: int) -> AsBuiltValues:

@@ -22,6 +22,8 @@ from lensdesign.optimization.problem import DesignProblem, Rays
 from lensdesign.tracing.bundles import pupil_rings
 from lensdesign.tracing.gradients import GradientTrace, Variable
 from tolerancing.analysis.yields import yield_of
+from tolerancing.cost.pricing import cost_of
+from tolerancing.cost.table import CostTable, load_costs
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.study.evaluate import context_of, realise
 from tolerancing.study.files import check_against, load_study
@@ -69,16 +71,51 @@ class StudyAsBuilt:
         The lens that it was written for.
     source : str
         Where it comes from.
+    costs : Path or None
+        Table of costs; None is that of the toolkit.
+    amount : float or None
+        What the tolerances of each lens cost, all multiplied alike; None leaves them as they are.
     """
 
     study: Study
     reference: Lens
     source: str
+    costs: Path | None = None
+    amount: float | None = None
+
+    def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
+        """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""
+        return replace(self, costs=costs, amount=cost)
+
+    @cached_property
+    def _table(self) -> CostTable:
+        return load_costs(self.costs)
+
+    def cost(self, lens: Lens) -> float:
+        """What the tolerances of a lens cost, its elements included.
+
+        Raises
+        ------
+        InputError
+            If the table has no price for one of them.
+        """
+        return self.amount or cost_of(self.study, _bent(lens), self._table).total
+
+    def factor(self, lens: Lens) -> float:
+        """By which the tolerances of a lens are multiplied to cost what is asked for.
+
+        Costs of tolerances are their reciprocals.
+        """
+        if self.amount is None:
+            return 1.0
+        elements = len(lens.glass_fronts)
+        return (cost_of(self.study, lens, self._table).total - elements) / (self.amount - elements)
 
     def scaled(self, factor: float) -> StudyAsBuilt:
         """The study with all tolerances multiplied."""
-        wide = tuple(p.scaled(factor) for p in self.study.perturbations)
-        return replace(self, study=self.study.model_copy(update={"perturbations": wide}))
+        if factor == 1.0:
+            return self
+        return replace(self, study=_multiplied(self.study, factor))
 
     @cached_property
     def judged(self) -> tuple[Judged, ...]:
@@ -108,6 +145,13 @@ class StudyAsBuilt:
         if self.study.compensators:
             raise DesignError(f"{self.source}: compensators: a search knows shift and focus alone")
         check_against(self.study, _bent(lens), self.source)
+        if self.amount is not None:
+            if self.amount <= (elements := len(lens.glass_fronts)):
+                raise DesignError(
+                    f"tolerances: cost = {self.amount:g}: must be above {elements}, which the elements "
+                    "of the lens cost without any"
+                )
+            self.factor(_sized(lens, np.ones(len(lens.surfaces))))
         own = {p.wavelength_um for p in self.judged} - {None, *lens.wavelengths_um}
         if own:
             known = ", ".join(f"{w:g}" for w in lens.wavelengths_um)
@@ -136,6 +180,8 @@ class StudyAsBuilt:
         amounts = parts[0].changes.amounts(self._drawn)
         moments = amounts.T @ amounts / len(amounts)
         squares = np.sum(values * moments, axis=(1, 2))
+        if not (np.all(np.isfinite(values_by)) and np.all(squares > 0.0)):
+            return untraceable(len(self.judged), len(variables))
         rms = np.sqrt(squares)
         by = np.sum(values_by * moments, axis=(2, 3)).T / (2.0 * rms[:, None])
         limits = np.array([p.limit_waves for p in self.judged]) ** 2
@@ -168,7 +214,7 @@ class StudyAsBuilt:
                 "sampling": self.study.sampling.replaced(pupil_samples=SEARCH_SAMPLES),
             }
         )
-        rows = [_tried(name, lens, fresh) for name, lens in lenses]
+        rows = [_tried(name, lens, _multiplied(fresh, self.factor(_bent(lens)))) for name, lens in lenses]
         places = [(p.field_mm, p.wavelength_um, p.limit_waves) for p in self.judged]
         points, wavelengths, limits = zip(*places, strict=True)
         return AsBuiltReport(points, wavelengths, limits, tuple(rows))
@@ -184,6 +230,11 @@ def read_study(path: Path) -> StudyAsBuilt:
     """Read a study for a search."""
     loaded = load_study(path)
     return StudyAsBuilt(loaded.study, loaded.lens, str(path))
+
+
+def _multiplied(study: Study, factor: float) -> Study:
+    """The study with all tolerances multiplied."""
+    return study.model_copy(update={"perturbations": tuple(p.scaled(factor) for p in study.perturbations)})
 
 
 def _tried(name: str, lens: Lens, study: Study) -> TrialsOf:
@@ -248,8 +299,9 @@ class _Forms:
         if not self.ok:
             return
         self.fields_mm = fields
-        self.changes = self._changes(self.lens, self._clear(None, 0.0))
-        self.values = self._forms(None, None)
+        self.changes, factor = self._changes(self.lens, self._clear(None, 0.0))
+        values = self._forms(None, None)
+        self.values = factor**2 * values
         steps = SHARE * problem.width
         self.by = np.empty((len(variables), *self.values.shape))
         for k in range(len(variables)):
@@ -258,7 +310,9 @@ class _Forms:
                 for axis in [np.eye(len(point))[k]]
                 for sign in (1.0, -1.0)
             ]
-            self.by[k] = self._forms(k, (ends[0], ends[1], 2.0 * steps[k])).imag / STEP
+            (high, more), (low, less) = ends
+            by = self._forms(k, (high, low, 2.0 * steps[k])).imag / STEP
+            self.by[k] = factor**2 * by + factor * (more - less) / steps[k] * values
 
     def _clear(self, variable: int | None, step: float) -> Array:
         """Clear height of each surface, and how it follows a variable."""
@@ -272,16 +326,14 @@ class _Forms:
         by = trace.heights_by[self.inner.stop :][rays, surfaces, :, variable]
         return np.asarray(clear + step * np.sum(heights[rays, surfaces] * by, axis=-1) / clear)
 
-    def _changes(self, lens: Lens, clear_mm: Array) -> Changes:
-        """Of a lens whose surfaces all have a clear height and a radius."""
-        own = self.own
-        surfaces = [
-            s if s.semi_diameter_mm is not None else s.model_copy(update={"semi_diameter_mm": float(c)})
-            for s, c in zip(lens.surfaces, clear_mm, strict=True)
-        ]
-        whole = _bent(lens.model_copy(update={"surfaces": tuple(surfaces)}))
+    def _changes(self, lens: Lens, clear_mm: Array) -> tuple[Changes, float]:
+        """Of a lens whose surfaces all have a clear height and a radius; and by what they are multiplied."""
+        own, whole = self.own, _sized(lens, clear_mm)
         study = own.study
-        return changes_of(whole, study.perturbations, own._sizes, study.pivot_z_mm, self.wavelength_um, False)
+        changes = changes_of(
+            whole, study.perturbations, own._sizes, study.pivot_z_mm, self.wavelength_um, False
+        )
+        return changes, own.factor(whole)
 
     def _forms(self, moved: int | None, ends: tuple[Changes, Changes, float] | None) -> Array:
         """At the lens itself, or a complex step of one variable away."""
@@ -322,6 +374,15 @@ class _Forms:
         origins = np.column_stack([self.fields_mm, np.full(len(heights), object_z)])
         arrivals = np.column_stack([ends, np.full(len(heights), plane_z)])
         return Paths(tuple(shapes), vertices, self.system.index[0], origins, heights, arrivals)
+
+
+def _sized(lens: Lens, clear_mm: Array) -> Lens:
+    """The lens with clear heights where it has none, and no planes."""
+    surfaces = [
+        s if s.semi_diameter_mm is not None else s.model_copy(update={"semi_diameter_mm": float(c)})
+        for s, c in zip(lens.surfaces, clear_mm, strict=True)
+    ]
+    return _bent(lens.model_copy(update={"surfaces": tuple(surfaces)}))
 
 
 def _bent(lens: Lens) -> Lens:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.section import Positive, Section, tuples
 from lensdesign.lens.catalogues.thermal import COLDEST_C, HOTTEST_C, REFERENCE_C
@@ -92,13 +92,25 @@ class Tolerances(Section):
         nothing.
     factor
         By which all tolerances are multiplied.
+    cost
+        In its place: what the tolerances of each lens cost, multiplied alike, its elements included.
+    costs
+        Table of costs, relative to the specification; that of the toolkit where left out.
     trials
         Monte Carlo trials of each lens that is compared in the end.
     """
 
     study: str
     factor: Positive = 1.0
+    cost: Positive | None = None
+    costs: str | None = None
     trials: Annotated[int, Field(ge=100, le=100_000)] = 1000
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Tolerances:
+        if self.cost is not None and self.factor != 1.0:
+            raise ValueError(f"cost = {self.cost:g} and factor = {self.factor:g}: give one of them")
+        return self
 
 
 class Environment(Section):

@@ -164,12 +164,16 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
 
 
 def _with_tolerances(specification: Specification, path: Path) -> Specification:
-    """With the study where it lies, and known to fit the lens."""
+    """With its files where they lie, and known to fit the lens."""
     if specification.tolerances is None:
         return specification
-    study = (path.parent / specification.tolerances.study).resolve()
-    refuse_outside(study, path, "study", DesignError)
-    tolerances = specification.tolerances.replaced(study=str(study))
+    files = {}
+    for key in ("study", "costs"):
+        if (given := getattr(specification.tolerances, key)) is not None:
+            file = (path.parent / given).resolve()
+            refuse_outside(file, path, key, DesignError)
+            files[key] = str(file)
+    tolerances = specification.tolerances.replaced(**files)
     specification = specification.model_copy(update={"tolerances": tolerances})
     if specification.as_built is not None:
         specification.as_built.check(specification.lens)

@@ -8,7 +8,7 @@ from lensdesign.errors import InputError
 from lensdesign.exploration import axes_of
 from lensdesign.exploration.objectives import OBJECTIVES
 from lensdesign.optimization import Specification
-from lensdesign.optimization.asked.sections import Constraints
+from lensdesign.optimization.asked.sections import Constraints, Tolerances
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,7 @@ from lensdesign.optimization.asked.sections import Constraints
         ("thickness,thickness", "thickness stands twice"),
         ("field,na", "at least one must be sought: thickness"),
         ("thickness,yield", "yield needs tolerances"),
+        ("thickness,cost", "cost needs tolerances"),
         ("field=2,thickness", "bounds are two numbers"),
         ("field=4:2,thickness", "the smaller first"),
         ("field=nan:2,thickness", "the smaller first"),
@@ -32,6 +33,7 @@ def test_what_is_no_trade_off_is_refused(specification: Specification, text: str
 def test_each_objective_is_a_goal_or_a_value_of_the_object_and_a_limit(specification: Specification) -> None:
     for objective in OBJECTIVES.values():
         held = specification.object if objective.scanned else Constraints()
+        held = Tolerances(study="") if objective.name == "cost" else held
         assert hasattr(held, objective.limit)
     limited = OBJECTIVES["thickness"].limited(specification, 7.0)
     assert limited.constraints.max_lens_thickness_mm == 7.0

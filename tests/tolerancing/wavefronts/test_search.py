@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from lensdesign import load_design
 from lensdesign.cli.commands import app
-from lensdesign.errors import DesignError
+from lensdesign.errors import DesignError, InputError
+from lensdesign.exploration import Exploration, axes_of
 from lensdesign.optimization import load_specification
 from lensdesign.optimization.as_built import read_as_built
 from lensdesign.optimization.asked.sections import Tolerances
@@ -71,10 +72,17 @@ at_most = 0.1
 """
 
 
-@pytest.mark.parametrize("wavelengths", ["[0.532]", "[0.6328, 0.532]"])
-def test_gradients_are_those_of_differences(figured_study: Path, wavelengths: str) -> None:
+@pytest.mark.parametrize(
+    ("wavelengths", "tolerances"),
+    [("[0.532]", ""), ("[0.6328, 0.532]", ""), ("[0.532]", "cost = 10.0\n")],
+)
+def test_gradients_are_those_of_differences(figured_study: Path, wavelengths: str, tolerances: str) -> None:
     """Of all variables at once, a figure on a surface of open size among the perturbations."""
-    asked = {'"thinnest lens"': '"yield"', "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}"}
+    asked = {
+        '"thinnest lens"': '"yield"',
+        "wavelengths_um = [0.532]": f"wavelengths_um = {wavelengths}",
+        "[tolerances]\n": f"[tolerances]\n{tolerances}",
+    }
     if "0.6328" in wavelengths:
         whole = figured_study.read_text(encoding="utf-8")
         both = whole.replace('kind = "rms_waves"\n', 'kind = "rms_waves"\nwavelength_um = 0.532\n')
@@ -84,13 +92,15 @@ def test_gradients_are_those_of_differences(figured_study: Path, wavelengths: st
     point = problem.to_unit(load_design(DESIGNS / "thinnest_singlet.toml"))
     here = problem.as_built(point)
     assert here is not None
-    step = 1e-4
+    step = 1e-5
+    slack = 1e-4 * np.max(np.abs(here.failing_by * problem.width))
     for k, axis in enumerate(np.eye(len(point))):
         ends = [problem.as_built(point + sign * step * axis, False) for sign in (1.0, -1.0)]
         high, low = (end for end in ends if end is not None)
         width = 2.0 * step * problem.width[k]
         np.testing.assert_allclose(here.rms_by[:, k], (high.rms_waves - low.rms_waves) / width, rtol=2e-4)
-        assert here.failing_by[k] == pytest.approx((high.failing - low.failing) / width, rel=2e-3)
+        failing_by = (high.failing - low.failing) / width
+        assert here.failing_by[k] == pytest.approx(failing_by, rel=2e-3, abs=slack / problem.width[k])
 
 
 def test_goal_is_met_from_a_plate_and_told_beside_the_studys_lens(wavefront_study: Path) -> None:
@@ -222,3 +232,73 @@ def test_a_study_that_perturbs_the_temperature_is_none_of_a_lens_at_one(
     warm = {"[constraints]\n": "[environment]\ntemperatures_c = [50]\n\n[constraints]\nmin_yield = 0.6\n"}
     with pytest.raises(DesignError, match="is at a temperature already"):
         load_specification(specified(study, "spec.toml", **warm))
+
+
+def test_a_cost_scales_the_tolerances_of_each_lens(wavefront_study: Path) -> None:
+    """Costs beyond the elements' are reciprocals of tolerances, and wavefronts grow with them."""
+    lens, found = load_design(DESIGNS / "thinnest_singlet.toml"), {}
+    own = read_as_built(Tolerances(study=str(wavefront_study))).cost(lens)
+    for cost in (None, 5.0, 9.0):
+        asked = load_specification(specified(wavefront_study, "cost.toml"))
+        asked = asked.replaced(
+            optimize=asked.optimize.replaced(goal="as-built rms"),
+            tolerances=asked.tolerances.replaced(cost=cost),
+        )
+        problem = DesignProblem(asked, asked.lens)
+        found[cost] = problem.as_built(problem.to_unit(lens), False).rms_waves
+    np.testing.assert_allclose(found[5.0], 2.0 * found[9.0], rtol=1e-12)
+    np.testing.assert_allclose(found[9.0], (own - 1.0) / 8.0 * found[None], rtol=1e-3)
+    tried = read_as_built(Tolerances(study=str(wavefront_study), cost=9.0)).trials([("", lens)], 400)
+    np.testing.assert_allclose(tried.rows[0].rms_waves, found[9.0], rtol=0.1)
+
+
+GAPS = """
+default = "shop"
+mount = "shop"
+[process.shop]
+source = "quotation"
+decenter_mm = { reference = 0.05, share = 0.2 }
+tilt_deg = { reference = 0.05, share = 0.2 }
+"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ('cost = 9.0\ncosts = "gaps.toml"\n', "process.shop has no radius_percent, for surface_1_radius_mm"),
+        ("cost = 0.5\n", "cost = 0.5: must be above 1, which the elements of the lens cost"),
+        ("cost = 9.0\nfactor = 2.0\n", "cost = 9 and factor = 2: give one of them"),
+        ('cost = 9.0\ncosts = "none.toml"\n', "none.toml"),
+    ],
+)
+def test_costs_that_are_none_are_refused(wavefront_study: Path, lines: str, said: str) -> None:
+    (wavefront_study.parent / "gaps.toml").write_text(GAPS, encoding="utf-8")
+    path = specified(
+        wavefront_study,
+        "priced.toml",
+        **{'"thinnest lens"': '"yield"', "[tolerances]\n": f"[tolerances]\n{lines}"},
+    )
+    output = path.with_suffix(".out.toml")
+    shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output)])
+    assert shown.exit_code != 0
+    assert said in str(shown.exception)
+    assert not output.exists()
+
+
+def test_cost_is_traded_for_what_is_built(wavefront_study: Path) -> None:
+    """Each lens of the front costs what it was held to, the dearer the better."""
+    design = '"design"\nstarts = 1\nmax_evaluations = 25'
+    loose = {'"plate"': design, 'max_spread_deg = "sensor"': "max_spread_deg = 5.5"}
+    asked = load_specification(specified(wavefront_study, "dear.toml", **loose))
+    lens = load_design(DESIGNS / "thinnest_singlet.toml")
+    asked = asked.model_copy(update={"surfaces": lens.surfaces, "object": lens.object})
+    axes = axes_of("cost=6:12,as_built_rms", asked)
+    found = [one.values for one in Exploration(asked, axes, lenses=2).run()]
+    own, cheap, dear = found
+    assert (cheap["cost"], dear["cost"]) == (6.0, 12.0)
+    assert 6.0 < own["cost"] < 12.0
+    assert cheap["as_built_rms_waves"] == pytest.approx(11 / 5 * dear["as_built_rms_waves"], rel=0.1)
+    low, high = axes_of("cost,as_built_rms", asked)[0].bounds or (0.0, 0.0)
+    assert high - 1.0 == pytest.approx(4.0 * (low - 1.0))
+    with pytest.raises(InputError, match="cost changes nothing without as_built_rms or yield"):
+        axes_of("thickness,cost", asked)
