@@ -2,13 +2,16 @@
 
     python -m benchmarks.docs_pictures figure-7 STORE PICTURE
     python -m benchmarks.docs_pictures whole-field FRAMES OBJECT PICTURE
+    python -m benchmarks.docs_pictures fronts ONE TWO PICTURE
 
 STORE is that of designs/paper_figure_7.toml, FRAMES and OBJECT the folders of the whole field's
-`wavesim image` and `wavesim reconstruct` in docs/reconstruction.md.
+`wavesim image` and `wavesim reconstruct` in docs/reconstruction.md; ONE and TWO those of `lensdesign explore`
+over track and yield in docs/as-built.md, of one element and of two.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import sys
 from pathlib import Path
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 DOTS_PER_INCH = 112
+PAPER_YIELD = 51.1
+"""Of the paper's lens in per cent, as `tolerancing predict designs/as_built_tolerances.toml` has it."""
 CHART_MM, FINE = 0.07, 8
 """Side of what is shown of a chart, and the coarsest group in it."""
 
@@ -96,9 +101,31 @@ def whole_field(frames: Path, found: Path, picture: Path, at_mm: tuple[float, fl
     figure.savefig(picture, dpi=100)
 
 
+def fronts(one: Path, two: Path, picture: Path) -> None:
+    """Yields against track: lenses of one element and of two, glass by glass."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.6, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for folder, marker, words in ((one, "o", "one"), (two, "s", "two")):
+        with (folder / "front.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        for glasses in dict.fromkeys(row["glasses"] for row in rows):
+            own = [row for row in rows if row["glasses"] == glasses]
+            at = np.array([[float(row["track_mm"]), 100.0 * float(row["yield"])] for row in own])
+            axes.plot(*at.T, marker, ms=5.0, label=f"{words}: {glasses}")
+    axes.plot(45.2, PAPER_YIELD, "k*", ms=9.0, label="the paper's lens")
+    axes.axhline(95.0, color="0.6", lw=0.8)
+    axes.set_xlabel("track (mm)")
+    axes.set_ylabel("good lenses, predicted (%)")
+    axes.grid(color="0.9", lw=0.6)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+    figure.savefig(picture, dpi=DOTS_PER_INCH)
+
+
 def main(arguments: list[str]) -> None:
     """Draw what is asked for."""
-    pictures = {"figure-7": (figure_7, 2), "whole-field": (whole_field, 3)}
+    pictures = {"figure-7": (figure_7, 2), "whole-field": (whole_field, 3), "fronts": (fronts, 3)}
     name, *paths = arguments or [""]
     if name not in pictures or len(paths) != pictures[name][1]:
         raise SystemExit(__doc__)

@@ -72,6 +72,9 @@ SHORTER = {
     r"(figure_7.*) --trials 16": r"\1 --trials 2",
     r"--trial 137": "--trial 7",
     r"^(tolerancing budget .*)": r"\1 --verify 16",
+    # Eight glasses, and two elements (minutes): what the page explores before.
+    r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
+    "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
     r"^(tolerancing indices .*--base) 32": r"\1 16",
     r"^(tolerancing rare .*--trials) 300": r"\1 50",

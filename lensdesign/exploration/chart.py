@@ -19,7 +19,7 @@ from lensdesign.pictures.plots import write_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLORS = ("#0B6E99", "#B5651D", "#4B7F52", "#7D4E9E", "#8A8A8A")
+COLORS = ("#0B6E99", "#B5651D", "#4B7F52", "#7D4E9E", "#8A8A8A", "#B23A63")
 WIDTH, HEIGHT, MARGIN = 860, 520, 96
 TICKS = 6
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from lensdesign.exploration import Explored, axes_of
-from lensdesign.exploration.chart import front_page, write_charts
+from lensdesign.exploration.chart import COLORS, front_page, write_charts
+from lensdesign.exploration.front import MOST_GLASSES
 from lensdesign.optimization import Specification
 
 
@@ -31,3 +32,7 @@ def test_a_picture_and_a_page_are_written(
     files = write_charts(tmp_path, explored, axes_of("thickness,spread", specification))
     assert [file.name for file in files] == ["front.png", "front.html"]
     assert files[0].read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_choice_of_glasses_has_a_colour_of_its_own() -> None:
+    assert len(set(COLORS)) >= MOST_GLASSES

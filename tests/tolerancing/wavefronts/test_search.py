@@ -15,7 +15,7 @@ from lensdesign import load_design
 from lensdesign.cli.commands import app
 from lensdesign.errors import DesignError, InputError
 from lensdesign.exploration import Exploration, axes_of
-from lensdesign.optimization import load_specification
+from lensdesign.optimization import check_against, load_specification
 from lensdesign.optimization.as_built import read_as_built
 from lensdesign.optimization.asked.sections import Tolerances
 from lensdesign.optimization.problem import DesignProblem
@@ -302,3 +302,12 @@ def test_cost_is_traded_for_what_is_built(wavefront_study: Path) -> None:
     assert high - 1.0 == pytest.approx(4.0 * (low - 1.0))
     with pytest.raises(InputError, match="cost changes nothing without as_built_rms or yield"):
         axes_of("thickness,cost", asked)
+
+
+def test_two_elements_on_the_papers_track_are_good_as_built() -> None:
+    asked = load_specification(DESIGNS / "as_built_pair_spec.toml")
+    lens = load_design(DESIGNS / "as_built_pair.toml")
+    assert check_against(lens, asked).feasible
+    problem = DesignProblem(asked, asked.lens)
+    (found,) = problem.predicted(problem.to_unit(lens))
+    assert found.failing < 0.025
