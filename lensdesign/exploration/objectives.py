@@ -178,8 +178,7 @@ def values_of(
         elif name == "thickness":
             value = lens.exit_vertex_z_mm
         elif name == "track":
-            ends = lens.object.working_distance_mm + lens.sensor.plane_distances_mm[-1]
-            value = lens.exit_vertex_z_mm + ends
+            value = lens.track_mm
         elif name == "semi_diameter":
             value = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
         elif name == "spread":

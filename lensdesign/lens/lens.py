@@ -209,6 +209,11 @@ class Lens(Section):
         return -self.object.working_distance_mm
 
     @property
+    def track_mm(self) -> float:
+        """From the object to the last sensor plane."""
+        return self.object.working_distance_mm + self.sensor_z_mm[-1]
+
+    @property
     def sensor_z_mm(self) -> tuple[float, ...]:
         """z of each sensor plane."""
         return tuple(self.exit_vertex_z_mm + d for d in self.sensor.plane_distances_mm)

@@ -209,13 +209,11 @@ def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
 
 def _lengths(lens: Lens, specification: Specification) -> list[Constraint]:
     limits, rows = specification.constraints, []
-    thickness = lens.exit_vertex_z_mm
-    track = lens.object.working_distance_mm + thickness + lens.sensor.plane_distances_mm[-1]
     widest = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
     # Semi-diameters are written rounded up.
     for name, value, most, room in (
-        ("lens thickness", thickness, limits.max_lens_thickness_mm, 0.0),
-        ("track", track, limits.max_track_mm, 0.0),
+        ("lens thickness", lens.exit_vertex_z_mm, limits.max_lens_thickness_mm, 0.0),
+        ("track", lens.track_mm, limits.max_track_mm, 0.0),
         ("largest semi-diameter", widest, limits.max_semi_diameter_mm, SEMI_DIAMETER_STEP_MM),
     ):
         if most is not None:

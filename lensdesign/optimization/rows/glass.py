@@ -57,10 +57,8 @@ def lens_thickness(state: State) -> tuple[float, Array]:
 
 def track(state: State) -> tuple[float, Array]:
     """From the object to the last sensor plane in mm, and its derivatives."""
-    length, by = lens_thickness(state)
-    lens = state.lens
-    whole = length + lens.object.working_distance_mm + lens.sensor.plane_distances_mm[-1]
-    return whole, by + np.array([float(v.kind == "working_distance") for v in state.variables])
+    spaces = ("thickness", "working_distance")
+    return state.lens.track_mm, np.array([float(v.kind in spaces) for v in state.variables])
 
 
 def _length_rows(specification: Specification, state: State) -> list[Row]:
