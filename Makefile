@@ -1,4 +1,5 @@
 # make demo: the main job on the paper's lens.  make test: style, types and tests.  make docs: the documentation.
+# make paper: the paper's equations, tables, figures and numbers on one page.
 # All set up their own virtual environment first; Python 3.11, make and a C compiler are enough.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -7,7 +8,7 @@ READY := .venv/ready
 OUT := demo_output
 PACKAGES := lensdesign wavesim tolerancing
 
-.PHONY: demo gallery test style types tests test-lowest docs benchmarks lock clean
+.PHONY: demo gallery paper test style types tests test-lowest docs benchmarks lock clean
 
 demo: $(READY)
 	@mkdir -p $(OUT)
@@ -60,6 +61,11 @@ gallery: $(READY)
 	  $(BIN)/lensdesign drawing $(OUT)/gallery/$$lens.toml -o $(OUT)/gallery/$$lens/drawing.pdf; \
 	done
 
+# The paper beside this toolkit, on small twins of the lens; python -m paper takes the lens itself, and hours.
+paper: $(READY)
+	$(BIN)/python -m paper --quick -o paper_output
+	@echo "read paper_output/paper.md"
+
 test: style
 	$(MAKE) --no-print-directory --jobs=2 types tests
 
@@ -107,4 +113,4 @@ lock: $(READY)
 	sed -i '1i # Every version that make installs, and its files by their hashes: the package, its dev extra and its build requirements.\n# To renew it: make lock' requirements.lock
 
 clean:
-	rm -rf .venv .venv-lowest demo_output site build dist
+	rm -rf .venv .venv-lowest demo_output paper_output site build dist

@@ -1,0 +1,1 @@
+"""The elements themselves: the lens, the method, the results."""

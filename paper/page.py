@@ -1,0 +1,118 @@
+"""The page, in the paper's order: what it says, what comes out here, the command, and why they differ."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from lensdesign.errors import InputError, atomic_path
+from paper.element import Element, Number
+from paper.results import PAGE, PICTURES, Result, read_result
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS_PICTURES = "images/paper"
+
+HEAD = """# The paper, figure by figure
+
+*Computational diffraction-limited imaging with a non-imaging spatial information transfer lens* (Chinese
+Laser Press, 2024), beside this toolkit: every equation, table, figure and number, what comes out here, and
+with which command. Made by
+
+    make paper
+
+which is `python -m paper --quick -o paper_output`: on small twins of the lens where waves are carried, in
+minutes. Without `--quick` it takes hours. A run that was cut off goes on, and what is finished is kept.
+`--only figure-2d` makes one element, `--list` tells their names. Not here are photographs: Figs. 1b and 2f.
+
+Where a number is not the paper's to its last digit, the remark says why.
+"""
+
+TABLE = "| | the paper | here | |\n| --- | --- | --- | --- |"
+
+
+def write_pages(folder: Path, elements: Mapping[str, Element], docs: Path | None = None) -> Path:
+    """Write the page of all results in a folder, and with `docs` the documentation's page and pictures."""
+    results = {key: found for key in elements if (found := read_result(folder, key)) is not None}
+    _write(folder / PAGE, elements, results, PICTURES)
+    if docs is not None:
+        for result in results.values():
+            for picture in result.made.pictures:
+                with atomic_path(docs / DOCS_PICTURES / picture.file) as temporary:
+                    shutil.copyfile(folder / PICTURES / picture.file, temporary)
+        _write(docs / PAGE, elements, results, DOCS_PICTURES)
+    return folder / PAGE
+
+
+def _write(path: Path, elements: Mapping[str, Element], results: Mapping[str, Result], pictures: str) -> None:
+    if not results:
+        raise InputError(f"{path.parent}: holds no results")
+    shown = [key for key in elements if key in results]
+    parts = [HEAD, *(section(elements[key], results[key], pictures) for key in shown)]
+    parts.append(all_numbers((elements[key], results[key]) for key in shown))
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(parts), encoding="utf-8")
+
+
+def section(element: Element, result: Result, pictures: str) -> str:
+    """One element."""
+    made = result.made
+    lines = [f"## {element.title} {{#{element.key}}}", "", f"**The paper.** {element.statement}", ""]
+    for picture in made.pictures:
+        lines += [f"![{picture.caption}]({pictures}/{picture.file})", "", f"*{picture.caption}*", ""]
+    if made.numbers:
+        lines += [TABLE, *map(_row, made.numbers), ""]
+    lines += [f"**Here.** {made.difference}{_settings(element, result)}", ""]
+    lines += [f"    {command}" for command in made.commands]
+    return "\n".join([*lines, ""])
+
+
+def all_numbers(results: Iterable[tuple[Element, Result]]) -> str:
+    """Every number that the paper states, in its order."""
+    lines = [
+        "## All numbers of the paper {#numbers}",
+        "",
+        "| | the paper | here | as in the paper | element |",
+    ]
+    lines.append("| --- | --- | --- | --- | --- |")
+    for element, result in results:
+        for number in result.made.numbers:
+            if number.paper is not None:
+                said = "yes" if number.agrees else "no"
+                link = f"[{element.title.partition(':')[0]}](#{element.key})"
+                lines.append(f"| {number.name} | {_paper(number)} | {_here(number)} | {said} | {link} |")
+    return "\n".join([*lines, ""])
+
+
+def _row(number: Number) -> str:
+    return f"| {number.name} | {_paper(number)} | {_here(number)} | {number.remark} |"
+
+
+def _paper(number: Number) -> str:
+    if number.paper is None:
+        return ""
+    relation = {"=": "", "<=": "≤ ", ">=": "≥ "}[number.relation]
+    return relation + _value(number.paper, number.unit)
+
+
+def _here(number: Number) -> str:
+    return _value(number.here, number.unit)
+
+
+def _value(value: float | str, unit: str) -> str:
+    if isinstance(value, str):
+        return value
+    text = f"{value:.5g}"
+    if "e" in text:
+        digits, power = text.split("e")
+        text = f"{digits}e{int(power)}"
+    return f"{text}{'' if unit in ('', '°') else ' '}{unit}"
+
+
+def _settings(element: Element, result: Result) -> str:
+    """With which settings it was made, where budgets differ."""
+    own = element.settings.get(result.budget)
+    if not own:
+        return ""
+    said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in own.items())
+    return f" ({result.budget} budget: {said}.)"

@@ -1,0 +1,93 @@
+"""Results on disk: one JSON for each element, by which a run knows what is finished."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from inspect import getsourcefile
+from pathlib import Path
+
+from lensdesign.errors import InputError, atomic_path
+from paper.element import BUDGETS, DESIGNS, Budget, Element, Made, Number, Picture
+
+PICTURES, PARTS, PAGE = "pictures", "parts", "paper.md"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an element came to, and from what.
+
+    Attributes
+    ----------
+    key
+        Of the element.
+    budget
+        With which it was made.
+    inputs
+        Digest of all that it depends on.
+    seconds
+        That it took.
+    made
+        What came out.
+    """
+
+    key: str
+    budget: Budget
+    inputs: str
+    seconds: float
+    made: Made
+
+
+def inputs(element: Element, budget: Budget, others: Mapping[str, Element]) -> str:
+    """Digest of an element's settings, designs and module, and of those that it needs."""
+    source = getsourcefile(element.make)
+    assert source is not None
+    parts = [
+        json.dumps(element.settings.get(budget, {}), sort_keys=True),
+        Path(source).read_text(encoding="utf-8"),
+        *((DESIGNS / name).read_text(encoding="utf-8") for name in element.designs),
+        *(inputs(others[key], budget, others) for key in element.needs),
+    ]
+    return sha256("\0".join(parts).encode()).hexdigest()
+
+
+def kept(folder: Path, element: Element, budget: Budget, others: Mapping[str, Element]) -> Result | None:
+    """The result in a folder, unless inputs have changed, or a picture is gone; a larger budget's will do."""
+    found = read_result(folder, element.key)
+    if found is None:
+        return None
+    enough = BUDGETS[BUDGETS.index(budget) :]
+    if found.inputs not in {inputs(element, one, others) for one in enough}:
+        return None
+    there = all((folder / PICTURES / picture.file).is_file() for picture in found.made.pictures)
+    return found if there else None
+
+
+def read_result(folder: Path, key: str) -> Result | None:
+    """The result of an element; None if there is none.
+
+    Raises
+    ------
+    InputError
+        If the file is not one of ours.
+    """
+    path = folder / f"{key}.json"
+    if not path.is_file():
+        return None
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        made = told.pop("made")
+        numbers = tuple(Number(**one) for one in made.pop("numbers"))
+        pictures = tuple(Picture(**one) for one in made.pop("pictures"))
+        return Result(**told, made=Made(numbers, tuple(made["commands"]), made["difference"], pictures))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: no result of this program ({error}); remove it") from None
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """Keep a result, all of it or nothing."""
+    text = json.dumps(asdict(result), indent=2, ensure_ascii=False, allow_nan=False)
+    with atomic_path(folder / f"{result.key}.json") as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")

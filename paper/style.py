@@ -1,0 +1,111 @@
+"""One style for all pictures of the page: that of the reports, with bars of lengths and of colours."""
+
+from __future__ import annotations
+
+import math
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import atomic_path
+from tolerancing.report.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SERIES,
+    VIOLET,
+    styled,
+    styled_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BLUE",
+    "GLASS",
+    "GREEN",
+    "GREY",
+    "INK",
+    "ORANGE",
+    "RED",
+    "SERIES",
+    "VIOLET",
+    "panel",
+    "scale_bar",
+    "styled",
+    "styled_figure",
+    "write_picture",
+]
+
+GLASS = "#CFE3F1"
+DOTS_PER_INCH = 110
+COLOURS = 256
+
+
+def panel(
+    figure: Figure,
+    axes: Axes,
+    values: Array,
+    width: float,
+    unit: str,
+    label: str,
+    colours: str = "gray",
+    **more: Any,
+) -> None:
+    """A picture with its scale bar and its colour bar.
+
+    Parameters
+    ----------
+    figure, axes
+        Where it is drawn.
+    values
+        Samples; row 0 is that of the smallest y.
+    width
+        Of the whole row of samples, in `unit`, for the scale bar.
+    unit
+        Of lengths.
+    label
+        Of the colour bar, with the unit of the values.
+    colours, **more
+        As :meth:`matplotlib.axes.Axes.imshow` takes them.
+    """
+    picture = axes.imshow(values, origin="lower", cmap=colours, interpolation="antialiased", **more)
+    axes.set(xticks=[], yticks=[])
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.03)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+    scale_bar(axes, values.shape, width, unit)
+
+
+def scale_bar(axes: Axes, shape: tuple[int, ...], width: float, unit: str) -> None:
+    """A bar of 1, 2 or 5 times a power of ten below a picture."""
+    rows, columns = shape
+    asked = 0.25 * width
+    power = 10.0 ** math.floor(math.log10(asked))
+    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= asked)
+    end, low = columns * length / width, -0.5 - 0.03 * rows
+    axes.plot([0.0, end], [low, low], color=INK, lw=2.5, clip_on=False, solid_capstyle="butt")
+    axes.text(end + 0.02 * columns, low, f"{length:g} {unit}", va="center", ha="left", fontsize=8)
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5))
+
+
+def write_picture(figure: Figure, path: Path) -> None:
+    """Write a PNG in few colours, so that it stays small; the same figure gives the same file."""
+    from PIL import Image
+
+    stream = BytesIO()
+    with styled():
+        figure.savefig(stream, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+    stream.seek(0)
+    picture = Image.open(stream).convert("RGB")
+    few = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    with atomic_path(path) as temporary:
+        few.save(temporary, optimize=True)

@@ -1,0 +1,74 @@
+"""The paper's numbers, element by element, on the smallest twins; and the page in the documentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from paper.element import Number
+from paper.registry import ELEMENTS
+from paper.results import Result
+from paper.run import make_all
+
+ROOMS = [ROOT / "paper", *(path for path in (ROOT / "paper").rglob("*") if path.is_dir())]
+PAGE, PICTURES = ROOT / "docs" / "paper.md", ROOT / "docs" / "images" / "paper"
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
+    """Every element, made once."""
+    made = make_all(ELEMENTS, tmp_path_factory.mktemp("paper"), "small")
+    return {result.key: result for result in made}
+
+
+def numbers(results: dict[str, Result], key: str) -> dict[str, Number]:
+    return {number.name: number for number in results[key].made.numbers}
+
+
+@pytest.mark.parametrize("key", ELEMENTS)
+def test_numbers_are_told_once_and_commands_are_there(key: str, results: dict[str, Result]) -> None:
+    made = results[key].made
+    assert made.commands
+    assert made.difference
+    assert len({number.name for number in made.numbers}) == len(made.numbers)
+
+
+def test_the_products_and_the_limit_of_angles(results: dict[str, Result]) -> None:
+    first, second = numbers(results, "equation-1"), numbers(results, "equation-2")
+    assert first["SBP of the object"].here == pytest.approx(1.96155e7, rel=1e-5)
+    assert first["SBP of the sensor"].here == pytest.approx(3.02257e7, rel=1e-5)
+    assert first["resolution, λ / (2 NA)"].agrees
+    assert second["limit of the angle, asin(λ / (2 Δ))"].here == pytest.approx(4.7682, abs=1e-4)
+    assert second["largest angle behind the lens"].here == pytest.approx(4.8105, abs=1e-4)
+    assert second["highest frequency of the pixels"].agrees
+
+
+def test_the_rim_of_the_stop_is_the_aperture(results: dict[str, Result]) -> None:
+    table = numbers(results, "table-1")
+    assert all(number.agrees is not False for number in table.values())
+    assert table["sine of the ray through its rim: the aperture"].here == pytest.approx(0.5, abs=3e-4)
+    assert table["index of N-BK7 at 0.532 µm"].here == pytest.approx(1.5194726, abs=1e-6)
+
+
+def test_the_page_has_every_element_as_it_is_now() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for key, element in ELEMENTS.items():
+        assert f"## {element.title} {{#{key}}}\n\n**The paper.** {element.statement}\n" in page, key
+
+
+def test_pictures_are_small_and_all_are_shown() -> None:
+    page, kept = PAGE.read_text(encoding="utf-8"), sorted(PICTURES.glob("*"))
+    assert all(path.stat().st_size < 150_000 for path in kept)
+    assert sum(path.stat().st_size for path in kept) < 2_500_000
+    for path in kept:
+        assert f"(images/paper/{path.name})" in page, path.name
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda path: path.name)
+def test_rooms_are_small_and_modules_short(room: Path) -> None:
+    names = {path.name for path in room.iterdir()} - {"__init__.py", "__pycache__"}
+    assert len(names) <= 15
+    for path in room.glob("*.py"):
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 400, path
