@@ -40,6 +40,8 @@ class Number:
         What the paper says of it: equal, no more than, no less than.
     remark
         Why they differ, or what has to be known.
+    digits
+        That are shown.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class Number:
     within: float = 0.0
     relation: Literal["=", "<=", ">="] = "="
     remark: str = ""
+    digits: int = 4
 
     def __post_init__(self) -> None:
         if self.agrees is False and not self.remark:

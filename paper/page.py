@@ -92,20 +92,20 @@ def _paper(number: Number) -> str:
     if number.paper is None:
         return ""
     relation = {"=": "", "<=": "≤ ", ">=": "≥ "}[number.relation]
-    return relation + _value(number.paper, number.unit)
+    return relation + _value(number.paper, number.unit, 8)
 
 
 def _here(number: Number) -> str:
-    return _value(number.here, number.unit)
+    return _value(number.here, number.unit, number.digits)
 
 
-def _value(value: float | str, unit: str) -> str:
+def _value(value: float | str, unit: str, digits: int) -> str:
     if isinstance(value, str):
         return value
-    text = f"{value:.5g}"
+    text = f"{value:.{digits}g}"
     if "e" in text:
-        digits, power = text.split("e")
-        text = f"{digits}e{int(power)}"
+        shown, power = text.split("e")
+        text = f"{shown}e{int(power)}"
     return f"{text}{'' if unit in ('', '°') else ' '}{unit}"
 
 

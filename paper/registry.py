@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from paper.element import Element
-from paper.elements.lens import matching, table
+from paper.elements.lens import design_process, form_errors, matching, rays, table
 
 _ALL: tuple[Element, ...] = (
     *matching.ELEMENTS,
     *table.ELEMENTS,
+    *design_process.ELEMENTS,
+    *rays.ELEMENTS,
+    *form_errors.ELEMENTS,
 )
 ELEMENTS: dict[str, Element] = {element.key: element for element in _ALL}

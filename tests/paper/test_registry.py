@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import ROOT
 
+from lensdesign import Lens, trace
+from lensdesign.tracing import launch
 from paper.element import Number
 from paper.registry import ELEMENTS
 from paper.results import Result
@@ -50,6 +53,48 @@ def test_the_rim_of_the_stop_is_the_aperture(results: dict[str, Result]) -> None
     assert all(number.agrees is not False for number in table.values())
     assert table["sine of the ray through its rim: the aperture"].here == pytest.approx(0.5, abs=3e-4)
     assert table["index of N-BK7 at 0.532 µm"].here == pytest.approx(1.5194726, abs=1e-6)
+
+
+def test_the_search_meets_what_the_table_misses(results: dict[str, Result]) -> None:
+    design, limit = numbers(results, "figure-2a"), 4.7682
+    found = design["smallest that is found at its thickness, aperture and distance"].here
+    printed = design["largest angle of the lens of Table 1"].here
+    assert isinstance(found, float)
+    assert found < limit < printed
+    assert found == pytest.approx(4.643, abs=2e-3)
+
+
+def test_spots_have_the_papers_diameter(results: dict[str, Result]) -> None:
+    spots = [number.here for number in results["figure-2c"].made.numbers]
+    assert spots == pytest.approx([14.27, 14.25, 14.22], abs=0.01)
+
+
+def test_light_arrives_within_the_limit_and_with_the_radiance_of_its_source(
+    results: dict[str, Result], paper_lens: Lens
+) -> None:
+    """Isotropic sources have 1 / cos of their radiance along the axis; lenses without loss conserve it."""
+    told = numbers(results, "figure-2d")
+    heights = np.linspace(0.0, 1.0, 401)
+    pupil = np.stack([np.zeros_like(heights), heights], axis=-1)
+    origins, directions = launch(paper_lens, [(0.0, 0.0)], pupil, 0.532)
+    rays = trace(paper_lens, origins, directions, 0.532, plane_z_mm=paper_lens.exit_vertex_z_mm + 3.0)
+    for point in (0, 3, 7, 9):
+        assert told[f"largest angle at (0, {point}) mm"].agrees
+        cosine = np.interp(point, rays.position[:, 1], directions[:, 2])
+        measured = told[f"radiance at (0, {point}) mm, over the source's along its axis"]
+        rays_there = int(measured.remark.split()[0])
+        # A ninth of the directions are averaged, and a little less than a ninth of the rays.
+        assert measured.here == pytest.approx(1.0 / cosine, rel=4.0 * (rays_there / 9) ** -0.5)
+
+
+def test_the_example_of_measured_surfaces_has_the_papers_errors(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-2g")
+    assert told["peak-to-valley of the entrance surface"].agrees
+    assert told["peak-to-valley of the exit surface"].agrees
+    waves = told["wavefront that they leave, 0 mm off the axis"].here
+    ratio = told["Strehl ratio of the reconstruction there, 0 mm off the axis"].here
+    assert isinstance(waves, float)
+    assert ratio == pytest.approx(np.exp(-((2.0 * np.pi * waves) ** 2)), abs=5e-3)  # Marechal
 
 
 def test_the_page_has_every_element_as_it_is_now() -> None:

@@ -18,11 +18,11 @@ def equation_1(work: Work) -> Made:
         Number("resolution, λ / (2 NA)", found.resolution_um, "µm", 0.532, 5e-4),
         Number("sensor, longer side", width, "mm", 29.9, 0.05),
         Number("sensor, shorter side D", height, "mm", 22.4, 0.05),
-        Number("pixels across", float(lens.sensor.pixels[0]), "", 9344.0),
-        Number("pixels down", float(lens.sensor.pixels[1]), "", 7000.0),
+        Number("pixels across", lens.sensor.pixels[0], "", 9344),
+        Number("pixels down", lens.sensor.pixels[1], "", 7000),
         Number("pixel pitch Δ", lens.sensor.pixel_pitch_um, "µm", 3.2),
-        Number("SBP of the object", found.sbp_object),
-        Number("SBP of the sensor", found.sbp_sensor),
+        Number("SBP of the object", found.sbp_object, digits=6),
+        Number("SBP of the sensor", found.sbp_sensor, digits=6),
         Number(
             "SBP of the sensor over that of the object",
             found.sbp_ratio,
@@ -45,9 +45,16 @@ def equation_2(work: Work) -> Made:
     lens = work.lens
     found, spread = match(lens, lens.wavelengths_um[0]), largest_spread(lens)
     numbers = (
-        Number("limit of the angle, asin(λ / (2 Δ))", found.spread_limit_deg, "°", 4.8, 0.05),
-        Number("highest frequency of the pixels", found.highest_frequency_lp_per_mm, "lp/mm", 156.0, 0.5),
-        Number("largest angle behind the lens", spread.spread_deg, "°", 4.8, 0.05, "<="),
+        Number("limit of the angle, asin(λ / (2 Δ))", found.spread_limit_deg, "°", 4.8, 0.05, digits=5),
+        Number(
+            "highest frequency of the pixels",
+            found.highest_frequency_lp_per_mm,
+            "lp/mm",
+            156.0,
+            0.5,
+            digits=5,
+        ),
+        Number("largest angle behind the lens", spread.spread_deg, "°", 4.8, 0.05, "<=", digits=5),
         Number(
             "that over the limit",
             spread.spread_deg / found.spread_limit_deg,
