@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
+from paper.elements.method import slicing
 
 _ALL: tuple[Element, ...] = (
     *matching.ELEMENTS,
@@ -11,5 +12,6 @@ _ALL: tuple[Element, ...] = (
     *design_process.ELEMENTS,
     *rays.ELEMENTS,
     *form_errors.ELEMENTS,
+    *slicing.ELEMENTS,
 )
 ELEMENTS: dict[str, Element] = {element.key: element for element in _ALL}
