@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
-from paper.elements.method import slicing
+from paper.elements.method import measurement, path, slicing
+from paper.elements.results import retrieval, spectrum
 
 _ALL: tuple[Element, ...] = (
     *matching.ELEMENTS,
     *table.ELEMENTS,
     *design_process.ELEMENTS,
     *rays.ELEMENTS,
+    spectrum.FIGURE_2E,
     *form_errors.ELEMENTS,
+    measurement.FIGURE_3,
     *slicing.ELEMENTS,
+    retrieval.FIGURE_8,
+    measurement.FIGURE_9,
+    retrieval.FIGURE_10,
+    *path.ELEMENTS,
 )
 ELEMENTS: dict[str, Element] = {element.key: element for element in _ALL}

@@ -44,8 +44,10 @@ __all__ = [
 ]
 
 GLASS = "#CFE3F1"
-DOTS_PER_INCH = 110
-COLOURS = 256
+DOTS_PER_INCH = (110, 90, 75, 60)
+"""The first with which a picture is small enough."""
+
+COLOURS, LARGEST_BYTES = 128, 140_000
 
 
 def panel(
@@ -99,13 +101,21 @@ def scale_bar(axes: Axes, shape: tuple[int, ...], width: float, unit: str) -> No
 
 def write_picture(figure: Figure, path: Path) -> None:
     """Write a PNG in few colours, so that it stays small; the same figure gives the same file."""
+    for dots in DOTS_PER_INCH:
+        packed = _packed(figure, dots)
+        if len(packed) <= LARGEST_BYTES:
+            break
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(packed)
+
+
+def _packed(figure: Figure, dots_per_inch: int) -> bytes:
     from PIL import Image
 
-    stream = BytesIO()
+    drawn, packed = BytesIO(), BytesIO()
     with styled():
-        figure.savefig(stream, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
-    stream.seek(0)
-    picture = Image.open(stream).convert("RGB")
+        figure.savefig(drawn, format="png", dpi=dots_per_inch)
+    picture = Image.open(drawn).convert("RGB")
     few = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    with atomic_path(path) as temporary:
-        few.save(temporary, optimize=True)
+    few.save(packed, "PNG", optimize=True)
+    return packed.getvalue()

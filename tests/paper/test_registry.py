@@ -97,6 +97,57 @@ def test_the_example_of_measured_surfaces_has_the_papers_errors(results: dict[st
     assert ratio == pytest.approx(np.exp(-((2.0 * np.pi * waves) ** 2)), abs=5e-3)  # Marechal
 
 
+def test_slices_are_cut_as_the_surfaces_lie(results: dict[str, Result], paper_lens: Lens) -> None:
+    """Planes and radii of one slice against the sag, and what Eq. 4 gains over it against its thickness."""
+    told = numbers(results, "figure-4")
+    back, index = paper_lens.surfaces[1], paper_lens.indices(0.532)[1]
+    here = {name: number.here for name, number in told.items()}
+    near, far = here["its plane z_p, from the exit vertex"], here["its plane z_(p+1), from the exit vertex"]
+    inner, outer = here["inner radius R_p of its annulus"], here["outer radius R_(p+1) of its annulus"]
+    assert isinstance(near, float)
+    assert isinstance(far, float)
+    assert back.sag_mm(np.array([inner, outer])) == pytest.approx([near, far], abs=1e-6)
+    gained = here["compensation over it: glass in place of air"]
+    assert gained == pytest.approx((index - 1.0) * (near - far) / 0.532e-3, rel=1e-9)
+    assert told["slices of each surface"].agrees
+    assert here["vertical compensation errs in one slice by up to"] > 1.0
+    assert here["oblique compensation errs in one slice by up to"] < 1e-3
+
+
+def test_constants_of_the_retrieval_are_the_papers(results: dict[str, Result]) -> None:
+    assert [n.name for n in results["figure-3"].made.numbers if n.agrees is False] == []
+    assert sum(n.agrees is True for n in results["figure-3"].made.numbers) == 6
+
+
+def test_the_virtual_plane_lies_in_the_glass(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-11")
+    virtual = told["virtual plane z_temp: where the exit slices are summed"].here
+    entrance = told["first cutting plane of the entrance surface"].here
+    assert isinstance(virtual, float)
+    assert entrance < virtual < 0.0
+
+
+def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-8")
+    model, even, random = (
+        told[f"correlation of the object, start: {start}"].here
+        for start in ("forward model", "even phase", "random phase")
+    )
+    assert model > 0.5
+    assert max(even, random) < 0.3
+    assert all(
+        told[f"correlation A6, start: {start}"].here > 0.98 for start in ("forward model", "even phase")
+    )
+    assert numbers(results, "figure-10")["correlation A6 at the end"].agrees
+
+
+def test_spectra_end_at_the_circle_of_the_pixels(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-2e")
+    for name in ("USAF chart", "tissue"):
+        assert told[f"energy beyond it in the light itself, {name}"].here < 1e-3
+        assert told[f"energy beyond 156.25 lp/mm, {name}, retrieved"].here < 0.02
+
+
 def test_the_page_has_every_element_as_it_is_now() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for key, element in ELEMENTS.items():
