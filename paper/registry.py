@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
-from paper.elements.method import measurement, path, slicing
-from paper.elements.results import retrieval, spectrum
+from paper.elements.method import measurement, path, refocusing, resampling, slicing
+from paper.elements.results import influences, overview, retrieval, spectrum
 
 _ALL: tuple[Element, ...] = (
+    overview.FIGURE_1,
     *matching.ELEMENTS,
     *table.ELEMENTS,
     *design_process.ELEMENTS,
@@ -16,9 +17,13 @@ _ALL: tuple[Element, ...] = (
     *form_errors.ELEMENTS,
     measurement.FIGURE_3,
     *slicing.ELEMENTS,
+    *refocusing.ELEMENTS,
+    influences.FIGURE_7A,
+    influences.FIGURE_7BC,
     retrieval.FIGURE_8,
     measurement.FIGURE_9,
     retrieval.FIGURE_10,
+    *resampling.ELEMENTS,
     *path.ELEMENTS,
 )
 ELEMENTS: dict[str, Element] = {element.key: element for element in _ALL}

@@ -47,7 +47,7 @@ GLASS = "#CFE3F1"
 DOTS_PER_INCH = (110, 90, 75, 60)
 """The first with which a picture is small enough."""
 
-COLOURS, LARGEST_BYTES = 128, 140_000
+COLOURS, LARGEST_BYTES = 256, 140_000
 
 
 def panel(
@@ -116,6 +116,6 @@ def _packed(figure: Figure, dots_per_inch: int) -> bytes:
     with styled():
         figure.savefig(drawn, format="png", dpi=dots_per_inch)
     picture = Image.open(drawn).convert("RGB")
-    few = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few = picture.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(packed, "PNG", optimize=True)
     return packed.getvalue()

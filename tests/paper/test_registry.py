@@ -127,6 +127,33 @@ def test_the_virtual_plane_lies_in_the_glass(results: dict[str, Result]) -> None
     assert entrance < virtual < 0.0
 
 
+def test_chirps_take_a_beam_to_other_samples(results: dict[str, Result]) -> None:
+    told = numbers(results, "equation-b1")
+    assert told["relative error against the closed form of a Gaussian beam"].here < 1e-3
+    wanted = told["what the Fourier transform needs, 2π f x"].here
+    assert told["sum of π[l x² + f²/l − (l x − f)²/l]"].here == pytest.approx(wanted)
+
+
+def test_a_chart_is_found_where_it_stands(results: dict[str, Result]) -> None:
+    told = numbers(results, "equation-5")
+    assert told["found too far by"].here == pytest.approx(told["true"].here, abs=0.05)
+
+
+def test_slices_help_wide_lines_at_once_and_fine_ones_only_if_oblique(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-7a")
+    assert told["gain from 10 to 30 slices, 1.55 µm, vertical"].here > 0.1
+    assert abs(told["gain from 30 to 50 slices, 1.55 µm, vertical"].here) < 0.05
+    assert told["contrast of 0.775 µm lines, 50 slices, vertical"].here < 0.2
+    assert told["contrast of 0.775 µm lines, 10 slices, oblique"].here > 0.9
+
+
+def test_tilt_blurs_fine_lines_and_decenter_does_not(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-7bc")
+    assert told["contrast of 0.775 µm lines, decenter 0.05 mm"].here > 0.9
+    assert told["contrast of 0.775 µm lines, tilt 0.5°"].here < 0.75
+    assert told["contrast of 1.55 µm lines, tilt 0.5°"].here > 0.9
+
+
 def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(results: dict[str, Result]) -> None:
     told = numbers(results, "figure-8")
     model, even, random = (

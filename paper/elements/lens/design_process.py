@@ -35,10 +35,8 @@ def figure_2a(work: Work) -> Made:
     )
     difference = (
         "The flow is the paper's. Searched for again from a plane-parallel plate, with the same thickness, "
-        "aperture "
-        "and distances, the same kinds of surfaces come to a smaller angle than Table 1, and meet Eq. 2, "
-        "which Table 1 "
-        "misses by 0.9 %."
+        "aperture and distances, the same kinds of surfaces come to a smaller angle than Table 1, and meet "
+        "Eq. 2, which Table 1 misses by 0.9 %."
     )
     command = f"lensdesign optimize designs/{SPECIFICATION} -o found.toml"
     return Made(numbers, (command,), difference, (picture,))
@@ -97,8 +95,8 @@ ELEMENTS = (
         "figure-2a",
         "Fig. 2a: the process of the design",
         "From field and NA to the SBP of the lens, from that to a sensor (Eq. 1), from its pixels to the "
-        "largest angle "
-        "(Eq. 2); then the surfaces are optimized until no ray of the sampled field points exceeds it.",
+        "largest angle (Eq. 2); then the surfaces are optimized until no ray of the sampled field points "
+        "exceeds it.",
         figure_2a,
         seconds={"quick": 4.0, "full": 4.0},
         designs=(PAPER_DESIGN, SPECIFICATION),

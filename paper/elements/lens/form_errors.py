@@ -41,12 +41,9 @@ def figure_2g(work: Work) -> Made:
     )
     difference = (
         "The paper's maps are not published as data: `designs/measured_singlet.toml` ships an example of "
-        "two, drawn "
-        "at random and scaled to the paper's peak-to-valley errors. A reconstruction that takes the lens "
-        "for the "
-        "nominal one keeps 96 % of the Strehl ratio: such surfaces do not explain why the paper "
-        "resolves "
-        "0.87 µm where 0.532 µm is expected. One that reads the maps loses nothing."
+        "two, drawn at random and scaled to the paper's peak-to-valley errors. A reconstruction that takes "
+        "the lens for the nominal one keeps 96 % of the Strehl ratio: such surfaces do not explain why the "
+        "paper resolves 0.87 µm where 0.532 µm is expected. One that reads the maps loses nothing."
     )
     commands = (f"lensdesign check designs/{DESIGN}", f"lensdesign draw designs/{DESIGN} -o DIR")
     return Made(tuple(numbers), commands, difference, (picture,))
@@ -97,8 +94,8 @@ ELEMENTS = (
     Element(
         "figure-2g",
         "Fig. 2g: form errors of the surfaces",
-        "The surfaces as they were ground and polished have peak-to-valley errors of 0.279 λ and 0.427 λ "
-        "at 633 nm.",
+        "The surfaces as they were ground and polished have peak-to-valley errors of 0.279 λ and 0.427 λ at "
+        "633 nm.",
         figure_2g,
         seconds={"quick": 3.0, "full": 3.0},
         designs=(PAPER_DESIGN, DESIGN, "measured_front.csv", "measured_back.csv"),

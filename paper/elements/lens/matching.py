@@ -33,9 +33,8 @@ def equation_1(work: Work) -> Made:
         ),
     )
     difference = (
-        "The sensor's product is 1.54 times the object's, so that Eq. 1 is kept with room to spare, and "
-        "the match is "
-        "not the perfect one that the paper speaks of."
+        "The sensor's product is 1.54 times the object's, so that Eq. 1 is kept with room to spare, and the "
+        "match is not the perfect one that the paper speaks of."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference)
 
@@ -64,8 +63,7 @@ def equation_2(work: Work) -> Made:
     )
     difference = (
         "Rounded to 4.8° both agree. Unrounded, the lens of Table 1 misses its own Eq. 2 by 0.9 %, at the "
-        "edge of the "
-        "field; `lensdesign check` says so and ends with status 1."
+        "edge of the field; `lensdesign check` says so and ends with status 1."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference)
 
@@ -75,8 +73,7 @@ ELEMENTS = (
         "equation-1",
         "Eq. 1: the sensor holds the object",
         "π(D/2)² π(1/(2Δ))² ≥ SBP of the object, for a field of 3 mm at NA 0.5 and a sensor of 9344 × 7000 "
-        "pixels of "
-        "3.2 µm; the two are made equal.",
+        "pixels of 3.2 µm; the two are made equal.",
         equation_1,
     ),
     Element(

@@ -59,9 +59,8 @@ def figure_2c(work: Work) -> Made:
         "Rays of three field heights on the plane 3 mm behind the exit vertex; the frame is the sensor.",
     )
     difference = (
-        "The same; the diameter is twice the root mean square distance of the rays from their centroid, "
-        "the stop "
-        "filled evenly."
+        "The same; the diameter is twice the root mean square distance of the rays from their centroid, the "
+        "stop filled evenly."
     )
     return Made(numbers, ("lensdesign check designs/paper_singlet.toml",), difference, (picture,))
 
@@ -159,18 +158,14 @@ def figure_2d(work: Work) -> Made:
         ]
     picture = work.picture(
         _intensities(found, limit),
-        "Radiance by direction at four points 3 mm behind the exit vertex, from an even isotropic disc of "
-        "3 mm; "
-        "below, cuts through the middle of each. Red: the limit of Eq. 2.",
+        "Radiance by direction at four points 3 mm behind the exit vertex, from an even isotropic disc of 3 "
+        "mm; below, cuts through the middle of each. Red: the limit of Eq. 2.",
     )
     difference = (
-        "No light comes in above 4.8°. It fills a disc wherever light of the whole field arrives, and is "
-        "cut off "
-        "where the rim of the stop is in its way. Radiance is conserved: it is 1 / cos of the angle at "
-        "which this "
-        "light left the isotropic source. The lens being one of revolution, rays on a thin ring through "
-        "each point "
-        "count for it; the paper's program and its number of rays are not stated."
+        "No light comes in above 4.8°. It fills a disc wherever light of the whole field arrives, and is cut "
+        "off where the rim of the stop is in its way. Radiance is conserved: it is 1 / cos of the angle at "
+        "which this light left the isotropic source. The lens being one of revolution, rays on a thin ring "
+        "through each point count for it; the paper's program and its number of rays are not stated."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-2d",), difference, (picture,))
 
@@ -218,16 +213,15 @@ ELEMENTS = (
     Element(
         "figure-2c",
         "Fig. 2c: spots on the observation plane",
-        "3 mm behind the exit surface the RMS spot diameter of three field points is around 14 mm: no "
-        "image is formed.",
+        "3 mm behind the exit surface the RMS spot diameter of three field points is around 14 mm: no image "
+        "is formed.",
         figure_2c,
     ),
     Element(
         "figure-2d",
         "Fig. 2d: intensity against angle",
         "From a circular isotropic source of 3 mm, light reaches the points (0, 0), (0, 3), (0, 7) and (0, "
-        "9) of the "
-        "observation plane at no more than 4.8°, by non-sequential ray tracing.",
+        "9) of the observation plane at no more than 4.8°, by non-sequential ray tracing.",
         figure_2d,
         settings={"small": {"rays": 1_000_000}, "quick": {"rays": 40_000_000}, "full": {"rays": 400_000_000}},
         seconds={"quick": 10.0, "full": 100.0},

@@ -51,10 +51,8 @@ def figure_3(work: Work) -> Made:
     )
     difference = (
         "The same steps and constants. The paper gives the distance between the planes and not where they "
-        "stand: at 2 "
-        "and 22 mm the light just fits the sensor. It says nothing of the amplitudes' scale, on which its "
-        "step t "
-        "depends; here their median is 64 where they are lit."
+        "stand: at 2 and 22 mm the light just fits the sensor. It says nothing of the amplitudes' scale, on "
+        "which its step t depends; here their median is 64 where they are lit."
     )
     command = "python -m pytest tests/wavesim/reconstruction/test_from_field.py"
     return Made(numbers, (command,), difference, (picture,))
@@ -142,8 +140,8 @@ def figure_9(work: Work) -> Made:
         f"A chart in front of a lens {1.0 / scale:.0f} times as small: what is recorded, what is sought."
     )
     difference = (
-        "The picture of the paper is a drawing; here are the amplitudes themselves, on a twin with the "
-        "same angles. "
+        "The picture of the paper is a drawing; here are the amplitudes themselves, on a twin with the same "
+        "angles. "
         f"Both planes' distances are the lens's over {1.0 / scale:.0f}."
     )
     assert math.isclose(near / far, 2.0 / 22.0)
@@ -153,9 +151,8 @@ def figure_9(work: Work) -> Made:
 FIGURE_3 = Element(
     "figure-3",
     "Fig. 3: two intensities and the retrieval's flow",
-    "Two intensity patterns of 12 bits are taken 20 mm from each other, and the field at the exit vertex "
-    "is retrieved "
-    "from them in 500 iterations, with weights 0.7 and 0.5 and a total-variation step of 0.05.",
+    "Two intensity patterns of 12 bits are taken 20 mm from each other, and the field at the exit vertex is "
+    "retrieved from them in 500 iterations, with weights 0.7 and 0.5 and a total-variation step of 0.05.",
     figure_3,
 )
 FIGURE_9 = Element(

@@ -38,14 +38,11 @@ def figure_11(work: Work) -> Made:
         f"followed.",
     )
     difference = (
-        "The same way; z counts from the exit vertex. The virtual plane is the cutting plane through the "
-        "rim of the "
-        "exit surface, in glass, so that no further step is needed. The engine's adjoint is exact to "
-        "rounding "
-        "(dot-product test), and takes the same planes forward. Its working grid, fine enough for light of "
-        "NA 0.5 in "
-        "glass everywhere, stands in for Bluestein's method of Appendix B, which free space uses "
-        "(`wavesim.fields.passage`) where pitches differ."
+        "The same way; z counts from the exit vertex. The virtual plane is the cutting plane through the rim "
+        "of the exit surface, in glass, so that no further step is needed. The engine's adjoint is exact to "
+        "rounding (dot-product test), and takes the same planes forward. Its working grid, fine enough for "
+        "light of NA 0.5 in glass everywhere, stands in for Bluestein's method of Appendix B, which free "
+        "space uses (`wavesim.fields.passage`) where pitches differ."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"
@@ -146,11 +143,9 @@ ELEMENTS = (
     Element(
         "figure-11",
         "Fig. 11 and Eqs. C1 to C7: the full path",
-        "From the tangential plane at the exit vertex to each annulus p₁ in air (C1, C2), over the slice "
-        "to p₂ in "
-        "glass (C3), to one virtual plane, where all are summed (C4); from there to each q₁ (C5), over to "
-        "q₂ in air "
-        "(C6), and to the tangential plane at the entrance vertex (C7).",
+        "From the tangential plane at the exit vertex to each annulus p₁ in air (C1, C2), over the slice to "
+        "p₂ in glass (C3), to one virtual plane, where all are summed (C4); from there to each q₁ (C5), "
+        "over to q₂ in air (C6), and to the tangential plane at the entrance vertex (C7).",
         figure_11,
         seconds={"quick": 2.0, "full": 2.0},
     ),

@@ -114,19 +114,16 @@ def figure_4(work: Work) -> Made:
     picture = work.picture(
         _figure_4(lens, cut, far),
         f"The lens in {DRAWN_SLICES} slices a surface; the annulus of one of {PAPER_SLICES} slices and its "
-        f"side view; "
-        f"what vertical compensation errs by, for rays from the axis. All from the engine's own planes.",
+        f"side view; what vertical compensation errs by, for rays from the axis. All from the engine's own "
+        f"planes.",
     )
     difference = (
-        "Eq. 4 lets light run along the axis within a slice. Rays of NA 0.5 do not: with 200 slices of "
-        "equal "
+        "Eq. 4 lets light run along the axis within a slice. Rays of NA 0.5 do not: with 200 slices of equal "
         "thickness its phase is wrong by a wave and more in each slice near the rim, in teeth whose mean a "
-        "refocusing "
-        "takes out in part. With the local angle of the light (oblique compensation) nothing of it is "
-        "left. The "
-        "paper spaces planes by the radius of curvature but does not say by which rule; thickness in "
-        "proportion to "
-        "the local radius (`--spacing paper`) makes slices of the entrance surface thicker still."
+        "refocusing takes out in part. With the local angle of the light (oblique compensation) nothing of "
+        "it is left. The paper spaces planes by the radius of curvature but does not say by which rule; "
+        "thickness in proportion to the local radius (`--spacing paper`) makes slices of the entrance "
+        "surface thicker still."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"
@@ -257,10 +254,8 @@ ELEMENTS = (
         "figure-4",
         "Eqs. 3 and 4, Fig. 4: the lens in slices",
         "Both surfaces are cut into 200 slices by planes across the axis, closer where the radius of "
-        "curvature is "
-        "smaller. Light on the annulus p₁ in air gains k[g − z_p] to the surface and k n₁[z_(p+1) − g] "
-        "behind it, to "
-        "the annulus p₂ in glass.",
+        "curvature is smaller. Light on the annulus p₁ in air gains k[g − z_p] to the surface and k "
+        "n₁[z_(p+1) − g] behind it, to the annulus p₂ in glass.",
         figure_4,
         seconds={"quick": 3.0, "full": 3.0},
     ),

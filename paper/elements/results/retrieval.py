@@ -63,13 +63,11 @@ def figure_8(work: Work) -> Made:
         "Amplitude of the chart, by the start of the retrieval; brightest is the light's own.",
     )
     difference = (
-        "The paper finds group 9, element 2 roughly resolved from an even phase, and not from a random "
-        "one. On two "
-        "planes of amplitudes without any noise we find neither: only the forward model's field, amplitude "
-        "and phase, "
-        "leads to the chart. All three end with a correlation A6 near 1, so that it does not tell them "
-        "apart. What "
-        "amplitude the paper gives its even start is not stated; ours has that of the first plane."
+        "The paper finds group 9, element 2 roughly resolved from an even phase, and not from a random one. "
+        "On two planes of amplitudes without any noise we find neither: only the forward model's field, "
+        "amplitude and phase, leads to the chart. All three end with a correlation A6 near 1, so that it "
+        "does not tell them apart. What amplitude the paper gives its even start is not stated; ours has "
+        "that of the first plane."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-8 figure-10",), difference, (picture,))
 
@@ -113,11 +111,10 @@ def figure_10(work: Work) -> Made:
         "A6 and the relative residual on the first plane, by the start.",
     )
     difference = (
-        "A6 passes 0.99 from every start and then hardly moves, as in the paper. What it lacks to 1 and "
-        "the residual "
-        "fall on for hundreds of iterations, and neither knows the object: the correlation with the true "
-        "one, "
-        "illumination taken out, stands beside it in the table, and under Fig. 8 for the other starts."
+        "A6 passes 0.99 from every start and then hardly moves, as in the paper. What it lacks to 1 and the "
+        "residual fall on for hundreds of iterations, and neither knows the object: the correlation with the "
+        "true one, illumination taken out, stands beside it in the table, and under Fig. 8 for the other "
+        "starts."
     )
     return Made(numbers, ("python -m paper --only figure-8 figure-10",), difference, (picture,))
 
@@ -150,8 +147,7 @@ FIGURE_8 = Element(
     "figure-8",
     "Fig. 8: the start of phase retrieval",
     "From a uniform initial phase, after 500 iterations, group 9, element 2 is roughly resolved; from a "
-    "random one "
-    "element 1 is not. A good start comes from the forward diffraction calculation.",
+    "random one element 1 is not. A good start comes from the forward diffraction calculation.",
     figure_8,
     SETTINGS,
     SECONDS,

@@ -46,12 +46,9 @@ def figure_2e(work: Work) -> Made:
     )
     difference = (
         "Both spectra lie within the circle: the field stop seen through the lens, with the object in it, "
-        "since a "
-        "direction behind this lens is a place in front of it. Fields are sampled by the pixels, so that "
-        "nothing "
-        "beyond the square could be seen; that the light itself ends there is told by its energy on twice "
-        "as fine "
-        "samples."
+        "since a direction behind this lens is a place in front of it. Fields are sampled by the pixels, so "
+        "that nothing beyond the square could be seen; that the light itself ends there is told by its "
+        "energy on twice as fine samples."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-2e",), difference, (picture,))
 

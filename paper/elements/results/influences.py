@@ -1,0 +1,163 @@
+"""Fig. 7: the number of slices, decenter and tilt of the lens, and what lines they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from lensdesign import Pose
+from paper.element import Budget, Element, Made, Number, Work
+from paper.style import BLUE, GREY, ORANGE, styled_figure
+from wavesim import PupilSampler, ReconstructionPupil, line_pair_contrast, refocus, resolve
+from wavesim.pupil import line_pair_image
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTHS_UM = (0.775, 1.55)
+PAPER_SLICES = (10, 30, 50)
+DECENTERS_MM, TILTS_DEG = (0.01, 0.03, 0.05), (0.1, 0.3, 0.5)
+SAMPLES = 192
+SETTINGS: dict[Budget, dict[str, Any]] = {
+    "small": {"more_slices": []},
+    "quick": {"more_slices": [200, 500]},
+    "full": {"more_slices": [100, 200, 500, 1000]},
+}
+
+
+def figure_7a(work: Work) -> Made:
+    """Lines carried back by slices of both compensations."""
+    more = tuple(work.settings["more_slices"])
+    found: dict[str, dict[int, list[float]]] = {"vertical": {}, "oblique": {}}
+    for kind, contrasts in found.items():
+        for count in PAPER_SLICES + (more if kind == "vertical" else ()):
+            work.tell(f"{count} slices, {kind}")
+            told = resolve(work.lens, WIDTHS_UM, slices=count, compensation=kind)
+            contrasts[count] = [line.contrast for line in told.lines]
+    numbers = [
+        Number(f"contrast of {width:g} µm lines, {count} slices, {kind}", contrasts[count][column])
+        for kind, contrasts in found.items()
+        for count in contrasts
+        for column, width in enumerate(WIDTHS_UM)
+    ]
+    gains = [found["vertical"][b][1] - found["vertical"][a][1] for a, b in ((10, 30), (30, 50))]
+    numbers.insert(0, Number("gain from 10 to 30 slices, 1.55 µm, vertical", gains[0]))
+    numbers.insert(1, Number("gain from 30 to 50 slices, 1.55 µm, vertical", gains[1]))
+    picture = work.picture(
+        _contrasts(found),
+        "Contrast of lines on the axis, carried back by slices and refocused, full-size lens.",
+    )
+    difference = (
+        "Of lines of 1.55 µm the paper's finding is ours: much is gained from 10 to 30 slices, little from "
+        "30 to 50. Lines of 0.775 µm do not come back with 50, nor 200, slices of vertical compensation, as "
+        "printed; with oblique compensation 10 do. Lines on the meridian; a chart on the full plane is a "
+        "matter of the twin."
+    )
+    command = (
+        "wavesim resolve designs/paper_singlet.toml --engine slices --slices 30 --compensation vertical "
+        "--linewidths-um 0.775,1.55"
+    )
+    return Made(tuple(numbers), (command,), difference, (picture,))
+
+
+def _contrasts(found: Mapping[str, Mapping[int, Sequence[float]]]) -> Figure:
+    figure = styled_figure(8.0, 3.2)
+    for axes, column, width in zip(figure.subplots(1, 2, sharey=True), (0, 1), WIDTHS_UM, strict=True):
+        for (kind, contrasts), colour in zip(found.items(), (ORANGE, BLUE), strict=True):
+            shown = [one[column] for one in contrasts.values()]
+            axes.semilogx(list(contrasts), shown, "o-", color=colour, ms=4.0, label=f"{kind} compensation")
+        axes.axhline(0.2, color=GREY, ls="--", lw=0.9, label="resolved from here on")
+        axes.set(xlabel="slices of each surface", title=f"lines of {width:g} µm", ylim=(-0.15, 1.05))
+        ticks = list(found["vertical"])
+        axes.set_xticks(ticks, [f"{count}" for count in ticks])
+        axes.minorticks_off()
+    figure.axes[0].set_ylabel("contrast, refocused")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+@cache
+def _sampler(lens: Any) -> PupilSampler:
+    return PupilSampler(lens, samples=SAMPLES)
+
+
+def _pupil(lens: Any, **pose: float) -> ReconstructionPupil:
+    return refocus(_sampler(lens).pupil(Pose(**pose))).pupil
+
+
+def _worse(pupil: ReconstructionPupil, width_um: float) -> float:
+    """Contrast of the lines along x or y, whichever is less."""
+    return min(line_pair_contrast(pupil, width_um, "x"), line_pair_contrast(pupil, width_um, "y"))
+
+
+def figure_7bc(work: Work) -> Made:
+    """Line pairs through the decentered and through the tilted lens."""
+    pupils = {f"{value:g} mm": _pupil(work.lens, decenter_y_mm=value) for value in DECENTERS_MM}
+    tilted = {f"{value:g}°": _pupil(work.lens, tilt_y_deg=value) for value in TILTS_DEG}
+    numbers = [
+        Number(f"contrast of {width:g} µm lines, {name} {size}", _worse(pupil, width))
+        for name, group in (("decenter", pupils), ("tilt", tilted))
+        for size, pupil in group.items()
+        for width in WIDTHS_UM
+    ]
+    least = _worse(tilted["0.5°"], WIDTHS_UM[0])
+    numbers.append(
+        Number(
+            "lines of 0.775 µm resolved at a tilt of 0.5°",
+            "yes" if least >= 0.2 else "no",
+            "",
+            "no",
+            remark="blurred most of all, but not lost; the paper's went through slices, which may tell",
+        )
+    )
+    groups = {"decenter": pupils, "tilt": tilted}
+    picture = work.picture(_plates(groups), "Line pairs as a nominal model brings them back, refocused.")
+    difference = (
+        "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a tilt "
+        "of 0.5° hurts lines of 0.775 µm. By our figures they keep two thirds of their contrast: shown is "
+        "the pupil that an otherwise exact reconstruction has, tilt about the front vertex, without slices, "
+        "noise or retrieval."
+    )
+    command = "wavesim pupil designs/paper_singlet.toml --tilt-y-deg 0.5 -o pupil.png"
+    study = "tolerancing run designs/paper_figure_7.toml --store figure_7.db"
+    return Made(tuple(numbers), (command, study), difference, (picture,))
+
+
+def _plates(groups: Mapping[str, Mapping[str, ReconstructionPupil]]) -> Figure:
+    figure = styled_figure(9.0, 3.4)
+    columns = [(name, size, pupil) for name, group in groups.items() for size, pupil in group.items()]
+    panels = figure.subplots(len(WIDTHS_UM), len(columns))
+    for number, (row, width) in enumerate(zip(panels, WIDTHS_UM, strict=True)):
+        for axes, (name, size, pupil) in zip(row, columns, strict=True):
+            at_um, intensity = line_pair_image(pupil, width, "x")
+            reach = float(at_um[-1])
+            axes.imshow(
+                intensity, cmap="gray", origin="lower", extent=(-reach, reach, -reach, reach), vmin=0.0
+            )
+            axes.set(xticks=[], yticks=[])
+            axes.grid(visible=False)
+            bar = 2.0 * width
+            axes.plot([-reach + 1.0, -reach + 1.0 + 2.0 * bar], [-reach + 1.0] * 2, color="white", lw=2.0)
+            if number == 0:
+                axes.set_title(f"{name} {size}")
+        row[0].set_ylabel(f"{width:g} µm lines\nbar: {4.0 * width:g} µm")
+    return figure
+
+
+FIGURE_7A = Element(
+    "figure-7a",
+    "Fig. 7a: the number of slices",
+    "The reconstruction improves much from 10 to 30 slices, and slightly from 30 to 50.",
+    figure_7a,
+    SETTINGS,
+    {"quick": 20.0, "full": 90.0},
+)
+FIGURE_7BC = Element(
+    "figure-7bc",
+    "Figs. 7b and 7c: decenter and tilt of the lens",
+    "Line pairs of 775 nm and 1.55 µm differ slightly for decenters of 0.01 to 0.05 mm; at a tilt of 0.5° "
+    "those of 775 nm are too blurred to identify. Low frequencies suffer less.",
+    figure_7bc,
+    seconds={"quick": 3.0, "full": 3.0},
+)
