@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from lensdesign.errors import InputError, atomic_path
 from paper.element import Element, Number
@@ -28,6 +29,8 @@ minutes. Without `--quick` it takes hours. A run that was cut off goes on, and w
 Where a number is not the paper's to its last digit, the remark says why.
 """
 
+NO_BREAK = "\u00a0"
+COMMAND = "python -m paper "
 TABLE = "| | the paper | here | |\n| --- | --- | --- | --- |"
 
 
@@ -63,7 +66,8 @@ def section(element: Element, result: Result, pictures: str) -> str:
     if made.numbers:
         lines += [TABLE, *map(_row, made.numbers), ""]
     lines += [f"**Here.** {made.difference}{_settings(element, result)}", ""]
-    lines += [f"    {command}" for command in made.commands]
+    quick = "--quick " if result.budget == "quick" else ""
+    lines += [f"    {one.replace(COMMAND, COMMAND + quick)}" for one in made.commands]
     return "\n".join([*lines, ""])
 
 
@@ -106,7 +110,7 @@ def _value(value: float | str, unit: str, digits: int) -> str:
     if "e" in text:
         shown, power = text.split("e")
         text = f"{shown}e{int(power)}"
-    return f"{text}{'' if unit in ('', '°') else ' '}{unit}"
+    return f"{text}{'' if unit in ('', '°') else NO_BREAK}{unit}"
 
 
 def _settings(element: Element, result: Result) -> str:
@@ -114,5 +118,13 @@ def _settings(element: Element, result: Result) -> str:
     own = element.settings.get(result.budget)
     if not own:
         return ""
-    said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in own.items())
-    return f" ({result.budget} budget: {said}.)"
+    said = "; ".join(f"{name.replace('_', ' ')} {_setting(value)}" for name, value in own.items())
+    return f" ({result.budget.capitalize()} budget: {said}.)"
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_setting, value)) or "none"
+    if isinstance(value, float) and value < 1.0 and (1.0 / value).is_integer():
+        return f"1/{1.0 / value:.0f}"
+    return f"{value:,}" if isinstance(value, int) else f"{value}"

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from hashlib import sha256
-from inspect import getsourcefile
 from pathlib import Path
 
 from lensdesign.errors import InputError, atomic_path
 from paper.element import BUDGETS, DESIGNS, Budget, Element, Made, Number, Picture
 
 PICTURES, PARTS, PAGE = "pictures", "parts", "paper.md"
+
+LOOKS = {"paper.element", "paper.style", "paper.drawing"}
+"""Modules that no number depends on."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +44,22 @@ class Result:
 
 
 def inputs(element: Element, budget: Budget, others: Mapping[str, Element]) -> str:
-    """Digest of an element's settings, designs and module, and of those that it needs."""
-    source = getsourcefile(element.make)
-    assert source is not None
+    """Digest of an element's settings, designs and modules, and of those that it needs."""
     parts = [
         json.dumps(element.settings.get(budget, {}), sort_keys=True),
-        Path(source).read_text(encoding="utf-8"),
+        *(path.read_text(encoding="utf-8") for path in _modules(element)),
         *((DESIGNS / name).read_text(encoding="utf-8") for name in element.designs),
         *(inputs(others[key], budget, others) for key in element.needs),
     ]
     return sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _modules(element: Element) -> list[Path]:
+    """The module that makes it, and those of ours from which that takes functions; looks do not count."""
+    own = sys.modules[element.make.__module__]
+    names = {own.__name__, *(getattr(value, "__module__", None) for value in vars(own).values())}
+    ours = {name for name in names if name and name.startswith("paper.")} - LOOKS | {own.__name__}
+    return [Path(path) for name in sorted(ours) if (path := sys.modules[name].__file__)]
 
 
 def kept(folder: Path, element: Element, budget: Budget, others: Mapping[str, Element]) -> Result | None:

@@ -115,9 +115,9 @@ def test_a_number_that_differs_says_why() -> None:
 def test_the_page_has_what_the_folder_has(tmp_path: Path) -> None:
     make_all(ELEMENTS, tmp_path, "quick", ["c"])
     page = write_pages(tmp_path, ELEMENTS, tmp_path / "docs").read_text(encoding="utf-8")
-    assert "| a number | 3 mm | 2 mm | fewer rays |" in page
-    assert "| a number | 3 mm | 2 mm | no | [c](#c) |" in page
-    assert "(quick budget: rays 2.)" in page
+    assert "| a number | 3\u00a0mm | 2\u00a0mm | fewer rays |" in page
+    assert "| a number | 3\u00a0mm | 2\u00a0mm | no | [c](#c) |" in page
+    assert "(Quick budget: rays 2.)" in page
     assert "![A line.](pictures/c.png)" in page
     assert "b: an element" not in page
     beside = (tmp_path / "docs" / "paper.md").read_text(encoding="utf-8")

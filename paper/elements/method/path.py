@@ -38,7 +38,8 @@ def figure_11(work: Work) -> Made:
         f"followed.",
     )
     difference = (
-        "The same way; z counts from the exit vertex. The virtual plane is the cutting plane through the rim "
+        "The same way; z counts from the exit vertex. The virtual plane is the cutting plane through the "
+        "rim "
         "of the exit surface, in glass, so that no further step is needed. The engine's adjoint is exact to "
         "rounding (dot-product test), and takes the same planes forward. Its working grid, fine enough for "
         "light of NA 0.5 in glass everywhere, stands in for Bluestein's method of Appendix B, which free "

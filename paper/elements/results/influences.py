@@ -114,7 +114,8 @@ def figure_7bc(work: Work) -> Made:
     groups = {"decenter": pupils, "tilt": tilted}
     picture = work.picture(_plates(groups), "Line pairs as a nominal model brings them back, refocused.")
     difference = (
-        "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a tilt "
+        "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a "
+        "tilt "
         "of 0.5° hurts lines of 0.775 µm. By our figures they keep two thirds of their contrast: shown is "
         "the pupil that an otherwise exact reconstruction has, tilt about the front vertex, without slices, "
         "noise or retrieval."

@@ -45,11 +45,11 @@ def figure_1(work: Work) -> Made:
     object_um = 1e3 * case.light.grid.pitch_mm * case.light.grid.shape[1]
     picture = work.picture(
         _figure_1(lens, steps, side_mm, object_um),
-        f"Above: the system to scale. Below: from two amplitudes to the object, in front of a lens "
-        f"{1.0 / scale:.0f} times as small.",
+        f"Above: the system to scale. Below: from two amplitudes to the object, the lens 1/{1.0 / scale:.0f} its size.",
     )
     difference = (
-        "The same architecture; the drawing is the traced lens itself. The chart below comes from amplitudes "
+        "The same architecture; the drawing is the traced lens itself. The chart below comes from "
+        "amplitudes "
         "without noise and the forward model's start, by Appendix A and the eikonal engine back."
     )
     return Made(numbers, ("python -m paper --only figure-1",), difference, (picture,))

@@ -45,10 +45,10 @@ def figure_2e(work: Work) -> Made:
         "Spectra of the retrieved fields, over five decades of energy; red: the circle of the pixels.",
     )
     difference = (
-        "Both spectra lie within the circle: the field stop seen through the lens, with the object in it, "
-        "since a direction behind this lens is a place in front of it. Fields are sampled by the pixels, so "
-        "that nothing beyond the square could be seen; that the light itself ends there is told by its "
-        "energy on twice as fine samples."
+        "The light of both lies within the circle: the field stop seen through the lens, with the object in "
+        "it, since a direction behind this lens is a place in front of it. A thousandth of the retrieved "
+        "energy or two stands outside, which the retrieval scattered: the light itself has but some "
+        "millionths there, seen on samples twice as fine as the pixels, by which the square ends."
     )
     return Made(tuple(numbers), ("python -m paper --only figure-2e",), difference, (picture,))
 
