@@ -21,31 +21,34 @@ if TYPE_CHECKING:
 PAPER_MM, OFF_MM = 13.501, 1e-3
 """What the paper finds; by how much more than its nominal working distance."""
 
-PATCH_MM, STOP_MM, PITCH_UM = 0.1, 0.09, 0.4
-REACH_MM, STEP_MM = 0.05, 1e-3
+PITCH_UM, STOP_SHARE, REACH_MM = 0.4, 0.9, 0.05
+WHOLE = {"lens": 1.0, "patch_mm": 0.1, "step_mm": 1e-3, "error": 0.1}
 SETTINGS: dict[Budget, dict[str, float]] = {
-    "small": {"lens": 1 / 16},
-    "quick": {"lens": 1.0},
-    "full": {"lens": 1.0},
+    "small": {"lens": 0.125, "patch_mm": 0.06, "step_mm": 4e-3, "error": 0.4},
+    "quick": WHOLE,
+    "full": WHOLE,
 }
 
 
 def equation_5(work: Work) -> Made:
     """A chart that stands 1 µm too far away, and where the SVFG is largest."""
-    lens = scaled(work.lens, work.settings["lens"])
-    wavelength, count = lens.wavelengths_um[0], round(1e3 * PATCH_MM / PITCH_UM)
+    lens, patch_mm = scaled(work.lens, work.settings["lens"]), work.settings["patch_mm"]
+    stop_mm = STOP_SHARE * patch_mm
+    wavelength, count = lens.wavelengths_um[0], round(1e3 * patch_mm / PITCH_UM)
     nominal = Grid((count, count), 1e-3 * PITCH_UM, lens.object_z_mm)
     there = nominal.at(nominal.z_mm - OFF_MM)
-    elements = usaf_elements_within(there, STOP_MM / math.sqrt(2.0))
-    values = field_stop(there, "disc", STOP_MM) * usaf_chart(there, elements, "bright")
+    elements = usaf_elements_within(there, stop_mm / math.sqrt(2.0))
+    values = field_stop(there, "disc", stop_mm) * usaf_chart(there, elements, "bright")
     behind = exit_grid(lens, wavelength, lens.sensor.plane_distances_mm[0], 2)
     work.tell("through the lens and back")
-    light = engine_for(Scene(lens, there, behind, wavelength), "eikonal", error=0.1).forward(
-        Field(there, values.astype(np.complex64), wavelength)
-    )
-    back = engine_for(Scene(lens, nominal, behind, wavelength), "eikonal", error=0.1).adjoint(light)
+    light = engine_for(
+        Scene(lens, there, behind, wavelength), "eikonal", error=work.settings["error"]
+    ).forward(Field(there, values.astype(np.complex64), wavelength))
+    back = engine_for(
+        Scene(lens, nominal, behind, wavelength), "eikonal", error=work.settings["error"]
+    ).adjoint(light)
     work.tell("refocusing")
-    found = refocus_field(back, (-REACH_MM, REACH_MM), STEP_MM)
+    found = refocus_field(back, (-REACH_MM, REACH_MM), work.settings["step_mm"])
     distance = lens.object.working_distance_mm - found.distance_mm
     whole = work.settings["lens"] == 1.0
     numbers = (

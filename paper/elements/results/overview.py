@@ -45,7 +45,7 @@ def figure_1(work: Work) -> Made:
     object_um = 1e3 * case.light.grid.pitch_mm * case.light.grid.shape[1]
     picture = work.picture(
         _figure_1(lens, steps, side_mm, object_um),
-        f"Above: the system to scale. Below: from two amplitudes to the object, the lens 1/{1.0 / scale:.0f} its size.",
+        f"Above: the system to scale. Below: from two amplitudes to the object, lens times {scale:.3g}.",
     )
     difference = (
         "The same architecture; the drawing is the traced lens itself. The chart below comes from "
