@@ -125,6 +125,6 @@ def _settings(element: Element, result: Result) -> str:
 def _setting(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(_setting, value)) or "none"
-    if isinstance(value, float) and value < 1.0 and (1.0 / value).is_integer():
+    if isinstance(value, float) and len(f"{value:g}") > 5 and (1.0 / value).is_integer():
         return f"1/{1.0 / value:.0f}"
     return f"{value:,}" if isinstance(value, int) else f"{value}"

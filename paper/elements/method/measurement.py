@@ -134,7 +134,7 @@ def figure_9(work: Work) -> Made:
     side_mm = 1e-3 * case.lens.sensor.pixel_pitch_um * at_vertex.grid.shape[1]
     for axes, (name, values) in zip(figure.subplots(1, 3), shown.items(), strict=True):
         powers = np.log10(np.maximum(np.abs(values) / np.abs(values).max(), 1e-4))
-        panel(figure, axes, powers, side_mm, "mm", "amplitude over the largest, powers of ten", "inferno")
+        panel(figure, axes, powers, side_mm, "mm", "amplitude, powers of ten", "inferno")
         axes.set_title(name)
     caption = (
         f"A chart in front of a lens {1.0 / scale:.0f} times as small: what is recorded, what is sought."

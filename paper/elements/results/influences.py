@@ -50,9 +50,9 @@ def figure_7a(work: Work) -> Made:
     )
     difference = (
         "Of lines of 1.55 µm the paper's finding is ours: much is gained from 10 to 30 slices, little from "
-        "30 to 50. Lines of 0.775 µm do not come back with 50, nor 200, slices of vertical compensation, as "
-        "printed; with oblique compensation 10 do. Lines on the meridian; a chart on the full plane is a "
-        "matter of the twin."
+        "30 to 50. Lines of 0.775 µm do not come back with 50 slices of vertical compensation, as printed, "
+        "and hardly with 200; with oblique compensation they do with 10. These are lines on the meridian, "
+        "not the paper's chart."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 30 --compensation vertical "
@@ -114,8 +114,7 @@ def figure_7bc(work: Work) -> Made:
     groups = {"decenter": pupils, "tilt": tilted}
     picture = work.picture(_plates(groups), "Line pairs as a nominal model brings them back, refocused.")
     difference = (
-        "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a "
-        "tilt "
+        "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a tilt "
         "of 0.5° hurts lines of 0.775 µm. By our figures they keep two thirds of their contrast: shown is "
         "the pupil that an otherwise exact reconstruction has, tilt about the front vertex, without slices, "
         "noise or retrieval."
