@@ -77,7 +77,9 @@ def _resolved(case: Twin, start: Start, found: Field) -> Number:
     element, paper = PAPER_RESOLVES[start]
     there = case.finest_um(found) <= usaf_line_width_um(9, element) * (1.0 + 1e-9)
     here = "yes" if there else "no"
-    remark = "" if here == paper else "phases of another object fit both planes as well"
+    lost = "phases of another object fit both planes as well"
+    reached = f"the object is near (correlation {case.correlation(found):.2f}), its finest lines are not"
+    remark = "" if here == paper else reached if start == "forward model" else lost
     name = f"group 9, element {element} resolved, start: {start}"
     return Number(name, here, "", paper, remark=remark)
 
