@@ -5,7 +5,7 @@ from __future__ import annotations
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
 from paper.elements.method import measurement, path, refocusing, resampling, slicing
-from paper.elements.results import influences, overview, retrieval, spectrum
+from paper.elements.results import chart, influences, overview, paper_way, retrieval, spectrum, tissue
 
 _ALL: tuple[Element, ...] = (
     overview.FIGURE_1,
@@ -18,6 +18,9 @@ _ALL: tuple[Element, ...] = (
     measurement.FIGURE_3,
     *slicing.ELEMENTS,
     *refocusing.ELEMENTS,
+    chart.FIGURE_5,
+    paper_way.THE_PAPERS_WAY,
+    tissue.FIGURE_6,
     influences.FIGURE_7A,
     influences.FIGURE_7BC,
     retrieval.FIGURE_8,
