@@ -5,7 +5,7 @@ from __future__ import annotations
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
 from paper.elements.method import measurement, path, refocusing, resampling, slicing
-from paper.elements.results import chart, influences, overview, paper_way, retrieval, spectrum, tissue
+from paper.elements.results import chart, future, influences, overview, paper_way, retrieval, spectrum, tissue
 
 _ALL: tuple[Element, ...] = (
     overview.FIGURE_1,
@@ -24,6 +24,7 @@ _ALL: tuple[Element, ...] = (
     influences.FIGURE_7A,
     influences.FIGURE_7BC,
     retrieval.FIGURE_8,
+    future.DISCUSSION,
     measurement.FIGURE_9,
     retrieval.FIGURE_10,
     *resampling.ELEMENTS,

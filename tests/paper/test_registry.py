@@ -11,9 +11,11 @@ from places import ROOT
 from lensdesign import Lens, trace
 from lensdesign.tracing import launch
 from paper.element import Number
+from paper.microscope import Objective
 from paper.registry import ELEMENTS
 from paper.results import Result
 from paper.run import make_all
+from wavesim import Field, Grid
 
 ROOMS = [ROOT / "paper", *(path for path in (ROOT / "paper").rglob("*") if path.is_dir())]
 PAGE, PICTURES = ROOT / "docs" / "paper.md", ROOT / "docs" / "images" / "paper"
@@ -173,6 +175,61 @@ def test_spectra_end_at_the_circle_of_the_pixels(results: dict[str, Result]) -> 
     for name in ("USAF chart", "tissue"):
         assert told[f"energy beyond it in the light itself, {name}"].here < 1e-3
         assert told[f"energy beyond 156.25 lp/mm, {name}, retrieved"].here < 0.02
+
+
+def test_the_chart_comes_back_with_the_lens_and_coarser_without(results: dict[str, Result]) -> None:
+    """By the aperture, and by the pixels of a camera without lens: 7-2 is the last below 156 lp/mm."""
+    told = numbers(results, "figure-5")
+    assert told["correlation with the object, in the object domain"].here > 0.9
+    assert told["with the lens, in the object domain: finest element"].here.startswith("9-")
+    assert told["without the lens: finest element"].here[:3] in ("7-2", "7-3")
+    assert told["correlation with the object, thin lens"].here < 0.5
+
+
+def test_tissue_is_seen_as_by_the_larger_objective(results: dict[str, Result]) -> None:
+    told = numbers(results, "figure-6")
+    assert told["correlation with the tissue, complex"].here > 0.8
+    high = told["with the 20× objective's, condenser 0.7 NA"].here
+    assert high > 0.9
+    assert high > told["with the 2× objective's, condenser 0.7 NA"].here + 0.1
+    assert told["that over the 20× objective's 1.25 mm"].agrees
+
+
+def test_appendix_a_wants_other_frames_and_oblique_slices(results: dict[str, Result]) -> None:
+    told = {name: number.here for name, number in numbers(results, "the-papers-way").items()}
+    correlation = {name.partition(": ")[2]: here for name, here in told.items() if name.startswith("corr")}
+    assert correlation["one exposure, two planes: the paper's"] < 0.4
+    best = correlation["the same, pixels that are points"]
+    assert best > 0.8
+    assert correlation["back by the eikonal engine"] == pytest.approx(best)
+    vertical, oblique = (
+        correlation[f"back by 4 {kind} slices, as thick as the paper's 200"]
+        for kind in ("vertical", "oblique")
+    )
+    assert vertical < oblique - 0.2
+
+
+def test_what_is_left_to_later_work_has_numbers(results: dict[str, Result]) -> None:
+    told = {name: number.here for name, number in numbers(results, "discussion").items()}
+    assert told["calibration: decenter found"] == pytest.approx(told["calibration: decenter put"], abs=0.3)
+    assert (
+        told["calibration: misfit with what is found"] < 1.2 * told["calibration: misfit of the noise alone"]
+    )
+    assert told["single shot, amplitude object: correlation from one plane"] > 0.9
+    assert told["single shot, complex object: correlation from one plane"] < 0.8
+
+
+def test_an_objective_passes_its_aperture_and_no_more() -> None:
+    """Fringes of a grating: within the aperture in full, less through a condenser, beyond it none."""
+    grid = Grid((128, 128), 0.25e-3, 0.0)
+    fringes = 4.0 / (128 * 0.25e-3)  # lp/mm
+    wave = 1.0 + 0.5 * np.cos(2.0 * np.pi * fringes * grid.x_mm) * np.ones((128, 1))
+    behind = Field(grid, wave.astype(complex), 0.532)
+    wide, narrow = Objective("wide", 0.2), Objective("narrow", 0.05)
+    assert wide.coherent(behind) == pytest.approx(wave**2, abs=1e-9)
+    assert narrow.coherent(behind) == pytest.approx(1.0, abs=1e-9)
+    assert wide.partially_coherent(behind, 1e-9) == pytest.approx(wide.coherent(behind), abs=1e-6)
+    assert np.std(wide.partially_coherent(behind, 0.9)) < 0.95 * np.std(wide.coherent(behind))
 
 
 def test_the_page_has_every_element_as_it_is_now() -> None:

@@ -20,7 +20,7 @@ from wavesim import (
     reconstruct_frames,
     refocus_field,
 )
-from wavesim.objects.region import around, cut_field
+from wavesim.objects.region import around, cut_field, soft_rim, widened
 from wavesim.objects.usaf import UsafElement, chart_outline, usaf_line_width_um
 from wavesim.reconstruction.refocusing import Refocusing
 
@@ -32,8 +32,9 @@ FARTHER_UM = 1.0
 """By which the object is farther from the lens than 13.5 mm ask for: the paper finds 13.501 mm."""
 
 LOOKED_MM, STEP_MM = 0.012, 1e-3
+RIM_MM = 0.02
 LENSLESS_PIXELS, APART_MM = 416, 2.5
-FINE_UM = 5.0
+FINE_UM = 2.2
 """Elements of lines up to so wide are shown enlarged."""
 
 SETTINGS: dict[Budget, dict[str, float]] = {
@@ -77,7 +78,9 @@ def figure_5(work: Work) -> Made:
     paper = propagate(back, focus.distance_mm, check=False)
     work.tell("in the object domain")
     whole = _by_object(one, focus.distance_mm)
-    thin = one.object_of(run.field, engine_for(one.case.engine.scene, "thin-lens", force=True))
+    light = one.light.with_values(one.light.values * whole.values)
+    model = engine_for(one.case.engine.scene, "thin-lens", force=True)
+    thin = model.adjoint(one.case.engine.forward(light))
     work.tell("without the lens")
     without = _without(work.settings["lensless"], iterations)
     panels = _Panels(one, vertex, focus, paper, whole, without, thin)
@@ -124,7 +127,11 @@ def _without(scale: float, iterations: int) -> _Without:
 
 
 def _of_chart(field: Field, elements: tuple[UsafElement, ...]) -> Field:
-    return cut_field(field, around(chart_outline(elements), field.grid))
+    """The chart and some room, faded out: a sharp rim would add its own fringes to SVFG."""
+    chart = around(chart_outline(elements), field.grid)
+    wider = widened(chart, field.grid, RIM_MM)
+    cut = cut_field(field, wider)
+    return cut.with_values(cut.values * soft_rim(chart, wider))
 
 
 def _numbers(panels: _Panels, apart: float) -> tuple[Number, ...]:
@@ -261,7 +268,7 @@ def _group_labels(axes: Any, elements: tuple[UsafElement, ...], field: Field) ->
     outline, pitch = around(chart_outline(elements), field.grid), field.grid.pitch_mm
     for group in sorted({e.group for e in elements}):
         first = max((e for e in elements if e.group == group), key=lambda e: e.line_width_um)
-        x = (first.centre_mm[0] - outline.x_mm[0]) / pitch
+        x = (first.centre_mm[0] - 8e-3 * first.line_width_um - outline.x_mm[0]) / pitch
         y = (first.centre_mm[1] - outline.y_mm[0]) / pitch
         axes.text(x, y, str(group), color=RED, fontsize=8, ha="center", va="center")
 

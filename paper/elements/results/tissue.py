@@ -100,7 +100,7 @@ DIFFERENCE = (
     "the whole field of the twin, from brackets on four planes. Two planes do not tell a complex "
     "object (with "
     "two, the misfit reaches the noise at another one). Objectives are without aberrations; partially "
-    "coherent, with a condenser of 0.7 times their aperture. What the lens gives is comparable with the 20× "
+    "coherent, with a condenser of 0.7 times their aperture (36 directions in a square, those within its circle). What the lens gives is comparable with the 20× "
     "objective, as the paper says, over a field 2.4 times as wide; and it gives the phase, too."
 )
 
@@ -214,8 +214,11 @@ def _crops(seen: _Seen) -> Figure:
             vmax=1.3,
         )
         axes.set_title(f"{letter}: from the frames")
-    phase = np.angle(cut_field(seen.found, first).values * np.exp(-1j * np.angle(np.sum(seen.found.values))))
-    panel(figure, below[-1], phase, width_um, "µm", "phase (rad)", "twilight", vmin=-np.pi, vmax=np.pi)
+    phase = np.angle(
+        cut_field(seen.found, first).values
+        * np.exp(-1j * np.angle(np.sum(cut_field(seen.found, first).values)))
+    )
+    panel(figure, below[-1], phase, width_um, "µm", "phase (rad)", "viridis", vmin=-0.5, vmax=1.5)
     below[-1].set_title("d: phase, as found")
     return figure
 
