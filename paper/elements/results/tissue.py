@@ -100,7 +100,8 @@ DIFFERENCE = (
     "the whole field of the twin, from brackets on four planes. Two planes do not tell a complex "
     "object (with "
     "two, the misfit reaches the noise at another one). Objectives are without aberrations; partially "
-    "coherent, with a condenser of 0.7 times their aperture (36 directions in a square, those within its circle). What the lens gives is comparable with the 20× "
+    "coherent, with a condenser of 0.7 times their aperture (36 directions in a square, those within its "
+    "circle). What the lens gives is comparable with the 20× "
     "objective, as the paper says, over a field 2.4 times as wide; and it gives the phase, too."
 )
 
