@@ -38,7 +38,7 @@ def discussion(work: Work) -> Made:
         Number(
             "single shot, complex object: correlation from one plane",
             _single(shot(scale, "tissue", BRACKET, 4), "complex", iterations),
-            remark="not enough: four planes give 0.99, under Fig. 6; no second wavelength or code is tried",
+            remark="less than from four planes (Fig. 6); no second wavelength or code is tried",
         ),
     ]
     plastic = load_design(DESIGNS / PLASTIC)
