@@ -152,10 +152,10 @@ def _numbers(panels: _Panels, apart: float) -> tuple[Number, ...]:
         Number("working distance of the twin, as found", nominal - focus.distance_mm, "mm", digits=6),
         Number(
             "peaks of SVFG within 1 % of the highest",
-            _peaks(focus),
+            (peaks := _peaks(focus)),
             "",
             1,
-            remark="coarse bars and twin images of the retrieval have peaks of their own",
+            remark="" if peaks == 1 else "coarse bars and twin images of the retrieval have their own",
         ),
         _resolves("with the lens, Appendix A", panels.paper, one.elements, (9, 2)),
         Number("correlation with the object, Appendix A", one.correlation(panels.paper)),
