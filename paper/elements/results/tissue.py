@@ -95,14 +95,11 @@ def figure_6(work: Work) -> Made:
 
 
 DIFFERENCE = (
-    "No data of the tissue is published: ours is a phantom of nuclei, fibres and an uneven ground, "
-    "complex, over "
-    "the whole field of the twin, from brackets on four planes. Two planes do not tell a complex "
-    "object (with "
-    "two, the misfit reaches the noise at another one). Objectives are without aberrations; partially "
-    "coherent, with a condenser of 0.7 times their aperture (36 directions in a square, those within its "
-    "circle). What the lens gives is comparable with the 20× "
-    "objective, as the paper says, over a field 2.4 times as wide; and it gives the phase, too."
+    "No data of the tissue is published: ours is a phantom of nuclei, fibres and an uneven ground, complex, "
+    "over the whole field of the twin, from brackets on four planes, since two tell a complex object poorly. "
+    "Objectives are without aberrations; partially coherent, with a condenser of 0.7 times their aperture "
+    "(some thirty directions within its circle). What the lens gives is comparable with the 20× objective, "
+    "as the paper says, over a field 2.4 times as wide; and it gives the phase, too."
 )
 
 
