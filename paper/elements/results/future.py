@@ -146,13 +146,7 @@ DIFFERENCE = (
     "wavelengths imaged in one command."
 )
 
-COMMANDS = (
-    "wavesim resolve designs/paper_singlet.toml --slices 30 --compensation oblique",
-    "wavesim calibrate frames/frame_*.tif --design twin.toml --known frames --parameters rigid -o DIR",
-    "wavesim reconstruct frames/frame_1_*.tif --design twin.toml --kind amplitude -o DIR",
-    f"lensdesign check designs/{PLASTIC}",
-    "wavesim choose designs/paper_singlet.toml",
-)
+COMMANDS = ("python -m paper --only discussion", f"lensdesign check designs/{PLASTIC}")
 
 DISCUSSION = Element(
     "discussion",
