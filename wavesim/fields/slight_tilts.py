@@ -28,6 +28,8 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 ACCURACY = 1e-3
 """Of the steepest wave of the grid's band, at the worst point: the light as a whole does far better."""
+LEVEL = 1e-4
+"""Radians by which waves differ at the rim of a plane that is taken for upright."""
 MOST_PLANES = 15
 LEAST_TURN = 1e-3
 """Of a pitch: how far a turn about the plane's own normal may move a sample without a plane for it."""
@@ -147,8 +149,10 @@ def way_to(
     shift_mm: tuple[float, float],
     tilt_deg: tuple[float, float],
 ) -> Way:
-    """Free space to a parallel plane, or to one that is tilted if it is."""
-    if any(tilt_deg):
+    """Free space to a parallel plane, or to one that is tilted, by enough for its rim to see it."""
+    rim_mm = math.hypot(*grid.half_widths_mm) * math.hypot(*np.deg2rad(tilt_deg))
+    _, differing = band_wavenumbers(grid, wavelength_um)
+    if rim_mm * differing > LEVEL:
         return TiltedWay(grid, wavelength_um, distance_mm, dtype, tilt_deg, shift_mm)
     return PlaneWay(grid, wavelength_um, distance_mm, dtype, shift_mm)
 

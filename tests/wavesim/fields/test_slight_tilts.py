@@ -45,7 +45,9 @@ def test_the_way_back_is_the_adjoint() -> None:
 
 
 def test_without_a_tilt_it_is_one_plane() -> None:
-    assert way_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), (0.0, 0.0)).is_none
+    for tilt_deg in ((0.0, 0.0), (1e-6, -1e-6)):
+        assert way_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), tilt_deg).is_none
+    assert isinstance(way_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), (0.01, 0.0)), TiltedWay)
 
 
 @pytest.mark.parametrize(
