@@ -7,6 +7,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lensdesign.common.arrays import Array
 from lensdesign.errors import atomic_path
 from tolerancing.report.figures.style import (
@@ -36,6 +38,7 @@ __all__ = [
     "RED",
     "SERIES",
     "VIOLET",
+    "faint_panel",
     "panel",
     "scale_bar",
     "styled",
@@ -48,6 +51,8 @@ DOTS_PER_INCH = (110, 90, 75, 60)
 """The first with which a picture is small enough."""
 
 COLOURS, LARGEST_BYTES = 256, 140_000
+FAINTEST = 1e-7
+"""Over the brightest: what lies below is drawn as that."""
 
 
 def panel(
@@ -85,6 +90,29 @@ def panel(
     bar.set_label(label)
     bar.outline.set_visible(False)
     scale_bar(axes, values.shape, width, unit)
+
+
+def faint_panel(
+    figure: Figure, axes: Axes, values: Array, width_mm: float, quantity: str, share: float
+) -> None:
+    """A picture by powers of ten, so that faint light shows.
+
+    Parameters
+    ----------
+    figure, axes
+        Where it is drawn.
+    values
+        Intensities or amplitudes.
+    width_mm
+        As of :func:`panel`.
+    quantity
+        What they are.
+    share
+        Per cent of the samples that may be darker than the darkest colour.
+    """
+    shown = np.log10(np.maximum(values / values.max(), FAINTEST))
+    low, label = float(np.percentile(shown, share)), f"{quantity}, powers of ten"
+    panel(figure, axes, shown, width_mm, "mm", label, "inferno", vmin=low, vmax=0.0)
 
 
 def scale_bar(axes: Axes, shape: tuple[int, ...], width: float, unit: str) -> None:

@@ -141,8 +141,7 @@ def figure_9(work: Work) -> Made:
     )
     difference = (
         "The picture of the paper is a drawing; here are the amplitudes themselves, on a twin with the same "
-        "angles. "
-        f"Both planes' distances are the lens's over {1.0 / scale:.0f}."
+        f"angles. Both planes' distances are the lens's over {1.0 / scale:.0f}."
     )
     assert math.isclose(near / far, 2.0 / 22.0)
     return Made(numbers, ("python -m paper --only figure-9",), difference, (work.picture(figure, caption),))

@@ -64,12 +64,10 @@ def equation_5(work: Work) -> Made:
     )
     difference = (
         "That the paper's bench stood at 13.501 mm is a measurement, which no simulation can repeat; a "
-        "chart "
-        "put there is found there, to some nanometres. The field behind the lens is taken as known here. "
-        "The "
-        "curve falls within 15 µm and rises slowly beyond, as the light of fine bars spreads: an interval "
-        "of "
-        "some tens of micrometres has one clear peak; of few bars on a dark ground wider ones have others."
+        "chart put there is found there, to some nanometres. The field behind the lens is taken as known "
+        "here. The curve falls within 15 µm and rises slowly beyond, as the light of fine bars spreads: an "
+        "interval of some tens of micrometres has one clear peak; of few bars on a dark ground wider ones "
+        "have others."
     )
     return Made(numbers, ("python -m benchmarks.refocusing",), difference, (picture,))
 

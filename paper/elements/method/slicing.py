@@ -119,12 +119,11 @@ def figure_4(work: Work) -> Made:
     )
     difference = (
         "Eq. 4 lets light run along the axis within a slice. Rays of NA 0.5 do not: with 200 slices of "
-        "equal "
-        "thickness its phase is wrong by a wave and more in each slice near the rim, in teeth whose mean a "
-        "refocusing takes out in part. With the local angle of the light (oblique compensation) nothing of "
-        "it is left. The paper spaces planes by the radius of curvature but does not say by which rule; "
-        "thickness in proportion to the local radius (`--spacing paper`) makes slices of the entrance "
-        "surface thicker still."
+        "equal thickness its phase is wrong by a wave and more in each slice near the rim, in teeth whose "
+        "mean a refocusing takes out in part. With the local angle of the light (oblique compensation) "
+        "nothing of it is left. The paper spaces planes by the radius of curvature but does not say by "
+        "which rule; thickness in proportion to the local radius (`--spacing paper`) makes slices of the "
+        "entrance surface thicker still."
     )
     command = (
         "wavesim resolve designs/paper_singlet.toml --engine slices --slices 200 --compensation vertical"

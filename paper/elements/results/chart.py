@@ -9,7 +9,7 @@ import numpy as np
 from paper.element import Budget, Element, Made, Number, Work
 from paper.lensless import lensless
 from paper.shots import BRACKET, Shot, finest, retrieved_of, shot, told
-from paper.style import BLUE, RED, panel, styled_figure
+from paper.style import BLUE, RED, faint_panel, panel, styled_figure
 from paper.twin import twin
 from wavesim import (
     Field,
@@ -95,7 +95,7 @@ def figure_5(work: Work) -> Made:
     )
     return Made(
         _numbers(panels, float(np.ptp(work.lens.sensor.plane_distances_mm))),
-        _commands(panels),
+        ("python -m paper --only figure-5",),
         DIFFERENCE,
         pictures,
     )
@@ -200,16 +200,12 @@ DIFFERENCE = (
     "The same lens, 9 times as small, with the paper's pixels and angles. Frames are brackets of three "
     "exposures of 12 bits on two planes. Appendix A, with integrating pixels, does not reach 9-2 from them; "
     "the next element says what it takes. The object domain does, and finer. SVFG of what Appendix A finds "
-    "has one peak, 2 % high, and finds the object within half a depth of focus, 1 µm. "
-    "Without the lens, the sensor stands where the steepest light that its pixels resolve falls on it from "
-    "the whole field; the pixels' 156 lp/mm lie between elements 2 and 3 of group 7. The thin lens is given "
-    "the light that belongs to the object-domain result: fine lines go. Aberrations shrink with the twin, so "
-    "that coarser ones stay here."
+    "has one peak, 2 % high, and finds the object within half a depth of focus, 1 µm. Without the lens, the "
+    "sensor stands where the steepest light that its pixels resolve falls on it from the whole field; the "
+    "pixels' 156 lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that "
+    "belongs to the object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser "
+    "ones stay here."
 )
-
-
-def _commands(panels: _Panels) -> tuple[str, ...]:
-    return ("python -m paper --only figure-5",)
 
 
 def _measured(panels: _Panels) -> Figure:
@@ -217,13 +213,11 @@ def _measured(panels: _Panels) -> Figure:
     figure = styled_figure(10.0, 2.9)
     first, second, third, last = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.1))
     pitch_mm = 1e-3 * one.lens.sensor.pixel_pitch_um
-    pictures = [np.square(plane.amplitude) for plane in one.case.recorded] + [np.abs(panels.vertex.values)]
+    shown = [(np.square(plane.amplitude), "intensity") for plane in one.case.recorded]
+    shown.append((np.abs(panels.vertex.values), "amplitude"))
     names = (*(f"plane at {z:.3g} mm" for z in one.lens.sensor.plane_distances_mm), "exit vertex plane")
-    labels = ("intensity, powers of ten", "intensity, powers of ten", "amplitude, powers of ten")
-    for axes, values, name, label in zip((first, second, third), pictures, names, labels, strict=True):
-        shown = np.log10(np.maximum(values / values.max(), 1e-7))
-        low = float(np.percentile(shown, 5.0))
-        panel(figure, axes, shown, pitch_mm * shown.shape[1], "mm", label, "inferno", vmin=low, vmax=0.0)
+    for axes, (values, quantity), name in zip((first, second, third), shown, names, strict=True):
+        faint_panel(figure, axes, values, pitch_mm * values.shape[1], quantity, 5.0)
         axes.set_title(name)
     _curve(last, focus)
     return figure
@@ -277,11 +271,9 @@ def _group_labels(axes: Any, elements: tuple[UsafElement, ...], field: Field) ->
 FIGURE_5 = Element(
     "figure-5",
     "Fig. 5: the test chart, with and without the lens",
-    "From two 12-bit intensities, 20 mm apart, SVFG has one peak at a working distance of 13.501 mm, "
-    "and group "
-    "9, element 2 (0.87 µm) is resolved. Without the lens it is group 7, element 2 (3.5 µm), which "
-    "the pixels "
-    "determine; with a thin lens in the model the object is very blurred.",
+    "From two 12-bit intensities, 20 mm apart, SVFG has one peak at a working distance of 13.501 mm, and "
+    "group 9, element 2 (0.87 µm) is resolved. Without the lens it is group 7, element 2 (3.5 µm), which "
+    "the pixels determine; with a thin lens in the model the object is very blurred.",
     figure_5,
     SETTINGS,
     {"quick": 90.0, "full": 200.0},

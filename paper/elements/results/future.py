@@ -139,10 +139,9 @@ def _times(one: Shot) -> float:
 
 
 DIFFERENCE = (
-    "Compensation with the light's own angles, calibration of tilt and decenter from the frames, "
-    "single shots "
-    "of amplitude objects, lenses for several wavelengths and of plastic, and engines that take far less "
-    "computation are there. Not done: a coded surface, a single shot of complex objects, and several "
+    "Compensation with the light's own angles, calibration of tilt and decenter from the frames, single "
+    "shots of amplitude objects, lenses for several wavelengths and of plastic, and engines that take far "
+    "less computation are there. Not done: a coded surface, a single shot of complex objects, and several "
     "wavelengths imaged in one command."
 )
 
@@ -151,9 +150,8 @@ COMMANDS = ("python -m paper --only discussion", f"lensdesign check designs/{PLA
 DISCUSSION = Element(
     "discussion",
     "Discussion: what is left to later work",
-    "A more accurate phase compensation and less computation; calibration of tilt and decenter "
-    "by optimization; "
-    "a single shot through a coded lens; several wavelengths; moulded plastic aspheres.",
+    "A more accurate phase compensation and less computation; calibration of tilt and decenter by "
+    "optimization; a single shot through a coded lens; several wavelengths; moulded plastic aspheres.",
     discussion,
     SETTINGS,
     {"quick": 60.0, "full": 300.0},

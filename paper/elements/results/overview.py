@@ -49,8 +49,7 @@ def figure_1(work: Work) -> Made:
     )
     difference = (
         "The same architecture; the drawing is the traced lens itself. The chart below comes from "
-        "amplitudes "
-        "without noise and the forward model's start, by Appendix A and the eikonal engine back."
+        "amplitudes without noise and the forward model's start, by Appendix A and the eikonal engine back."
     )
     return Made(numbers, ("python -m paper --only figure-1",), difference, (picture,))
 

@@ -91,8 +91,7 @@ def _of(said: str, one: Shot, found: Field) -> list[Number]:
 
 
 def _retrieved(one: Shot, iterations: int, rounds: int) -> Field:
-    """Appendix A; in further rounds, amplitudes are those of points, by what was found in the round "
-    "before."""
+    """Appendix A; in further rounds, amplitudes are those of points, by what the round before found."""
     case = one.case
     each = iterations // rounds
     found = retrieve_resumably(case.engine, case.light, case.recorded, iterations=each)[0].field
@@ -134,15 +133,14 @@ def _ways_back(one: Shot, as_thick: int, most: int) -> dict[str, Engine]:
 
 DIFFERENCE = (
     "From frames of the paper's exposure Appendix A does not reach Fig. 5d: light of fine lines lies below "
-    "the read noise, and two planes at these distances leave it other fields. What it takes: exposures of 1, "
-    "30 and 1000, so that faint light is known; four planes in place of two; and amplitudes of points, since "
-    "A2 puts a pixel's mean in the place of its middle, which fringes of two pixels do not bear. With "
-    "all three the object comes back whole. Pixels that integrate can be undone in part, by dividing by what "
-    "the field found makes of them, round by round. The field stop as a support between rounds gains next to "
-    "nothing. On the way back the thickness of slices decides, so that the lens's 200 are 4 of a "
-    "twin 48 times "
-    "as small: so thick, vertical compensation loses all fine lines, oblique does not. Vertical slices 48 "
-    "times as thin do as well as the eikonal engine."
+    "the read noise, and two planes at these distances leave it other fields. What it takes: exposures of "
+    "1, 30 and 1000, so that faint light is known; four planes in place of two; and amplitudes of points, "
+    "since A2 puts a pixel's mean in the place of its middle, which fringes of two pixels do not bear. With "
+    "all three the object comes back whole. Pixels that integrate can be undone in part, by dividing by "
+    "what the field found makes of them, round by round. The field stop as a support between rounds gains "
+    "next to nothing. On the way back the thickness of slices decides, so that the lens's 200 are 4 of a "
+    "twin 48 times as small: so thick, vertical compensation loses all fine lines, oblique does not. "
+    "Vertical slices 48 times as thin do as well as the eikonal engine."
 )
 
 COMMANDS = ("python -m paper --only the-papers-way",)
@@ -164,9 +162,8 @@ def _objects(drawn: dict[str, tuple[Shot, Field]]) -> Figure:
 THE_PAPERS_WAY = Element(
     "the-papers-way",
     "Appendices A and C at their best: what Fig. 5d takes",
-    "Fig. 5d resolves group 9, element 2 from two 12-bit intensities, 500 iterations from the "
-    "forward model's "
-    "field, and 200 slices of each surface on the way back.",
+    "Fig. 5d resolves group 9, element 2 from two 12-bit intensities, 500 iterations from the forward "
+    "model's field, and 200 slices of each surface on the way back.",
     the_papers_way,
     SETTINGS,
     {"quick": 120.0, "full": 900.0},

@@ -115,9 +115,8 @@ def figure_10(work: Work) -> Made:
     difference = (
         "A6 passes 0.99 from every start and then hardly moves, as in the paper. What it lacks to 1 and the "
         "residual fall on for hundreds of iterations, and neither knows the object: the correlation with "
-        "the "
-        "true one, illumination taken out, stands beside it in the table, and under Fig. 8 for the other "
-        "starts."
+        "the true one, illumination taken out, stands beside it in the table, and under Fig. 8 for the "
+        "other starts."
     )
     return Made(numbers, ("python -m paper --only figure-8 figure-10",), difference, (picture,))
 

@@ -11,7 +11,7 @@ from lensdesign.common.arrays import Array
 from paper.element import Budget, Element, Made, Number, Work
 from paper.microscope import Objective
 from paper.shots import BRACKET, Shot, shot
-from paper.style import RED, panel, styled_figure
+from paper.style import RED, faint_panel, panel, styled_figure
 from wavesim import Field, Grid, ReconstructionSettings, propagate, reconstruct_frames
 from wavesim.objects.region import cut_field
 
@@ -84,9 +84,9 @@ def figure_6(work: Work) -> Made:
         ),
         work.picture(
             _crops(seen),
-            "Above, one crop: from the frames (d1), by the 2× (d2) and the 20× objective (d3), and "
-            "the 20× in "
-            "coherent light. Below: three more crops, and the phase of the first, which no objective shows.",
+            "Above, one crop: from the frames (d1), by the 2× (d2) and the 20× objective (d3), and the 20× "
+            "in coherent light. Below: three more crops, and the phase of the first, which no objective "
+            "shows.",
             "crops",
         ),
     )
@@ -144,18 +144,12 @@ def _whole(seen: _Seen) -> Figure:
     first, second, third = figure.subplots(1, 3)
     pitch_mm = 1e-3 * one.lens.sensor.pixel_pitch_um
     recorded = np.square(one.case.recorded[0].amplitude)
-    for axes, values, name, label in (
-        (
-            first,
-            recorded,
-            f"plane at {one.lens.sensor.plane_distances_mm[0]:.3g} mm",
-            "intensity, powers of ten",
-        ),
-        (second, np.abs(seen.vertex.values), "exit vertex plane", "amplitude, powers of ten"),
+    at_plane = f"plane at {one.lens.sensor.plane_distances_mm[0]:.3g} mm"
+    for axes, values, name, quantity in (
+        (first, recorded, at_plane, "intensity"),
+        (second, np.abs(seen.vertex.values), "exit vertex plane", "amplitude"),
     ):
-        shown = np.log10(np.maximum(values / values.max(), 1e-7))
-        low = float(np.percentile(shown, 20.0))
-        panel(figure, axes, shown, pitch_mm * shown.shape[1], "mm", label, "inferno", vmin=low, vmax=0.0)
+        faint_panel(figure, axes, values, pitch_mm * values.shape[1], quantity, 20.0)
         axes.set_title(name)
     width_um = 1e3 * seen.light.pitch_mm * seen.light.shape[1]
     panel(figure, third, np.abs(seen.found.values) ** 2, width_um, "µm", "intensity", vmin=0.0, vmax=1.3)
@@ -224,9 +218,8 @@ def _crops(seen: _Seen) -> Figure:
 FIGURE_6 = Element(
     "figure-6",
     "Fig. 6: tissue over the whole field, and two objectives",
-    "Mouse ovary over the field of 3 mm, from two intensities: cells come out as by a 20× objective "
-    "of NA 0.5, "
-    "whose field is 1.25 mm wide; a 2× objective of NA 0.08 does not resolve them.",
+    "Mouse ovary over the field of 3 mm, from two intensities: cells come out as by a 20× objective of NA "
+    "0.5, whose field is 1.25 mm wide; a 2× objective of NA 0.08 does not resolve them.",
     figure_6,
     SETTINGS,
     {"quick": 120.0, "full": 400.0},
