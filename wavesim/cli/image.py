@@ -10,12 +10,14 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.text import visible
+from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, Output, print_warnings, settings_text
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.settings import ImageSettings
 
 if TYPE_CHECKING:
+    from lensdesign.lens.lens import Lens
     from wavesim.camera.imaging import Imaged
     from wavesim.camera.recording import Recording
 
@@ -27,6 +29,9 @@ def image(
     object_: Annotated[
         str, typer.Option("--object", help="usaf, star, phase, tissue, empty, or FILE.")
     ] = "usaf",
+    all_wavelengths: Annotated[
+        bool, typer.Option(help="At each of the design's wavelengths, in a folder of its own.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Record an object through the lens: frames, the true object, a preview, and what was used.
@@ -37,25 +42,50 @@ def image(
     Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
     interrupted.
     """
-    from wavesim.camera.imaging import image as record
-    from wavesim.camera.recording import drop_parts
     from wavesim.pictures.result_files import refuse_no_folder
 
     refuse_no_folder(output)
     lens = load_design(design)
+    name, summaries = lens.title or design.stem, list[dict[str, Any]]()
+    for folder, chosen in _runs(lens, settings, output, all_wavelengths):
+        summaries.append(_recorded(lens, name, object_, chosen, folder, as_json))
+        if not as_json:
+            _print(summaries[-1], folder)
+    if as_json:
+        print_json({"images": summaries} if all_wavelengths else summaries[0])
+
+
+def _runs(
+    lens: Lens, settings: ImageSettings, output: Path, all_wavelengths: bool
+) -> list[tuple[Path, ImageSettings]]:
+    """Folders and settings of what is recorded."""
+    if not all_wavelengths:
+        return [(output, settings)]
+    if settings.wavelength_um is not None:
+        raise InputError("--all-wavelengths, --wavelength-um: give one of them")
+    return [
+        (output / f"{wavelength:g}_um", settings.replaced(wavelength_um=wavelength))
+        for wavelength in lens.wavelengths_um
+    ]
+
+
+def _recorded(
+    lens: Lens, name: str, object_: str, settings: ImageSettings, output: Path, as_json: bool
+) -> dict[str, Any]:
+    """Record and write; what was done."""
+    from wavesim.camera.imaging import image as record
+    from wavesim.camera.recording import drop_parts
+
     before = None if as_json else memory_teller(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         imaged = record(lens, object_, settings, folder=output, progress=tell, before=before)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
-    summary = {"design": lens.title or design.stem} | _summary(imaged) | {"warnings": messages}
-    summary["files"] = [str(output / name) for name in _write(imaged, summary, output)]
+    summary = {"design": name} | _summary(imaged) | {"warnings": messages}
+    summary["files"] = [str(output / file) for file in _write(imaged, summary, output)]
     drop_parts(output)
-    if as_json:
-        print_json(summary)
-    else:
-        _print(summary, output)
+    return summary
 
 
 def _summary(imaged: Imaged) -> dict[str, Any]:

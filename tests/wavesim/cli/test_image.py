@@ -189,3 +189,43 @@ def test_a_chart_stands_beside_the_middle_too(
     x = target.transmission.grid.x_mm
     other = (abs(stored - np.abs(target.transmission.values)) > 1e-3).any(axis=0)
     assert 0.028 < x[other].min() < 0.036 < x[other].max() < 0.044
+
+
+def test_each_wavelength_has_its_folder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    """The same frames as of each wavelength by itself."""
+    lens = load_design(twin)
+    save_design(lens.model_copy(update={"wavelengths_um": (0.532, 0.6)}), tmp_path / "two.toml")
+    code, out, _ = run(
+        monkeypatch,
+        capsys,
+        tmp_path / "two.toml",
+        *QUICK,
+        "--all-wavelengths",
+        "-o",
+        tmp_path / "both",
+        "--json",
+    )
+    assert code == 0
+    assert [one["wavelength_um"] for one in json.loads(out)["images"]] == [0.532, 0.6]
+    code, _, _ = run(
+        monkeypatch, capsys, tmp_path / "two.toml", *QUICK, "--wavelength-um", 0.6, "-o", tmp_path / "one"
+    )
+    assert code == 0
+    alone, together = (
+        read_frame(path / "frame_2.tif") for path in (tmp_path / "one", tmp_path / "both/0.6_um")
+    )
+    assert together.settings == alone.settings
+    assert np.array_equal(together.counts, alone.counts)
+
+
+def test_wavelengths_are_asked_for_in_one_way(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    code, _, err = run(
+        monkeypatch, capsys, twin, *QUICK, "--all-wavelengths", "--wavelength-um", 0.6, "-o", tmp_path / "out"
+    )
+    assert code == 2
+    assert "--all-wavelengths, --wavelength-um: give one of them" in err
+    assert not (tmp_path / "out").exists()
