@@ -5,7 +5,17 @@ from __future__ import annotations
 from paper.element import Element
 from paper.elements.lens import design_process, form_errors, matching, rays, table
 from paper.elements.method import measurement, path, refocusing, resampling, slicing
-from paper.elements.results import chart, future, influences, overview, paper_way, retrieval, spectrum, tissue
+from paper.elements.results import (
+    chart,
+    full_size,
+    future,
+    influences,
+    overview,
+    paper_way,
+    retrieval,
+    spectrum,
+    tissue,
+)
 
 _ALL: tuple[Element, ...] = (
     overview.FIGURE_1,
@@ -19,6 +29,7 @@ _ALL: tuple[Element, ...] = (
     *slicing.ELEMENTS,
     *refocusing.ELEMENTS,
     chart.FIGURE_5,
+    full_size.FULL_SIZE,
     paper_way.THE_PAPERS_WAY,
     tissue.FIGURE_6,
     influences.FIGURE_7A,

@@ -103,13 +103,15 @@ def _made(
     tell: Callable[[str], None],
 ) -> Result:
     from wavesim import SamplingWarning
+    from wavesim.camera.sensor import FootprintWarning
 
     parts = {key: folder / PARTS / key for key in (element.key, *element.needs)}
     settings = element.settings.get(budget, {})
     work = Work(element.key, settings, folder / PICTURES, parts, tell)
     started = time.monotonic()
     with styled(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", SamplingWarning)
+        for kind in (SamplingWarning, FootprintWarning):
+            warnings.simplefilter("ignore", kind)
         made = element.make(work)
     seconds = time.monotonic() - started
     result = Result(element.key, budget, inputs(element, budget, others), round(seconds, 1), made)

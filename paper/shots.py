@@ -62,10 +62,12 @@ class Shot:
         """Of the chart."""
         return self.imaged.target.elements
 
-    def retrieved(self, iterations: int) -> Retrieved:
-        """The field on the nearest plane by Appendix A, from the forward model's."""
+    def retrieved(self, iterations: int, start: str = "model") -> Retrieved:
+        """The field on the nearest plane by Appendix A, from the forward model's field or another start."""
         case = self.case
-        return retrieve_resumably(case.engine, case.light, case.recorded, iterations=iterations)[0]
+        return retrieve_resumably(case.engine, case.light, case.recorded, iterations=iterations, start=start)[
+            0
+        ]
 
     def object_of(self, field: Field, back: Engine | None = None) -> Field:
         """A field on the nearest plane carried back to the object, brightest where light is 1."""
@@ -137,9 +139,9 @@ def shot(
 
 
 @cache
-def retrieved_of(one: Shot, iterations: int) -> Retrieved:
+def retrieved_of(one: Shot, iterations: int, start: str = "model") -> Retrieved:
     """Of a shot, for all elements that show it."""
-    return one.retrieved(iterations)
+    return one.retrieved(iterations, start)
 
 
 def finest(found: Field, elements: tuple[UsafElement, ...]) -> UsafElement | None:

@@ -168,6 +168,17 @@ def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(results: dict
         told[f"correlation A6, start: {start}"].here > 0.98 for start in ("forward model", "even phase")
     )
     assert numbers(results, "figure-10")["correlation A6 at the end"].agrees
+    frames = "from frames: correlation {}, start: {}"
+    assert told[frames.format("of the object", "forward model")].here > 2.0 * max(
+        told[frames.format("of the object", start)].here for start in ("even phase", "random phase")
+    )
+    assert told[frames.format("A6", "even phase")].here > 0.95
+
+
+def test_brackets_bring_the_lens_more_than_one_exposure(results: dict[str, Result]) -> None:
+    told = {name: number.here for name, number in numbers(results, "figure-5-at-size").items()}
+    name = "correlation with the object: {}"
+    assert told[name.format("three exposures")] > told[name.format("one exposure, the paper's")] + 0.1
 
 
 def test_spectra_end_at_the_circle_of_the_pixels(results: dict[str, Result]) -> None:
@@ -217,6 +228,9 @@ def test_what_is_left_to_later_work_has_numbers(results: dict[str, Result]) -> N
     )
     shot = "single shot, {} object: correlation from one plane"
     assert told[shot.format("amplitude")] > 0.88 > told[shot.format("complex")]
+    confined = told[f"{shot.format('complex')}, confined to 0.6 of the field's diameter"]
+    assert confined > told[shot.format("complex")] + 0.05
+    assert told["moulded plastic asphere: largest angle behind it over the limit"] <= 1.0
 
 
 def test_an_objective_passes_its_aperture_and_no_more() -> None:

@@ -39,7 +39,7 @@ FINE_UM = 2.0
 
 SETTINGS: dict[Budget, dict[str, float]] = {
     "small": {"twin": 1 / 48, "iterations": 40, "lensless": 1 / 9},
-    "quick": {"twin": 1 / 9, "iterations": 200, "lensless": 1 / 9},
+    "quick": {"twin": 1 / 12, "iterations": 200, "lensless": 1 / 9},
     "full": {"twin": 1 / 8, "iterations": 500, "lensless": 1 / 8},
 }
 
@@ -197,7 +197,7 @@ REMARKS = {
     "without the lens": "as far as the pixels' 156 lp/mm go",
 }
 DIFFERENCE = (
-    "The same lens, 9 times as small, with the paper's pixels and angles. Frames are brackets of three "
+    "The same lens, so many times as small, with the paper's pixels and angles. Frames are brackets of three "
     "exposures of 12 bits on two planes. Appendix A, with integrating pixels, does not reach 9-2 from them; "
     "the next element says what it takes. The object domain does, and finer. SVFG of what Appendix A finds "
     "has one peak, 2 % high, and finds the object within half a depth of focus, 1 µm. Without the lens, the "
