@@ -29,7 +29,7 @@ from wavesim.camera.frames import Frame, read_frame
 from wavesim.camera.pixels.bad import found_bad
 from wavesim.camera.pixels.maps import PixelMaps, read_pixel_maps
 from wavesim.camera.recorded import Recorded, recorded_intensity
-from wavesim.runtime.threads import row_blocks
+from wavesim.runtime.threads import for_blocks, row_blocks
 from wavesim.scene.settings import FrameSetSettings, SettingError
 
 SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02
@@ -55,6 +55,9 @@ SEEN, NOT_CLIPPED = 20.0, 0.9
 
 COMPARED = 4_000_000
 """Pixels, about, that two frames of one plane are compared in: of larger ones, some rows."""
+
+ROWS = 64
+"""Of a plane, for a thread at a time."""
 
 
 class BadPixelWarning(UserWarning):
@@ -388,7 +391,10 @@ def recorded_planes(frames: Sequence[Frame]) -> list[Recorded]:
 def _recorded(plane: Sequence[Frame], distance_mm: float) -> Recorded:
     shape = plane[0].counts.shape
     amplitude, sigma = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for rows in row_blocks(len(amplitude)):
-        part = recorded_intensity(distance_mm, *merged_intensity(plane, rows))
-        amplitude[rows], sigma[rows] = part.amplitude, part.sigma
+
+    def rows(start: int, stop: int) -> None:
+        part = recorded_intensity(distance_mm, *merged_intensity(plane, slice(start, stop)))
+        amplitude[start:stop], sigma[start:stop] = part.amplitude, part.sigma
+
+    for_blocks(rows, len(amplitude), ROWS)
     return Recorded(distance_mm, amplitude, sigma)

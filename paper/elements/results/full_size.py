@@ -29,7 +29,7 @@ FINE_UM = 1.3
 SETTINGS: dict[Budget, dict[str, Any]] = {
     "small": {"size": 1 / 48, "iterations": 20},
     "quick": {"size": 1 / 32, "iterations": 100},
-    "full": {"size": 1, "iterations": 500},
+    "full": {"size": 1, "iterations": 250},
 }
 FRAMES = {"three exposures": len(BRACKET), "one exposure, the paper's": 1}
 """How many of each plane are read."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.camera.exposures import merged_intensity
 from wavesim.camera.frames import Frame
-from wavesim.runtime.threads import row_blocks
+from wavesim.runtime.threads import for_blocks
 
 Mask = NDArray[np.bool_]
 
@@ -33,6 +33,9 @@ UNLIKE = 0.1
 MOST_FOUND = 0.01
 """Share of the pixels from which on these are no bad pixels, but something else."""
 
+ROWS = 64
+"""Looked at at a time, by each thread; the lines above and below them are neighbours."""
+
 RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
@@ -46,9 +49,10 @@ def found_bad(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
     """
     shape = planes[0][0].counts.shape
     found = [np.zeros(shape, bool) for _ in planes]
-    for block in row_blocks(len(found[0])):
-        start, stop = max(block.start - 1, 0), min(block.stop + 1, shape[0])
-        own = slice(block.start - start, block.stop - start)
+
+    def rows(first: int, last: int) -> None:
+        start, stop = max(first - 1, 0), min(last + 1, shape[0])
+        block, own = slice(first, last), slice(first - start, last - start)
         merged = [merged_intensity(plane, slice(start, stop)) for plane in planes]
         limit = ALONE if len(planes) == 1 else ON_ALL
         hot = np.logical_and.reduce([_stands_out(*one, limit) for one in merged])
@@ -56,6 +60,8 @@ def found_bad(planes: Sequence[Sequence[Frame]]) -> list[Mask]:
         dead = np.logical_or.reduce([_dead(*one) for one in merged]) & ~lit
         for mask, plane in zip(found, planes, strict=True):
             mask[block] = (hot | dead)[own] | _contradicting(plane, block)
+
+    for_blocks(rows, shape[0], ROWS)
     return [mask if mask.mean() <= MOST_FOUND else np.zeros(shape, bool) for mask in found]
 
 
