@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import scipy.fft
@@ -33,7 +32,7 @@ STEEPEST_SINE = 0.98
 FINENESS = 0.9
 """Pitch chosen, as a share of the coarsest that holds the field."""
 PROFILE_POINTS = 257
-LARGEST_BYTES, LONGEST_SECONDS = 16e9, 3600.0
+LARGEST_BYTES, LONGEST_SECONDS = 20e9, 3600.0
 """More is only done when forced."""
 
 
@@ -78,6 +77,44 @@ class WorkingGrid:
         into = Passage(scene.object_grid, self.grid.at(start_mm), scene.wavelength_um, self.media[0].index)
         out = Passage(self.grid.at(end_mm), scene.exit_grid, scene.wavelength_um, self.media[-1].index)
         return into, out
+
+
+@dataclass(frozen=True)
+class LightWithin:
+    """What rays tell of an object's light within a lens.
+
+    Attributes
+    ----------
+    middle_mm : (x, y)
+        About which the lens is sampled.
+    bands_per_mm, tangents : tuple of float
+        In each medium, the largest transverse wave number, and the tangent of its angle to the axis.
+    reach_mm, heights_mm : tuple
+        Of each surface, as of :class:`WorkingGrid`.
+    coarsest_mm : tuple of float
+        Of each surface, the pitch at which neither side mistakes one wave of its band for another.
+    reflected : float
+        Share of the rays that are totally reflected.
+    """
+
+    middle_mm: tuple[float, float]
+    bands_per_mm: tuple[float, ...]
+    tangents: tuple[float, ...]
+    reach_mm: tuple[float, ...]
+    heights_mm: tuple[tuple[float, float], ...]
+    coarsest_mm: tuple[float, ...]
+    reflected: float
+
+    def own_half_mm(self, surface: int) -> float:
+        """Half of the window in which light of a surface that leaves on one side does not come in again."""
+        low, high = self.heights_mm[surface]
+        return self.reach_mm[surface] + (high - low) * max(self.tangents[surface : surface + 2])
+
+    def leg_half_mm(self, surface: int) -> float:
+        """The same of light between a surface and the next."""
+        (low, _), (_, high) = self.heights_mm[surface : surface + 2]
+        here, there = self.reach_mm[surface : surface + 2]
+        return 0.5 * (here + there + (high - low) * self.tangents[surface + 1])
 
 
 @dataclass(frozen=True)
@@ -143,6 +180,28 @@ def working_grid(
     TotalReflectionWarning
         If some of the rays never leave the lens.
     """
+    light = light_within(scene)
+    grid = sampled(scene, light, min(light.coarsest_mm), _narrowest_mm(light), pitch_mm, half_width_mm)
+    media = tuple(
+        Medium(grid, scene.wavelength_um, float(n), band)
+        for n, band in zip(scene.system.index[0], light.bands_per_mm, strict=True)
+    )
+    return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected)
+
+
+def light_within(scene: Scene) -> LightWithin:
+    """How far the light of an object reaches within a lens, and how steep it is, from rays.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As :func:`working_grid`.
+
+    Warns
+    -----
+    TotalReflectionWarning
+        If some of the rays never leave the lens.
+    """
     middle = scene.system.vertex[0, 0, :2].copy()
     if scene.object_grid.is_line:
         middle[0] = 0.0
@@ -151,22 +210,39 @@ def working_grid(
     bands, tangents = _bands(scene, bundle.sines)
     reach = _reach(scene, bundle, middle)
     profiles = [_profile(scene, i, middle, r) for i, r in enumerate(reach)]
-    heights = tuple((low, high) for low, high, _ in profiles)
-    slopes = [slope for _, _, slope in profiles]
-    coarsest, narrowest = _coarsest_mm(scene, bands, slopes), _narrowest_mm(reach, heights, tangents)
-    pitch = FINENESS * coarsest if pitch_mm is None else pitch_mm
-    half = WINDOW_MARGIN * narrowest if half_width_mm is None else half_width_mm
-    _check(pitch, coarsest, half, narrowest)
-    count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
-    shape = (count,) if scene.object_grid.is_line else (count, count)
-    grid = Grid(shape, pitch, 0.0, (float(middle[0]), float(middle[1])))
-    indices = scene.system.index[0]
-    media = tuple(
-        Medium(grid, scene.wavelength_um, float(n), band) for n, band in zip(indices, bands, strict=True)
-    )
     if bundle.reflected > 0.0:
-        warnings.warn(_reflection_message(bundle.reflected), TotalReflectionWarning, stacklevel=4)
-    return WorkingGrid(grid, media, tuple(reach), heights, bundle.reflected)
+        warnings.warn(_reflection_message(bundle.reflected), TotalReflectionWarning, stacklevel=5)
+    return LightWithin(
+        (float(middle[0]), float(middle[1])),
+        tuple(bands),
+        tuple(tangents),
+        tuple(reach),
+        tuple((low, high) for low, high, _ in profiles),
+        tuple(_coarsest_mm(scene, bands, [slope for _, _, slope in profiles])),
+        bundle.reflected,
+    )
+
+
+def sampled(
+    scene: Scene,
+    light: LightWithin,
+    coarsest_mm: float,
+    narrowest_mm: float,
+    pitch_mm: float | None,
+    half_width_mm: float | None,
+) -> Grid:
+    """Grid about the middle of the lens that is fine and wide enough, or is asked for.
+
+    Raises
+    ------
+    SamplingError, InputError
+        If the pitch or the width asked for cannot hold the field.
+    """
+    pitch = FINENESS * coarsest_mm if pitch_mm is None else pitch_mm
+    half = WINDOW_MARGIN * narrowest_mm if half_width_mm is None else half_width_mm
+    _check(pitch, coarsest_mm, half, narrowest_mm)
+    count = scipy.fft.next_fast_len(math.ceil(2.0 * half / pitch))
+    return Grid((count,) * len(scene.object_grid.shape), pitch, 0.0, light.middle_mm)
 
 
 def _check(pitch: float, coarsest: float, half: float, narrowest: float) -> None:
@@ -264,25 +340,17 @@ def _profile(scene: Scene, surface: int, middle: Array, reach_mm: float) -> tupl
     return float(np.min(z)), float(np.max(z)), float(np.max(np.abs(slopes)))
 
 
-def _coarsest_mm(scene: Scene, bands: list[float], slopes: list[float]) -> float:
-    """Pitch at which neither side of any surface mistakes one wave of its band for another."""
+def _coarsest_mm(scene: Scene, bands: list[float], slopes: list[float]) -> list[float]:
     k = scene.wavenumber_per_mm * scene.system.index[0]
-    rates = []
+    result = []
     for i, slope in enumerate(slopes):
-        for side in (i, i + 1):
-            lift = k[side] - math.sqrt(k[side] ** 2 - bands[side] ** 2)
-            rates.append(2.0 * bands[side] + slope * lift)
-    return float(2.0 * math.pi / max(rates))
+        lifts = {side: k[side] - math.sqrt(k[side] ** 2 - bands[side] ** 2) for side in (i, i + 1)}
+        rate = max(2.0 * bands[side] + slope * lift for side, lift in lifts.items())
+        result.append(float(2.0 * math.pi / rate))
+    return result
 
 
-def _narrowest_mm(
-    reach: list[float], heights: tuple[tuple[float, float], ...], tangents: list[float]
-) -> float:
+def _narrowest_mm(light: LightWithin) -> float:
     """Half of the window in which light of the band that leaves on one side does not come in on the other."""
-    widths = [
-        r + (high - low) * max(tangents[i], tangents[i + 1])
-        for i, (r, (low, high)) in enumerate(zip(reach, heights, strict=True))
-    ]
-    for i, ((here, (low, _)), (there, (_, high))) in enumerate(pairwise(zip(reach, heights, strict=True))):
-        widths.append(0.5 * (here + there + (high - low) * tangents[i + 1]))
-    return max(widths)
+    surfaces = range(len(light.reach_mm))
+    return max([light.own_half_mm(i) for i in surfaces] + [light.leg_half_mm(i) for i in surfaces[:-1]])
