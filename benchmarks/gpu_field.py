@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,11 @@ from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from wavesim import Field, Scene, engine_for
-from wavesim.engines.slices.planes import SlicedSurface, SurfacePoints, sliced
+from wavesim.engines.slices.compensation import centre_rays, compensation
+from wavesim.engines.slices.samples import Reached, SlicedSurface, sliced
 from wavesim.engines.slices.steps import through_surface
-from wavesim.engines.surfaces.grids import WorkingGrid, working_grid
+from wavesim.engines.slices.windows import Waves
+from wavesim.engines.surfaces.grids import LightWithin, light_within
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.fields.field import Grid, relative_error
@@ -38,8 +41,8 @@ FIELD_MM, SIDE, SAMPLES = 3.0, 7000, 31_000
 SLICES, FEW, MANY = 200, 2, 6
 """Of each surface, and those that are timed."""
 
-ARRAYS = 7.0
-"""Complex arrays that a slice needs: two fields, two factors, the wave, and the transform's work space."""
+ARRAYS = 4.0
+"""Complex arrays that a slice needs: two spectra, the wave, two quarters of factors, and blocks of work."""
 
 COMPILED_MM, COMPILED_SIDE = 0.1, 250
 """Field and pixels along the sensor with which loops and device code are compiled before they are timed."""
@@ -119,15 +122,15 @@ def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
 def slices(lens: Lens, device: Device, samples: int) -> list[Row]:
     """Some slices of the first surface, and what all slices would take."""
     scene = field_scene(lens, FIELD_MM)
-    working = working_grid(scene)
-    medium_pair, few, many = _surface(scene, working, samples)
+    light = light_within(scene)
+    sides, few, many = _surface(scene, light, samples)
     seconds = []
     for surface in (few, few, many):  # the first one compiles
-        _, taken = _timed(lambda s=surface: _passed(device, medium_pair, s, samples))
+        _, taken = _timed(lambda s=surface: _passed(device, sides, s))
         seconds.append(taken)
     each = (seconds[2] - seconds[1]) / (MANY - FEW)
     transported = 8.0 * samples * samples
-    off = _difference(device, scene, working, min(samples, CHECKED))
+    off = _difference(device, scene, light, min(samples, CHECKED))
     return [
         Row("one slice", each, "s"),
         Row(f"{SLICES} slices of both surfaces, from {MANY - FEW} of them", 2.0 * SLICES * each, "s"),
@@ -136,19 +139,24 @@ def slices(lens: Lens, device: Device, samples: int) -> list[Row]:
     ]
 
 
-def _difference(device: Device, scene: Scene, working: WorkingGrid, samples: int) -> float:
+def _difference(device: Device, scene: Scene, light: LightWithin, samples: int) -> float:
     """Of the device's single precision from the processor's double precision."""
-    media, _, surface = _surface(scene, working, samples)
-    found = device.to_host(_passed(device, media, surface, samples))
-    start = np.ones((samples, samples), complex) / samples
-    return relative_error(found, through_surface(*media, surface, start))
+    sides, _, surface = _surface(scene, light, samples)
+    found = device.to_host(_passed(device, sides, surface))
+    return relative_error(found, through_surface(*sides, surface, _from_middle(np, sides[0], complex)))
 
 
-def _passed(device: Device, media: tuple[Medium, Medium], surface: SlicedSurface, samples: int) -> Any:
-    """Spectrum behind slices, of one that is even."""
-    start = device.xp.ones((samples, samples), dtype=np.complex64)
-    start /= np.float32(samples)
-    return through_surface(*media, surface, start)
+def _passed(device: Device, sides: tuple[Waves, Waves], surface: SlicedSurface) -> Any:
+    """Waves behind slices."""
+    return through_surface(*sides, surface, _from_middle(device.xp, sides[0], np.complex64))
+
+
+def _from_middle(xp: Any, waves: Waves, kind: Any) -> Any:
+    """Waves of one size, in phase in the middle of the window."""
+    start = xp.ones(waves.shape, dtype=kind)
+    start[1::2] *= -1.0
+    start[:, 1::2] *= -1.0
+    return start
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -161,37 +169,36 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def _surface(
-    scene: Scene, working: WorkingGrid, samples: int
-) -> tuple[tuple[Medium, Medium], SlicedSurface, SlicedSurface]:
-    """Media about the first surface on a grid of so many samples, and its innermost slices: few, and many."""
-    half = working.grid.half_widths_mm[0]
-    grid = Grid((samples, samples), 2.0 * half / samples, 0.0, working.grid.centre_mm)
-    nyquist = 0.98 * math.pi / grid.pitch_mm
+    scene: Scene, light: LightWithin, samples: int
+) -> tuple[tuple[Waves, Waves], SlicedSurface, SlicedSurface]:
+    """Waves about the first surface on a grid of so many samples, and its innermost slices: few, and many."""
+    half = light.own_half_mm(0)
+    grid = Grid((samples, samples), 2.0 * half / samples, 0.0, light.middle_mm)
     front, behind = (
-        Medium(grid, scene.wavelength_um, m.index, min(m.band_per_mm, nyquist)) for m in working.media[:2]
+        Waves(Medium(grid, scene.wavelength_um, float(scene.system.index[0, i]), light.bands_per_mm[i]))
+        for i in (0, 1)
     )
-    low, high = working.heights_mm[0]
+    low, high = light.heights_mm[0]
     planes = np.linspace(low, high, SLICES + 1)[: MANY + 1]
-    inside = _points(scene, grid, float(planes[-1]), working.reach_mm[0])
-    which = np.minimum(np.searchsorted(planes[1:-1], inside.z_mm, side="right"), MANY - 1)
-    k, below, above = scene.wavenumber_per_mm, planes[:-1], planes[1:]
-    phase = k * (front.index * (inside.z_mm - below[which]) + behind.index * (above[which] - inside.z_mm))
-    many = sliced(inside, np.exp(1j * phase), which, below, above)
-    few = SlicedSurface(many.pixels, many.factors, many.parts[:FEW], below[:FEW], above[:FEW])
+    reach = _radius_mm(scene, float(planes[-1]), light.reach_mm[0])
+    given = compensation(scene, centre_rays(scene, scene.object_grid.centre_mm)[0], oblique=False)
+    many = sliced(Reached(scene, 0, grid, reach), given, planes, False, np.complex64)
+    cut = slice(FEW)
+    few = replace(
+        many,
+        labels=many.labels[cut],
+        boxes=many.boxes[cut],
+        before_mm=many.before_mm[cut],
+        behind_mm=many.behind_mm[cut],
+    )
     return (front, behind), few, many
 
 
-def _points(scene: Scene, grid: Grid, highest_mm: float, reach_mm: float) -> SurfacePoints:
-    """Samples of the first surface up to a height: a disc about its vertex."""
+def _radius_mm(scene: Scene, highest_mm: float, reach_mm: float) -> float:
+    """Distance from the axis at which the first surface has a height."""
     profile = np.linspace(0.0, reach_mm, 1001)
     heights = surface_map(scene.system, 0, 0.0 * profile, profile).z_mm
-    near = 1.01 * float(np.interp(highest_mm, heights, profile))
-    rows, columns = (np.flatnonzero(np.abs(a) <= near) for a in (grid.y_mm, grid.x_mm))
-    x, y = np.broadcast_arrays(grid.x_mm[columns], grid.y_mm[rows][:, None])
-    found = surface_map(scene.system, 0, x, y)
-    inside = found.inside & (found.z_mm <= highest_mm)
-    pixels = (rows[:, None] * grid.shape[1] + columns)[inside]
-    return SurfacePoints(pixels, x[inside], y[inside], found.z_mm[inside])
+    return float(np.interp(highest_mm, heights, profile))
 
 
 def _that_fit(device: Device, samples: int) -> int:

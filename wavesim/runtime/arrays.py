@@ -1,7 +1,7 @@
 """The array module of an array, and Fourier transforms by `scipy.fft` of whatever arrays its back end takes.
 
-All threads are used; their number is not given as an argument, since back ends for other arrays refuse it.
-For CuPy arrays say `scipy.fft.set_global_backend(cupyx.scipy.fft)` once, for other array libraries set
+All threads are used unless said otherwise; their number is not given as an argument, since back ends for
+other arrays refuse it. For CuPy arrays say `scipy.fft.set_global_backend(cupyx.scipy.fft)` once, for other array libraries set
 `SCIPY_ARRAY_API=1` before SciPy is imported.
 """
 
@@ -28,15 +28,17 @@ def in_double(values: Any) -> Any:
     return np.asarray(values, complex) if isinstance(values, np.ndarray) else values
 
 
-def fft(values: Any, count: int | None = None, axis: int = -1, *, overwrite: bool = False) -> Any:
-    """Along one axis, padded with zeros to `count`."""
-    with scipy.fft.set_workers(-1):
+def fft(
+    values: Any, count: int | None = None, axis: int = -1, *, overwrite: bool = False, workers: int = -1
+) -> Any:
+    """Along one axis, padded with zeros to `count`; by one worker where threads share the work already."""
+    with scipy.fft.set_workers(workers):
         return scipy.fft.fft(values, n=count, axis=axis, overwrite_x=overwrite)
 
 
-def ifft(values: Any, axis: int = -1, *, overwrite: bool = False) -> Any:
+def ifft(values: Any, axis: int = -1, *, overwrite: bool = False, workers: int = -1) -> Any:
     """Back, along one axis."""
-    with scipy.fft.set_workers(-1):
+    with scipy.fft.set_workers(workers):
         return scipy.fft.ifft(values, axis=axis, overwrite_x=overwrite)
 
 

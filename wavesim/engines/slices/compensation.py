@@ -18,14 +18,11 @@ from wavesim.engines.surfaces.samples import surface_slopes
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Grid
 from wavesim.rays.interfaces import Crossings, crossings, surface_map, transmission
-from wavesim.rays.maps import fit_map
+from wavesim.rays.maps import SmoothMap, fit_map
 from wavesim.scene.scene import Scene
 
 LINE_ORDER, PLANE_ORDER = 30, 12
 """Of the polynomials over the footprint."""
-
-BLOCK = 1 << 11
-"""Points at which polynomials are evaluated at one time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +125,44 @@ def _rays(scene: Scene, surface: int, found: Crossings) -> CentreRays:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Over points of a surface: optical path per height on both sides, and factor of the field."""
+    """Over a surface: optical path per height on both sides, and factor of the field.
 
-    before: Array
-    behind: Array
-    amplitude: Array
+    Beyond the light of the object's middle it is that at its rim.
+
+    Attributes
+    ----------
+    maps : SmoothMap
+        Of the three, over y and x, or y alone; of the factor alone where the paths are the indices.
+    indices : (float, float), optional
+        In front of the surface and behind it.
+    """
+
+    maps: SmoothMap
+    indices: tuple[float, float] | None
+
+    def at(self, y_mm: Array, x_mm: Array, inside: NDArray[np.bool_]) -> Array:
+        """The three at those samples of rows and columns that are inside, shape (3, n); on a line x is 0."""
+        maps = self.maps
+        axes = (y_mm, x_mm)[: len(maps.middle)]
+        found = np.stack([part.reshape(inside.shape)[inside] for part in maps.along(axes).each()])
+        offset = np.stack(
+            [
+                np.broadcast_to(a, inside.shape)[inside] - m
+                for a, m in zip((y_mm[:, None], x_mm), maps.middle, strict=False)
+            ],
+            axis=-1,
+        )
+        offset /= maps.half_width
+        away = np.linalg.norm(offset, axis=-1)
+        beyond = np.flatnonzero(away > 1.0)
+        found[:, beyond] = maps.at(maps.middle + maps.half_width * offset[beyond] / away[beyond, None])
+        if self.indices is not None:
+            found = np.stack([*(np.full(found.shape[1], n) for n in self.indices), found[0]])
+        return found
 
 
-def compensation(scene: Scene, ray: CentreRays, x_mm: Array, y_mm: Array, oblique: bool) -> Compensation:
-    """Compensation at points of a surface; beyond the light of the object's middle, that at its rim.
+def compensation(scene: Scene, ray: CentreRays, oblique: bool) -> Compensation:
+    """Compensation over a surface.
 
     With the oblique one, the amplitude holds the share of a slice's light that leaves through its
     projection along z, as Kirchhoff's integral over the surface has it.
@@ -148,17 +174,8 @@ def compensation(scene: Scene, ray: CentreRays, x_mm: Array, y_mm: Array, obliqu
     # Some rays of a fan will do; all those of a bundle are needed.
     most = 5 * (order + 1) if is_line else len(points)
     pick = np.unique(np.rint(np.linspace(0, len(points) - 1, most)).astype(int))
-    maps = fit_map(points[pick], np.stack([*ray.axial, amplitude])[:, pick], order)
-    found = np.empty((3, len(y_mm)))
-    for first in range(0, len(y_mm), BLOCK):
-        part = slice(first, first + BLOCK)
-        asked = y_mm[part, None] if is_line else np.column_stack([y_mm[part], x_mm[part]])
-        offset = (asked - maps.middle) / maps.half_width
-        away = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1.0)
-        found[:, part] = maps.at(maps.middle + maps.half_width * (offset / away))
-    if not oblique:
-        found[0], found[1] = ray.indices
-    return Compensation(*found)
+    values = np.stack([*ray.axial, amplitude] if oblique else [amplitude])
+    return Compensation(fit_map(points[pick], values[:, pick], order), None if oblique else ray.indices)
 
 
 def slice_phase(ray: CentreRays, planes_mm: Array, oblique: bool, wavenumber_per_mm: float) -> Array:

@@ -13,8 +13,9 @@ middle of each slice in place of its two borders, over which the error has no fi
 With few slices it falls with their number squared, until what is left are the stripes where the light of
 neighbouring slices overlaps or leaves a gap; those go with the first power, once slices are thin.
 
-Fields of NumPy are carried in double precision; those of another array library (CuPy) in their own, in the
-memory where they lie.
+Each surface has a window and a pitch of its own, for what light does there. Fields of NumPy are carried in
+the precision that is asked for; those of another array library (CuPy) in their own, in the memory where they
+lie.
 """
 
 from __future__ import annotations
@@ -36,34 +37,25 @@ from wavesim.engines.slices.compensation import (
     centre_rays,
     compensation,
     other_angles,
-    slice_of,
     slice_phase,
 )
-from wavesim.engines.slices.planes import (
-    SlicedSurface,
-    Spacing,
-    SurfacePoints,
-    cutting_planes,
-    sliced,
-    surface_points,
-)
+from wavesim.engines.slices.cost import slices_cost
+from wavesim.engines.slices.planes import Spacing, cutting_planes
+from wavesim.engines.slices.samples import Reached, sliced
 from wavesim.engines.slices.steps import Through
-from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
+from wavesim.engines.slices.windows import Waves, arriving, surface_grids
+from wavesim.engines.surfaces.grids import LightWithin, light_within, refuse_if_huge
 from wavesim.engines.surfaces.samples import other_transmission
+from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.guards import SamplingWarning
-from wavesim.runtime.arrays import in_double
-from wavesim.runtime.memory import COMPLEX128, FLOAT64
-from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.scene.engine import Cost, Engine, Neglected
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complex128]
 CompensationKind = Literal["vertical", "oblique"]
+Precision = Literal["double", "single"]
 
 MOST_SLICES = 50_000
-FIT_BYTES = {True: 500_000, False: 3_300_000}
-"""Rays and the polynomials through them: on a line, on a plane."""
-
 WARN_ERROR = 0.2
 """Estimated relative error of the exit field from too few slices, from which on there is a warning."""
 
@@ -82,9 +74,11 @@ class AnnularSlices(Engine):
     spacing : {"equal", "paper", "equal-phase"}
         Of the planes; see :func:`wavesim.engines.slices.planes.cutting_planes`.
     pitch_mm, half_width_mm
-        Of the grid within the lens; chosen if left out.
+        Of the grids within the lens; chosen for each surface if left out.
     force : bool
         Whether to run however much memory and time it takes.
+    precision : {"double", "single"}
+        Of fields and factors: complex128 or, in half the memory, complex64; phases are formed in double.
 
     Raises
     ------
@@ -115,6 +109,7 @@ class AnnularSlices(Engine):
         pitch_mm: float | None = None,
         half_width_mm: float | None = None,
         force: bool = False,
+        precision: Precision = "double",
     ) -> None:
         super().__init__(scene)
         whole = isinstance(slices, int | np.integer) and not isinstance(slices, bool)
@@ -122,23 +117,38 @@ class AnnularSlices(Engine):
             raise InputError(f"slices = {slices!r}: must be a whole number from 1 to {MOST_SLICES}")
         refuse_other("compensation", compensation, ("vertical", "oblique"))
         refuse_other("spacing", spacing, ("equal", "paper", "equal-phase"))
+        refuse_other("precision", precision, ("double", "single"))
+        self.precision = precision
         self.slices, self.compensation, self.spacing = int(slices), compensation, spacing
         self.force = bool(force)
         self._asked = (pitch_mm, half_width_mm)
 
     @cached_property
-    def working(self) -> WorkingGrid:
-        """Grid, media and extent of the surfaces."""
-        return working_grid(self.scene, *self._asked)
+    def light(self) -> LightWithin:
+        """Extent of the light and of the surfaces."""
+        return light_within(self.scene)
+
+    @cached_property
+    def sides(self) -> tuple[tuple[Waves, Waves], ...]:
+        """Waves in front of each surface and behind it, in its window."""
+        scene, bands = self.scene, self.light.bands_per_mm
+        return tuple(
+            (
+                Waves(Medium(grid, scene.wavelength_um, float(scene.system.index[0, i]), bands[i])),
+                Waves(Medium(grid, scene.wavelength_um, float(scene.system.index[0, i + 1]), bands[i + 1])),
+            )
+            for i, grid in enumerate(surface_grids(scene, self.light, *self._asked))
+        )
 
     def settings(self) -> dict[str, Any]:
-        grid = self.working.grid
+        grids = [front.grid for front, _ in self.sides]
         return {
             "slices": self.slices,
             "compensation": self.compensation,
             "spacing": self.spacing,
-            "pitch_mm": grid.pitch_mm,
-            "half_width_mm": grid.half_widths_mm[0],
+            "precision": self.precision,
+            "pitch_mm": min(grid.pitch_mm for grid in grids),
+            "half_width_mm": max(grid.half_widths_mm[0] for grid in grids),
         }
 
     @property
@@ -156,42 +166,40 @@ class AnnularSlices(Engine):
     @cached_property
     def _prepared(self) -> Through:
         self._refuse_total_reflection()
-        refuse_if_huge(self.name, self.working.grid.size, self.cost(), self.force)
+        refuse_if_huge(self.name, max(front.grid.size for front, _ in self.sides), self.cost(), self.force)
         self._warn()
-        rays = centre_rays(self.scene, self.scene.object_grid.centre_mm)
-        samples = [surface_points(self.scene, self.working, i) for i in range(len(rays))]
-        heights = [(float(s.z_mm.min()), float(s.z_mm.max())) for s in samples]
-        planes = self._planes(heights)
-        surfaces = [self._sliced(*given) for given in zip(rays, samples, planes, strict=True)]
-        return Through(self.working, surfaces)
+        scene = self.scene
+        rays = centre_rays(scene, scene.object_grid.centre_mm)
+        reached = [
+            Reached(scene, i, front.grid, reach)
+            for i, ((front, _), reach) in enumerate(zip(self.sides, self.light.reach_mm, strict=True))
+        ]
+        planes = self._planes([part.span_mm() for part in reached])
+        surfaces = [
+            sliced(part, compensation(scene, ray, self._oblique), cut, self._oblique, self._dtype)
+            for part, ray, cut in zip(reached, rays, planes, strict=True)
+        ]
+        return Through(scene.object_grid, scene.exit_grid, self.sides, surfaces, arriving(scene, self.light))
 
-    def _sliced(self, ray: CentreRays, samples: SurfacePoints, planes_mm: Array) -> SlicedSurface:
-        which = slice_of(planes_mm, samples.z_mm)
-        low, high = planes_mm[:-1], planes_mm[1:]
-        if self._oblique:
-            low = high = 0.5 * (low + high)
-        known = compensation(self.scene, ray, samples.x_mm, samples.y_mm, self._oblique)
-        path = known.before * (samples.z_mm - low[which]) + known.behind * (high[which] - samples.z_mm)
-        phase = np.mod(self.scene.wavenumber_per_mm * path, 2.0 * np.pi)
-        factors = np.empty(len(phase), complex)
-        factors.real = known.amplitude * np.cos(phase)
-        factors.imag = known.amplitude * np.sin(phase)
-        return sliced(samples, factors, which, low, high)
+    @property
+    def _dtype(self) -> np.dtype[Any]:
+        """Of NumPy's fields, and of what is kept for all."""
+        return np.dtype(np.complex64 if self.precision == "single" else np.complex128)
 
     def _forward(self, values: Any) -> Any:
-        inner = self._prepared
-        into, out = self.working.transfers(self.scene, inner.start_mm, inner.end_mm)
-        return out.forward(inner.forward(into.forward(in_double(values))))
+        return self._prepared.forward(self._cast(values))
 
     def _adjoint(self, values: Any) -> Any:
-        inner = self._prepared
-        into, out = self.working.transfers(self.scene, inner.start_mm, inner.end_mm)
-        return into.adjoint(inner.adjoint(out.adjoint(in_double(values))))
+        return self._prepared.adjoint(self._cast(values))
+
+    def _cast(self, values: Any) -> Any:
+        """NumPy's arrays in the precision asked for; those of other libraries as they are."""
+        return np.asarray(values, self._dtype) if isinstance(values, np.ndarray) else values
 
     @cached_property
     def _nominal_planes(self) -> list[Array]:
         """Cutting planes, known before the samples of the surfaces are."""
-        return self._planes(self.working.heights_mm)
+        return self._planes(self.light.heights_mm)
 
     @cached_property
     def _phases(self) -> list[Array]:
@@ -211,8 +219,8 @@ class AnnularSlices(Engine):
 
     def _border_error(self) -> float:
         shares = [
-            border_light(ray, p, medium)
-            for ray, p, medium in zip(self._fan, self._nominal_planes, self.working.media[1:], strict=True)
+            border_light(ray, p, behind.medium)
+            for ray, p, (_, behind) in zip(self._fan, self._nominal_planes, self.sides, strict=True)
         ]
         return math.sqrt(sum(float(np.mean(share)) for share in shares))
 
@@ -234,9 +242,9 @@ class AnnularSlices(Engine):
         return worst
 
     def _refuse_total_reflection(self) -> None:
-        if self.working.reflected > 0.0:
+        if self.light.reflected > 0.0:
             raise InputError(
-                f"engine slices: total reflection of {self.working.reflected:.3g} of the rays from the "
+                f"engine slices: total reflection of {self.light.reflected:.3g} of the rays from the "
                 "object's middle and rim; slices take all light to pass: stop the lens down, or take a "
                 "smaller object or the wave propagation method"
             )
@@ -255,21 +263,8 @@ class AnnularSlices(Engine):
         )
 
     def cost(self) -> Cost:
-        working = self.working
-        size, samples = working.grid.size, working.samples_on_surfaces
-        into, out = working.transfers(self.scene, working.heights_mm[0][0], working.heights_mm[-1][1])
-        count = sum(self.slices if high > low else 1 for low, high in working.heights_mm)
-        each = 2.0 * fft_seconds(size, working.grid.is_line) + 4.0 * pass_seconds(size)
-        if self.spacing != "equal":
-            each += 2.0 * exponential_seconds(size)
-        passing = count * each + 6.0 * len(samples) * exponential_seconds(size)
-        kept = (COMPLEX128 + FLOAT64) * sum(samples) + (FLOAT64 + 1) * size * len(working.media)
-        wave = COMPLEX128 * size
-        setup_bytes = FIT_BYTES[working.grid.is_line] + 7 * FLOAT64 * size
-        setup_bytes += 4 * FLOAT64 * sum(samples) + 15 * FLOAT64 * max(samples)
-        peak = max(kept + max(5 * wave, into.peak_bytes + wave, out.peak_bytes), setup_bytes)
-        setup = 0.006 + sum(40.0 * exponential_seconds(n) for n in samples) + 10.0 * pass_seconds(size)
-        return Cost(into.seconds + passing + out.seconds, setup, int(peak))
+        unit, even = self._dtype.itemsize, self.spacing == "equal"
+        return slices_cost(self.scene, self.sides, self.light, self.slices, unit, even)
 
 
 def _misfit(phases: Sequence[Array]) -> float:

@@ -1,68 +1,20 @@
-"""Planes perpendicular to the axis that cut a curved surface into slices, and the samples of each slice.
-
-A slice is where the surface lies between two neighbouring planes (Eq. C2), whatever its shape; that of a
-surface of revolution is an annulus (Eq. C1).
-"""
+"""Planes perpendicular to the axis that cut a curved surface into slices."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import SamplingError
 from wavesim.engines.slices.compensation import CentreRays
-from wavesim.engines.surfaces.grids import WorkingGrid
-from wavesim.rays.interfaces import surface_map
 from wavesim.scene.scene import Scene
 
 Spacing = Literal["equal", "paper", "equal-phase"]
 
 BINS = 512
 """Of height, in which the density of planes is held."""
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePoints:
-    """The samples of a grid at which light meets a surface.
-
-    Attributes
-    ----------
-    pixels : ndarray of int, shape (n,)
-        Which samples, counted through the grid.
-    x_mm, y_mm, z_mm : ndarray, shape (n,)
-        Points on the surface.
-    """
-
-    pixels: NDArray[np.intp]
-    x_mm: Array
-    y_mm: Array
-    z_mm: Array
-
-
-def surface_points(scene: Scene, working: WorkingGrid, surface: int) -> SurfacePoints:
-    """Points on a surface within its clear aperture and within reach of the light.
-
-    Raises
-    ------
-    SamplingError
-        If there are none.
-    """
-    grid = working.grid
-    x, y = np.broadcast_arrays(grid.x_mm, grid.y_mm[:, None])
-    found = surface_map(scene.system, surface, x, y)
-    away2 = (x - grid.centre_mm[0]) ** 2 + (y - grid.centre_mm[1]) ** 2
-    inside = found.inside & (away2 <= working.reach_mm[surface] ** 2)
-    if not np.any(inside):
-        raise SamplingError(
-            f"no sample of the working grid of {grid.pitch_mm:g} mm lies on surface {surface + 1}"
-        )
-    return SurfacePoints(np.flatnonzero(inside), x[inside], y[inside], found.z_mm[inside])
 
 
 def cutting_planes(
@@ -141,41 +93,3 @@ def _planes_of(share: Array, span: tuple[float, float], count: int) -> Array:
     planes = np.interp(np.linspace(0.0, reached[-1], count + 1), reached, edges)
     planes[[0, -1]] = span
     return np.asarray(planes)
-
-
-@dataclass(frozen=True, eq=False)
-class SlicedSurface:
-    """Samples of a surface, slice by slice; slices without samples are left out.
-
-    Attributes
-    ----------
-    pixels : ndarray of int, shape (n,)
-        Samples of the grid, by slice.
-    factors : ndarray of complex, shape (n,)
-        Phase compensation and transmission.
-    parts : tuple of slice
-        Samples of each slice.
-    before_mm, behind_mm : ndarray
-        z at which each slice's light is taken from the medium in front, and given to the one behind.
-    """
-
-    pixels: NDArray[np.intp]
-    factors: NDArray[np.complex128]
-    parts: tuple[slice, ...]
-    before_mm: Array
-    behind_mm: Array
-
-
-def sliced(
-    samples: SurfacePoints,
-    factors: NDArray[np.complex128],
-    which: NDArray[np.intp],
-    before_mm: Array,
-    behind_mm: Array,
-) -> SlicedSurface:
-    """Order samples by slice."""
-    order = np.argsort(which, kind="stable")
-    ends = np.searchsorted(which[order], np.arange(len(before_mm) + 1))
-    full = np.flatnonzero(np.diff(ends))
-    parts = tuple(slice(int(a), int(b)) for a, b in pairwise(ends) if b > a)
-    return SlicedSurface(samples.pixels[order], factors[order], parts, before_mm[full], behind_mm[full])

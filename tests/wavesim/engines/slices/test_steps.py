@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import scipy.fft
 import stand_in_device
+from engine_checks import dot_product_mismatch
 
 from lensdesign import Lens, scaled
 from wavesim.engines.slices.engine import AnnularSlices
-from wavesim.engines.slices.steps import BLOCK_SAMPLES, _factor, _keep_band
+from wavesim.engines.slices.steps import carried, step_factor
+from wavesim.engines.slices.windows import Waves
 from wavesim.engines.surfaces.waves import Medium
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
@@ -52,15 +54,42 @@ def test_arrays_of_a_device_stay_there(engine: AnnularSlices, kind: Any, same: f
     assert relative_error(found.get(), plain) < same
 
 
-def test_factors_made_in_blocks_are_those_made_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wavesim.engines.slices.steps.BLOCK_SAMPLES", 100)
-    assert BLOCK_SAMPLES > 100
-    medium = Medium(Grid((30, 28), 4e-4, 0.0), WAVELENGTH_UM, 1.5, 0.4 * 2e3 * math.pi / WAVELENGTH_UM)
-    assert 0.1 < np.mean(medium.inside) < 0.9
-    for kind, same in ((np.complex64, 1e-6), (np.complex128, 1e-12)):
-        like = stand_in_device.asarray(np.ones(medium.grid.shape, kind))
-        made = _factor(medium, like, 123.4).get()
-        assert made.dtype == kind
-        assert made == pytest.approx(medium.over(123.4), abs=1e4 * same if kind == np.complex128 else same)
-        _keep_band(medium, like)
-        assert np.array_equal(like.get(), medium.inside.astype(kind))
+def waves(shape: tuple[int, ...] = (30, 28)) -> Waves:
+    """More than half of the orders of a window."""
+    band = 0.4 * 2e3 * math.pi / WAVELENGTH_UM
+    return Waves(Medium(Grid(shape, 4e-4, 0.0), WAVELENGTH_UM, 1.5, band))
+
+
+@pytest.mark.parametrize(("kind", "same"), [(np.complex128, 1e-8), (np.complex64, 1e-6)])
+def test_a_step_is_that_of_free_space(kind: Any, same: float) -> None:
+    """Blocks on a device, threads of this computer, and :meth:`Medium.over`, which has all waves at once."""
+    known = waves()
+    medium, (down, across) = known.medium, known.orders
+    places = np.ix_(*(np.arange(-m, m + 1) % n for m, n in zip(known.orders, (30, 28), strict=True)))
+    whole = medium.over(123.4)[places]
+    assert 0.5 < np.mean(whole != 0.0) < 0.9
+    factor = step_factor(known, 123.4, np.ones(1, kind))
+    assert factor.dtype == kind
+    assert factor == pytest.approx(whole[down:, across:], abs=same)
+    for like in (np.ones(known.shape, kind), stand_in_device.asarray(np.ones(known.shape, kind))):
+        found = carried(known, like, 123.4)
+        assert getattr(found, "get", lambda f=found: f)() == pytest.approx(whole, abs=same)
+
+
+def test_blocks_are_as_the_whole(engine: AnnularSlices, monkeypatch: pytest.MonkeyPatch) -> None:
+    field = noise(engine.scene.object_grid, complex)
+    whole = engine.forward(field).values
+    monkeypatch.setattr("wavesim.engines.slices.windows.BLOCK_BYTES", 1)
+    monkeypatch.setattr("wavesim.engines.slices.samples.BLOCK", 100)
+    parts = AnnularSlices(engine.scene, slices=6).forward(field).values
+    assert relative_error(parts, whole) < 1e-12
+
+
+def test_single_precision_of_numpy(engine: AnnularSlices) -> None:
+    lean = AnnularSlices(engine.scene, slices=6, precision="single")
+    field = noise(engine.scene.object_grid, complex)
+    found = lean.forward(field).values
+    assert found.dtype == np.complex64
+    assert relative_error(found, engine.forward(field).values) < 1e-5
+    assert dot_product_mismatch(lean) < 1e-5
+    assert lean.cost().peak_bytes < engine.cost().peak_bytes

@@ -1,0 +1,103 @@
+"""What the sliced method takes, told from the sizes alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from wavesim.engines.slices.samples import BLOCK, number_type
+from wavesim.engines.slices.windows import BLOCK_BYTES, HANDED_FINENESS, Waves
+from wavesim.engines.surfaces.grids import LightWithin
+from wavesim.fields.plane_waves import fast_count
+from wavesim.runtime.memory import COMPLEX128, FLOAT64
+from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
+from wavesim.runtime.threads import THREADS
+from wavesim.scene.engine import Cost
+from wavesim.scene.scene import Scene
+
+FIT_BYTES = {True: 750_000, False: 3_300_000}
+"""Rays and the polynomials through them: on a line, on a plane."""
+
+MEAN_WIDTH = 0.75
+"""Of the part of a window in which a slice lies, over that in which all do."""
+
+BLOCK_ARRAYS, MADE_ARRAYS = 5, 18
+"""Of a block of samples while a slice takes it, complex; while it is made, real."""
+
+
+def slices_cost(
+    scene: Scene, sides: Sequence[tuple[Waves, Waves]], light: LightWithin, slices: int, unit: int, even: bool
+) -> Cost:
+    """Seconds and bytes of one way through all surfaces, and of getting ready.
+
+    Parameters
+    ----------
+    scene, sides, light
+        What is carried, in which waves, and how far it reaches.
+    slices
+        Of each surface.
+    unit
+        Bytes of a sample.
+    even
+        Whether steps between planes repeat.
+    """
+    is_line = scene.object_grid.is_line
+    squares = [_square(front, reach) for (front, _), reach in zip(sides, light.reach_mm, strict=True)]
+    images = (unit + number_type(slices).itemsize) * sum(rows * columns for rows, columns in squares)
+    counts = [slices if high > low else 1 for low, high in light.heights_mm]
+    seconds, working = _ends(scene, sides, unit)
+    for (front, behind), square, count in zip(sides, squares, counts, strict=True):
+        samples, length = front.grid.size, front.grid.shape[0]
+        rows, width = max(front.shape[0], behind.shape[0]), square[1]
+        factors = (front.size + behind.size) // (2 if is_line else 4)
+        kept = front.size + behind.size + rows * width + factors
+        block = (
+            min(THREADS, _blocks(length * width)) * BLOCK_ARRAYS * min(_block_samples(length), length * width)
+        )
+        working = max(working, unit * (kept + block))
+        inner = 2.0 * MEAN_WIDTH * width * length if not is_line else 2.0 * samples
+        outer = 0.0 if is_line else float(length * (front.shape[0] + behind.shape[0]))
+        each = (1.0 if is_line else 0.5) * fft_seconds(int(inner + outer), is_line)
+        each += 2.0 * pass_seconds(int(inner + outer))
+        seconds += (count if even else 2 * count) * exponential_seconds(factors if not even else 1)
+        seconds += count * each + 2.0 * exponential_seconds(factors)
+    for (_, before), (front, _) in pairwise(sides):
+        if before.grid != front.grid:
+            between = math.ceil(front.size * before.size / min(front.size, before.size) / HANDED_FINENESS**2)
+            seconds += 4.0 * fft_seconds(2 * between, is_line)
+            working = max(working, unit * (front.size + before.size + max(front.size, before.size)))
+    samples = sum(rows * columns for rows, columns in squares)
+    made = THREADS * MADE_ARRAYS * FLOAT64 * min(BLOCK, max(r * c for r, c in squares))
+    setup = 0.006 + 8.0 * exponential_seconds(samples)
+    return Cost(seconds, setup, int(images + max(working, made, FIT_BYTES[is_line])))
+
+
+def _ends(scene: Scene, sides: Sequence[tuple[Waves, Waves]], unit: int) -> tuple[float, int]:
+    """From the object, and to the exit: seconds, and bytes."""
+    seconds, most = 0.0, 0
+    for waves, grid in ((sides[0][0], scene.object_grid), (sides[-1][1], scene.exit_grid)):
+        length = fast_count(waves.shape[0] + grid.shape[0])
+        others = max(waves.shape[0], grid.shape[0]) + min(waves.shape[0], grid.shape[0])
+        lines = 1 if grid.is_line else others
+        seconds += 2.0 * fft_seconds(length * lines, True) + 4.0 * exponential_seconds(waves.size)
+        work = 6 * length
+        if not grid.is_line:
+            row = 4 * (waves.shape[0] + grid.shape[0])
+            work = min(row * others, max(BLOCK_BYTES // COMPLEX128, 8 * row))
+        most = max(most, unit * (2 * waves.size + work))
+    return seconds, most
+
+
+def _square(waves: Waves, reach_mm: float) -> tuple[int, int]:
+    """Rows and columns of a window that hold what light reaches."""
+    side = [min(n, math.ceil(2.0 * reach_mm / waves.grid.pitch_mm)) for n in waves.grid.shape]
+    return side[0], (*side, 1)[1]
+
+
+def _block_samples(length: int) -> int:
+    return length * max(BLOCK_BYTES // (COMPLEX128 * length), 8)
+
+
+def _blocks(samples: int) -> int:
+    return max(1, samples // (BLOCK_BYTES // COMPLEX128))

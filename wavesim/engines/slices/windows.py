@@ -1,0 +1,214 @@
+"""Of each surface a window of its own, and the plane waves that it holds.
+
+A window repeats what it holds, so it has plane waves of whole orders of its period, of which each medium
+keeps those of its band: few of many behind a lens that sends light on in a narrow cone. From grid to grid a
+field goes as these waves alone, by Fourier sums along one axis after the other, some rows or columns at a
+time: no array has more samples than the larger of both ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wavesim.engines.surfaces.grids import LightWithin, sampled
+from wavesim.engines.surfaces.waves import Medium
+from wavesim.fields.field import Grid
+from wavesim.fields.plane_waves import PassBand, Samples, centres_mm
+from wavesim.fields.windowed import chirp_z_transform
+from wavesim.runtime.arrays import array_module
+from wavesim.scene.scene import Scene
+
+HANDED_FINENESS = 0.9
+"""Pitch at which a field goes from one window to the next, as a share of the coarsest that holds it."""
+
+BLOCK_BYTES, DEVICE_BLOCK_BYTES = 1 << 22, 1 << 28
+"""Of the rows or columns that are worked on at one time, by NumPy's and by other arrays."""
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Plane waves of a medium in a window, by their orders along each axis: from -m to m, ascending.
+
+    Attributes
+    ----------
+    medium : Medium
+        Its grid is the window's.
+    """
+
+    medium: Medium
+
+    @property
+    def grid(self) -> Grid:
+        """Samples of the window."""
+        return self.medium.grid
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Highest order along each axis."""
+        return tuple(self._held(n, self.medium.band_per_mm) for n in self.grid.shape)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of a spectrum."""
+        return tuple(2 * m + 1 for m in self.orders)
+
+    @property
+    def size(self) -> int:
+        """Number of waves, those in the corners beyond the band included."""
+        return math.prod(self.shape)
+
+    @property
+    def area(self) -> float:
+        """Of the window: its side on a line."""
+        return math.prod(2.0 * half for half in self.grid.half_widths_mm)
+
+    def frequencies(self, orders: Sequence[int]) -> list[Samples]:
+        """In cycles per mm along each axis, up to some orders."""
+        sides = (2.0 * half for half in self.grid.half_widths_mm)
+        return [Samples(0.0, 1.0 / side, 2 * m + 1) for side, m in zip(sides, orders, strict=True)]
+
+    def points(self, grid: Grid) -> list[Samples]:
+        """Samples of a grid along each axis, from this window's first sample."""
+        first = [
+            c - 0.5 * (n - 1) * self.grid.pitch_mm
+            for c, n in zip(centres_mm(self.grid), self.grid.shape, strict=True)
+        ]
+        return [
+            Samples(c - start, grid.pitch_mm, n)
+            for c, start, n in zip(centres_mm(grid), first, grid.shape, strict=True)
+        ]
+
+    def gathered(self, values: Any, grid: Grid, orders: Sequence[int]) -> Any:
+        """Spectrum up to some orders of the samples on a grid; :meth:`spread` is its adjoint."""
+        return fourier_sums(values, self.points(grid), self.frequencies(orders), -1, grid.cell)
+
+    def spread(self, spectrum: Any, grid: Grid, orders: Sequence[int]) -> Any:
+        """Samples on a grid of the waves up to some orders."""
+        return fourier_sums(spectrum, self.frequencies(orders), self.points(grid), 1, 1.0 / self.area)
+
+    def held_by(self, grid: Grid) -> tuple[int, ...]:
+        """Highest orders that the samples of a grid tell from others."""
+        return tuple(
+            min(self._held(n, math.pi / grid.pitch_mm), m)
+            for n, m in zip(self.grid.shape, self.orders, strict=True)
+        )
+
+    def _held(self, count: int, wavenumber_per_mm: float) -> int:
+        side = count * self.grid.pitch_mm
+        return min(math.floor(wavenumber_per_mm * side / (2.0 * math.pi) * (1.0 + 1e-12)), (count - 1) // 2)
+
+
+def surface_grids(
+    scene: Scene, light: LightWithin, pitch_mm: float | None = None, half_width_mm: float | None = None
+) -> tuple[Grid, ...]:
+    """Window and pitch of every surface; the first takes what the object sends, the last gives to the exit.
+
+    Raises
+    ------
+    SamplingError, InputError
+        If a pitch or a width that is asked for cannot hold the field; it is that of all surfaces.
+    """
+    last = len(light.reach_mm) - 1
+    halves = [light.own_half_mm(i) for i in range(last + 1)]
+    for i in range(last):
+        # The wider one of two carries what is between.
+        wider = i if halves[i] > halves[i + 1] else i + 1
+        halves[wider] = max(halves[wider], light.leg_half_mm(i))
+    (low, high), z_mm = (light.heights_mm[0][1], light.heights_mm[-1][0]), scene.exit_grid.z_mm
+    ends = ((0, 0, low - scene.object_grid.z_mm, scene.object_grid), (last, -1, z_mm - high, scene.exit_grid))
+    for i, medium, leg, grid in ends:
+        # No copy of light that goes beyond the window comes to where light is wanted.
+        wide = _farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + abs(leg) * light.tangents[medium]
+        halves[i] = max(halves[i], 0.5 * wide)
+    return tuple(
+        sampled(scene, light, coarsest, half, pitch_mm, half_width_mm)
+        for coarsest, half in zip(light.coarsest_mm, halves, strict=True)
+    )
+
+
+def arriving(scene: Scene, light: LightWithin) -> PassBand:
+    """Walks from the object to the first surface: those of light that meets it pass, steeper light fades out.
+
+    A sharp end of the spectrum would leave ripples over the whole window.
+    """
+    grid, k = scene.object_grid, scene.wavenumber_per_mm * float(scene.system.index[0, 0])
+    steepest = min(light.bands_per_mm[0], math.pi / grid.pitch_mm)
+    stopped = (light.heights_mm[0][0] - grid.z_mm) * steepest / math.sqrt(k * k - steepest * steepest)
+    away = _farthest_mm(grid, light.middle_mm) * math.sqrt(len(grid.shape))
+    return PassBand(0.0, light.reach_mm[0] + away, stopped)
+
+
+def _farthest_mm(grid: Grid, middle_mm: tuple[float, float]) -> float:
+    middle = middle_mm[::-1][: len(grid.shape)]
+    ends = zip(centres_mm(grid), middle, grid.half_widths_mm, strict=True)
+    return max(abs(centre - here) + half for centre, here, half in ends)
+
+
+def handed_over(spectrum: Any, source: Waves, target: Waves) -> Any:
+    """Spectrum in another window of the same middle: of what lies in the smaller one of both.
+
+    With both windows swapped it is the adjoint.
+    """
+    if source.grid == target.grid:
+        return spectrum
+    least, orders = min((w.grid.half_widths_mm[0], w.orders) for w in (source, target))
+    count = math.ceil((2 * max(orders) + 1) / HANDED_FINENESS)
+    between = Grid((count,) * len(orders), 2.0 * least / count, 0.0, source.grid.centre_mm)
+    given, taken = (w.frequencies(w.orders) for w in (source, target))
+    there, here = source.points(between), target.points(between)
+
+    def transform(values: Any, axis: int) -> Any:
+        samples = chirp_z_transform(values, given[axis], there[axis], sign=1, axis=axis)
+        return chirp_z_transform(samples, here[axis], taken[axis], sign=-1, axis=axis)
+
+    spectrum = _along_axes(spectrum, transform, target.shape, count)
+    spectrum *= between.cell / source.area
+    return spectrum
+
+
+def fourier_sums(
+    values: Any, source: Sequence[Samples], target: Sequence[Samples], sign: int, scale: float
+) -> Any:
+    """Chirp-z transforms along all axes, times a number."""
+
+    def transform(values: Any, axis: int) -> Any:
+        return chirp_z_transform(values, source[axis], target[axis], sign=sign, axis=axis)
+
+    result = _along_axes(values, transform, tuple(t.count for t in target))
+    result *= scale
+    return result
+
+
+def _along_axes(
+    values: Any, transform: Callable[[Any, int], Any], shape: tuple[int, ...], longest: int = 0
+) -> Any:
+    """Along one axis after the other, rows or columns in blocks, in the order that keeps arrays small."""
+    if values.ndim == 1:
+        return transform(values, 0)
+    xp = array_module(values)
+    kind = xp.result_type(values.dtype, xp.complex64)
+    for axis in (1, 0) if math.prod(shape) > math.prod(values.shape) else (0, 1):
+        count, others = shape[axis], values.shape[1 - axis]
+        result = xp.empty((count, others) if axis == 0 else (others, count), dtype=kind)
+        for part in parts(others, 4 * max(values.shape[axis] + count, 2 * longest), result):
+            place = (slice(None), part) if axis == 0 else (part, slice(None))
+            result[place] = transform(values[place], axis)
+        values = result
+    return values
+
+
+def parts(count: int, samples: int, like: Any) -> Iterator[slice]:
+    """Parts of a range of rows or columns of so many samples, small enough to be worked on at one time."""
+    step = block(samples, like)
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
+
+
+def block(samples: int, like: Any) -> int:
+    """How many rows or columns of so many samples are worked on at one time."""
+    most = BLOCK_BYTES if isinstance(like, np.ndarray) else DEVICE_BLOCK_BYTES
+    return max(most // (16 * samples), 8)
