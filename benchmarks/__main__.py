@@ -19,6 +19,7 @@ SCRIPTS = (
     "full_field",
     "field_scaling",
     "gpu_field",
+    "full_plane_slices",
     "chooser",
     "reconstruction",
     "phase_retrieval",
