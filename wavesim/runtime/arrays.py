@@ -1,8 +1,8 @@
 """The array module of an array, and Fourier transforms by `scipy.fft` of whatever arrays its back end takes.
 
 All threads are used unless said otherwise; their number is not given as an argument, since back ends for
-other arrays refuse it. For CuPy arrays say `scipy.fft.set_global_backend(cupyx.scipy.fft)` once, for other array libraries set
-`SCIPY_ARRAY_API=1` before SciPy is imported.
+other arrays refuse it. For CuPy arrays say `scipy.fft.set_global_backend(cupyx.scipy.fft)` once, for other
+array libraries set `SCIPY_ARRAY_API=1` before SciPy is imported.
 """
 
 from __future__ import annotations

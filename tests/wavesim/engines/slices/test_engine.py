@@ -349,8 +349,8 @@ def test_refuses_bad_settings(settings: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize("where", ["line", "plane"])
-def test_predicts_its_memory(where: str) -> None:
-    scene = cylinder_scene(0.2).scene if where == "line" else eighth(0.05)
+def test_predicts_its_memory(paper_line: Scene, where: str) -> None:
+    scene = paper_line if where == "line" else eighth(0.05)
     source = spot(scene.object_grid, 0.003)
     engine = AnnularSlices(scene, 3, "oblique")
     cost = engine.cost()
