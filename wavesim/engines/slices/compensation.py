@@ -145,17 +145,14 @@ class Compensation:
         maps = self.maps
         axes = (y_mm, x_mm)[: len(maps.middle)]
         found = np.stack([part.reshape(inside.shape)[inside] for part in maps.along(axes).each()])
-        offset = np.stack(
-            [
-                np.broadcast_to(a, inside.shape)[inside] - m
-                for a, m in zip((y_mm[:, None], x_mm), maps.middle, strict=False)
-            ],
-            axis=-1,
+        down, *across = (
+            (a - middle) / half for a, middle, half in zip(axes, maps.middle, maps.half_width, strict=True)
         )
-        offset /= maps.half_width
-        away = np.linalg.norm(offset, axis=-1)
-        beyond = np.flatnonzero(away > 1.0)
-        found[:, beyond] = maps.at(maps.middle + maps.half_width * offset[beyond] / away[beyond, None])
+        away2 = down[:, None] ** 2 + (across[0] ** 2 if across else 0.0)
+        rows, columns = np.nonzero(inside & (away2 > 1.0))
+        offset = np.stack([down[rows], *(part[columns] for part in across)], axis=-1)
+        offset /= np.sqrt(away2[rows, columns])[:, None]
+        found[:, (away2 > 1.0)[inside]] = maps.at(maps.middle + maps.half_width * offset)
         if self.indices is not None:
             found = np.stack([*(np.full(found.shape[1], n) for n in self.indices), found[0]])
         return found
