@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+from benchmarks import full_plane_slices
 from benchmarks.__main__ import SCRIPTS
 
 FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
@@ -34,3 +35,17 @@ def test_every_benchmark_is_run() -> None:
     alone = {path.stem for path in FILES if path.parent == folder} - SHARED
     together = {path.parent.name for path in FILES if path.parent != folder and path.stem == "__main__"}
     assert alone | together == set(SCRIPTS)
+
+
+def test_slices_on_a_plane_do_what_they_do_on_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small twin of what `python -m benchmarks.full_plane_slices` does at a quarter of the lens."""
+    monkeypatch.setattr(full_plane_slices, "OBJECT_PITCH_UM", 0.4)
+    line, plane = (
+        full_plane_slices.carried(1.0 / 48.0, on_line, 10, "oblique", "single") for on_line in (True, False)
+    )
+    for one in (line, plane):
+        assert one.error < 0.12
+        assert one.correlation > 0.99
+        assert one.contrast > 0.94
+        assert one.refocus_um == pytest.approx(0.0, abs=0.6)
+    assert plane.error == pytest.approx(line.error, rel=0.3)
