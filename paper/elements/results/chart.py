@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from paper.element import Budget, Element, Made, Number, Work
+from paper.focus import focused
 from paper.lensless import lensless
 from paper.shots import BRACKET, Shot, finest, retrieved_of, shot, told
 from paper.style import BLUE, RED, faint_panel, panel, styled_figure
@@ -18,9 +19,8 @@ from wavesim import (
     engine_for,
     propagate,
     reconstruct_frames,
-    refocus_field,
 )
-from wavesim.objects.region import around, cut_field, soft_rim, widened
+from wavesim.objects.region import around, cut_field
 from wavesim.objects.usaf import UsafElement, chart_outline, usaf_line_width_um
 from wavesim.reconstruction.refocusing import Refocusing
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 FARTHER_UM = 1.0
 """By which the object is farther from the lens than 13.5 mm ask for: the paper finds 13.501 mm."""
 
-LOOKED_MM, STEP_MM = 0.012, 1e-3
-RIM_MM = 0.02
 LENSLESS_PIXELS, APART_MM = 416, 2.5
 FINE_UM = 2.0
 """Elements of lines up to so wide are shown enlarged."""
@@ -74,8 +72,7 @@ def figure_5(work: Work) -> Made:
     vertex = propagate(run.field, -one.lens.sensor.plane_distances_mm[0], check=False)
     back = one.object_of(run.field)
     work.tell("refocusing")
-    focus = refocus_field(_of_chart(back, one.elements), (-LOOKED_MM, LOOKED_MM), STEP_MM)
-    paper = propagate(back, focus.distance_mm, check=False)
+    focus, paper = focused(back, one.elements)
     work.tell("in the object domain")
     whole = _by_object(one, focus.distance_mm)
     light = one.light.with_values(one.light.values * whole.values)
@@ -124,14 +121,6 @@ def _without(scale: float, iterations: int) -> _Without:
     frames = camera.frames(case.transmission, seed=1)
     found = camera.object_of(camera.retrieved(frames, iterations).field)
     return _Without(camera.sensor.plane_distances_mm, found, case.elements)
-
-
-def _of_chart(field: Field, elements: tuple[UsafElement, ...]) -> Field:
-    """The chart and some room, faded out: a sharp rim would add its own fringes to SVFG."""
-    chart = around(chart_outline(elements), field.grid)
-    wider = widened(chart, field.grid, RIM_MM)
-    cut = cut_field(field, wider)
-    return cut.with_values(cut.values * soft_rim(chart, wider))
 
 
 def _numbers(panels: _Panels, apart: float) -> tuple[Number, ...]:
