@@ -29,10 +29,10 @@ FINE_UM = 1.3
 SETTINGS: dict[Budget, dict[str, Any]] = {
     "small": {"size": 1 / 48, "iterations": 20},
     "quick": {"size": 1 / 32, "iterations": 100},
-    "full": {"size": 1, "iterations": 250},
+    "full": {"size": 1, "iterations": 320},
 }
-FRAMES = {"three exposures": len(BRACKET), "one exposure, the paper's": 1}
-"""How many of each plane are read."""
+FRAMES = {"three exposures": (len(BRACKET), 1.0), "one exposure, the paper's": (1, 0.5)}
+"""How many of each plane are read, and the share of the iterations that they are worth."""
 
 
 def full_size(work: Work) -> Made:
@@ -42,7 +42,6 @@ def full_size(work: Work) -> Made:
     how: dict[str, Any] = {"engine": "two-level", "chart_at_mm": (BESIDE_MM,)} if size == 1 else {}
     settings = ReconstructionSettings(
         method="paper",
-        iterations=iterations,
         object_pitch_um=OBJECT_PITCH_UM,
         usaf="bright",
         region_mm=REGION_MM if size == 1 else None,
@@ -50,7 +49,7 @@ def full_size(work: Work) -> Made:
     )
     taken = _taken(work, lens, how)
     found, numbers = {}, list[Number]()
-    for said, exposures in FRAMES.items():
+    for said, (exposures, share) in FRAMES.items():
         folder = work.folder / f"retrieved_{exposures}"
         folder.mkdir(exist_ok=True)
 
@@ -58,7 +57,15 @@ def full_size(work: Work) -> Made:
             work.tell(f"{said}: {what} ({done} of {count})")
 
         frames = read_frames(_files(taken, lens, exposures), lens=lens)
-        found[said] = reconstruct_frames(lens, frames, settings, truth=taken, folder=folder, progress=tell)
+        found[said] = reconstruct_frames(
+            lens,
+            frames,
+            settings,
+            truth=taken,
+            folder=folder,
+            progress=tell,
+            iterations=round(share * iterations),
+        )
         numbers += _numbers(said, found[said])
     picture = work.picture(
         _fine_groups(found), "Amplitude of the fine groups in the middle of the field, by the frames."
@@ -109,6 +116,7 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
             min(fine["contrast_x"], fine["contrast_y"]),
         ),
         Number(f"correlation with the object: {said}", found.truth["object_correlation"] or 0.0),
+        Number(f"iterations: {said}", told["iterations"]),
         Number(f"correlation A6: {said}", told["correlation_a6"], digits=6),
         Number(f"sharpest behind the object's plane: {said}", told["refocus_um"], "µm"),
     ]
