@@ -222,8 +222,8 @@ MUTATIONS = (
     Mutation(
         "Eq. 4: the glass in front of the surface",
         "wavesim/engines/slices/compensation.py",
-        "found[0], found[1] = ray.indices",
-        "found[1], found[0] = ray.indices",
+        "None if oblique else ray.indices)",
+        "None if oblique else ray.indices[::-1])",
         "tests/wavesim/engines/slices/test_engine.py",
     ),
     Mutation(
