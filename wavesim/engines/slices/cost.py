@@ -16,14 +16,17 @@ from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
-FIT_BYTES = {True: 750_000, False: 3_300_000}
+FIT_BYTES = {True: 750_000, False: 4_400_000}
 """Rays and the polynomials through them: on a line, on a plane."""
 
 MEAN_WIDTH = 0.75
 """Of the part of a window in which a slice lies, over that in which all do."""
 
-BLOCK_ARRAYS, MADE_ARRAYS = 5, 18
-"""Of a block of samples while a slice takes it, complex; while it is made, real."""
+BLOCK_ARRAYS = 5
+"""Of a block of samples while a slice takes it, complex."""
+
+MADE_ARRAYS = {True: 36, False: 18}
+"""Of a block of samples while it is made, real: on a line, on a plane."""
 
 
 def slices_cost(
@@ -68,7 +71,8 @@ def slices_cost(
             seconds += 4.0 * fft_seconds(2 * between, is_line)
             working = max(working, unit * (front.size + before.size + max(front.size, before.size)))
     samples = sum(rows * columns for rows, columns in squares)
-    made = THREADS * MADE_ARRAYS * FLOAT64 * min(BLOCK, max(r * c for r, c in squares))
+    most = max(rows * columns for rows, columns in squares)
+    made = MADE_ARRAYS[is_line] * FLOAT64 * min(most, THREADS * BLOCK)
     setup = 0.006 + 8.0 * exponential_seconds(samples)
     return Cost(seconds, setup, int(images + max(working, made, FIT_BYTES[is_line])))
 
