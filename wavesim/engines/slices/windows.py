@@ -119,12 +119,12 @@ def surface_grids(
         # The wider one of two carries what is between.
         wider = i if halves[i] > halves[i + 1] else i + 1
         halves[wider] = max(halves[wider], light.leg_half_mm(i))
-    (low, high), z_mm = (light.heights_mm[0][1], light.heights_mm[-1][0]), scene.exit_grid.z_mm
-    ends = ((0, 0, low - scene.object_grid.z_mm, scene.object_grid), (last, -1, z_mm - high, scene.exit_grid))
-    for i, medium, leg, grid in ends:
+    farthest_z_mm, nearest_z_mm = light.heights_mm[0][1], light.heights_mm[-1][0]
+    ends = ((0, 0, scene.object_grid, farthest_z_mm), (last, last + 1, scene.exit_grid, nearest_z_mm))
+    for i, medium, grid, z_mm in ends:
         # No copy of light that goes beyond the window comes to where light is wanted.
-        wide = _farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + abs(leg) * light.tangents[medium]
-        halves[i] = max(halves[i], 0.5 * wide)
+        walk = abs(grid.z_mm - z_mm) * light.tangents[medium]
+        halves[i] = max(halves[i], 0.5 * (_farthest_mm(grid, light.middle_mm) + light.reach_mm[i] + walk))
     return tuple(
         sampled(scene, light, coarsest, half, pitch_mm, half_width_mm)
         for coarsest, half in zip(light.coarsest_mm, halves, strict=True)
