@@ -18,40 +18,45 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.ray_bundles import STEP, OpenPupil, RayBundle, inverses, shoot, trace_bundle
+from wavesim.rays.detours import STEP_SHARES, Detours, Landed
+from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
-SHADOW = 8.0
-"""x at which the shadow is taken for dark."""
-
-BENT = 0.1
-"""Of the first order of x, what the second may be where F is told: farther from the rim two do not do."""
+SHADOW = {True: 24.0, False: 8.0}
+"""x at which the shadow is taken for dark, on a line and on a plane."""
 
 LEAST_TOLD = 2.0
 """x up to which F is told all the same: neighbours do not cancel where edges are sharper
 than light draws them."""
 
-DEEPEST, FARTHEST = 0.6, 0.25
-"""Of the reach, what is looked at within it and beyond."""
+DEEPEST = {True: 1.9, False: 0.9}
+"""Of the reach, how far within it rays by way of the rim are looked for, on a line and on a plane."""
 
-AIM_STEPS = 8
-STEP_SHARES = (1.0, 0.2, 0.04)
-"""Of a Fresnel zone of the object, by which neighbours are moved: the first with which rays tell."""
+FARTHEST = {True: 0.4, False: 0.25}
+"""And how far beyond it."""
 
-BEYOND = 1.0 + 1e-6
-"""Of the reach, where light is stopped; what stops it there is taken for the edge."""
+STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 8}, 4
+ORDER = 8
+"""Of the polynomial in the way from the rim that x over this way is."""
 
-FRINGES = 3.0
-"""Most that x times the movement of x over neighbouring points may be, where F is told."""
+UNFOLLOWED = 0.1
+"""Radians by which the detour of rays may differ from the polynomial's."""
 
-AIMED_MM = 1e-5
-MET_MM = 1e-13
-"""Rounding: nearer rays do not come."""
+EASED = 0.1
+"""Of the x at which F ends, over how much it goes over into a sharp edge."""
+
+FRINGES = math.pi
+"""x times the movement of x over neighbouring points, from which on their light of the rim, each with a phase
+of its own, is none on average."""
+
 LEAST = 1e-9
 """Way in stop coordinates over which a rate can be told."""
 
 SHARPEST = 1e7
 """Rate of x over the stop's coordinates where the plane is that of the rim, or rays do not tell it."""
+
+LOOKED = 65
+"""Places along an arm at which x is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +67,10 @@ class Edge:
     ----------
     pupil : OpenPupil
         The open part.
-    rate, bend : ndarray, shape (arms,)
-        x is rate times (t + bend t^2), to second order in the way t from the rim inwards along an arm.
+    terms : ndarray, shape (arms, terms)
+        x is t times a polynomial in t, the way from the rim inwards along an arm; its coefficients.
+    deep, seen : ndarray, shape (arms,)
+        The t within the rim, and beyond it, up to which rays tell this.
     turned : ndarray of bool, shape (arms,)
         Whether light by way of the rim is ahead, as past a focus: F then is its conjugate.
     shift_per_mm : float
@@ -71,23 +78,36 @@ class Edge:
     """
 
     pupil: OpenPupil
-    rate: Array
-    bend: Array
+    terms: Array
+    deep: Array
+    seen: Array
     turned: NDArray[np.bool_]
     shift_per_mm: float
 
     @property
+    def rate(self) -> Array:
+        """What x grows by at the rim, shape (arms,)."""
+        return self.terms[:, 0]
+
+    @property
+    def bend(self) -> Array:
+        """The second order of x, as a share of the first, shape (arms,)."""
+        return np.asarray(self.terms[:, 1] / self.rate)
+
+    @property
     def shadow(self) -> OpenPupil:
         """The open part, with as much around it as is not dark."""
-        beyond = np.minimum(SHADOW / self.rate, FARTHEST * self.pupil.reach)
+        beyond = _beyond(self.pupil, self.rate)
         return OpenPupil(self.pupil.centre, self.pupil.reach + beyond, self.pupil.angles)
 
     def told(self, width_mm: float) -> float:
-        """The largest x at which F is told for a part of the object of some width."""
-        with np.errstate(divide="ignore"):
-            depth = np.minimum(DEEPEST * self.pupil.reach, BENT / np.abs(self.bend))
-        deepest = max(float(np.min(_detour(depth, self.rate, self.bend))), LEAST_TOLD)
-        return min(FRINGES / max(self.shift_per_mm * width_mm, 1e-300), deepest)
+        """The largest x at which F is told all around, for a part of the object of some width."""
+        return float(np.min(self._told(width_mm)))
+
+    def _told(self, width_mm: float) -> Array:
+        deepest = _detour(self.deep, self.terms, self.deep, self.seen)
+        most = FRINGES / max(self.shift_per_mm * width_mm, 1e-300)
+        return np.minimum(np.maximum(deepest, LEAST_TOLD), most)
 
     def factor(self, stop: Array, width_mm: float, traced: OpenPupil) -> NDArray[np.complex128]:
         """F for light through points of the stop, y or y and x, shape (..., d).
@@ -101,55 +121,59 @@ class Edge:
         traced
             As much of the shadow as there is light from: there F has come down to 0.
         """
-        dark = -float(np.max(_detour(self.pupil.reach - traced.reach, self.rate, self.bend)))
-        told = self.told(width_mm)
-        most = min(told, dark), told
+        told, moved = self._told(width_mm), self.shift_per_mm * width_mm
+        dark = -_detour(self.pupil.reach - traced.reach, self.terms, self.deep, self.seen)
+        ends = np.minimum(told, dark), told
         if self.pupil.is_line:
             up = stop[..., 0] - self.pupil.centre[1]
             ways = self.pupil.reach[0] - up, self.pupil.reach[1] + up
             first, second = (
-                _drawn(_detour(way, self.rate[arm], self.bend[arm]), most, self.turned[arm])
+                _drawn(
+                    _detour(way, self.terms[arm], self.deep[arm], self.seen[arm]),
+                    (ends[0][arm], ends[1][arm]),
+                    moved,
+                    self.turned[arm],
+                )
                 for arm, way in enumerate(ways)
             )
-            return first * second
+            return np.asarray(first * second)
         y, x = stop[..., 0] - self.pupil.centre[1], stop[..., 1] - self.pupil.centre[0]
         found = np.ones(y.shape, complex)
         near = np.hypot(y, x) > self._clear_radius(told)
-        found[near] = self._at(y[near], x[near], most)
+        found[near] = self._at(y[near], x[near], ends, moved)
         return found
 
-    def _clear_radius(self, most: float) -> float:
-        """How far from the centre of a plane's pupil x stays above a value, along all arms and between."""
-        values = self.pupil.reach, self.rate, self.bend
-        reach, rate, bend = (np.minimum(v, np.roll(v, -1)) for v in values)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            grown = (np.sqrt(1.0 + 4.0 * bend * most / rate) - 1.0) / (2.0 * bend)
-            way = np.where(bend > 0.0, grown, most / (rate + bend * most))
-        # Of a bend outwards, x may stay below it.
-        return max(0.0, float(np.min(reach - np.where(way > 0.0, way, np.inf))))
+    def _clear_radius(self, told: Array) -> float:
+        """How far from the centre of a plane's pupil F is not told, along all arms and between."""
+        ways = self.pupil.reach[:, None] * np.linspace(0.0, 1.0, LOOKED)
+        terms, deep, seen = self.terms[:, None], self.deep[:, None], self.seen[:, None]
+        inside = _detour(ways, terms, deep, seen) >= max(told)
+        first = np.where(inside.any(axis=1), np.argmax(inside, axis=1), LOOKED - 1)
+        return max(0.0, float(np.min(self.pupil.reach * (1.0 - (first + 1) / (LOOKED - 1)))))
 
-    def _at(self, y: Array, x: Array, most: tuple[float, float]) -> NDArray[np.complex128]:
+    def _at(self, y: Array, x: Array, ends: tuple[Array, Array], moved: float) -> NDArray[np.complex128]:
         """F at points of a plane's stop from the centre of the pupil."""
         arms = len(self.pupil.angles)
         place = np.mod(np.arctan2(y, x) * (arms / (2.0 * math.pi)), arms)
         first_arm = place.astype(np.intp) % arms
         share, next_arm = place - np.floor(place), (first_arm + 1) % arms
-        values = np.stack([self.pupil.reach, self.rate, self.bend])
-        reach, rate, bend = (v[first_arm] + share * (v[next_arm] - v[first_arm]) for v in values)
-        return _drawn(_detour(reach - np.hypot(y, x), rate, bend), most, self.turned[first_arm])
+        values = np.column_stack([self.pupil.reach, self.deep, self.seen, *ends, self.terms])
+        mixed = values[first_arm] + share[:, None] * (values[next_arm] - values[first_arm])
+        reach, deep, seen, dark, told = mixed.T[:5]
+        x_of = _detour(reach - np.hypot(y, x), mixed[:, 5:], deep, seen)
+        return _drawn(x_of, (dark, told), moved, self.turned[first_arm])
 
 
-def _detour(inwards: Array, rate: Array, bend: Array) -> Array:
-    """x, which grows all the way inwards whatever the sign of its bend."""
-    bent = bend * inwards
-    with np.errstate(divide="ignore"):
-        return np.asarray(rate * inwards * np.where(bent > 0.0, 1.0 + bent, 1.0 / (1.0 - bent)))
+def _drawn(
+    x: Array, ends: tuple[Array, Array], moved: float, turned: NDArray[np.bool_]
+) -> NDArray[np.complex128]:
+    """F up to some x in the shadow and in the light, a sharp edge beyond, and in between both.
 
-
-def _drawn(x: Array, most: tuple[float, float], turned: NDArray[np.bool_]) -> NDArray[np.complex128]:
-    """F up to sizes of x in the shadow and in the light, and a sharp edge beyond; in between both."""
-    share = np.clip(2.0 - 2.0 * np.abs(x) / np.where(x < 0.0, *np.maximum(most, 1e-300)), 0.0, 1.0)
-    share *= share * (3.0 - 2.0 * share)
+    Of points over which x moves, the light by way of the rim has the mean of their phases.
+    """
+    most = np.maximum(np.where(x < 0.0, *ends), 1e-300)
+    share = np.clip((1.0 - np.abs(x) / most) / EASED, 0.0, 1.0)
+    share *= share * (3.0 - 2.0 * share) * np.sinc(np.minimum(np.abs(x) * moved / math.pi, 1.0))
     found = np.asarray(x > 0.0, complex)
     near = share > 0.0
     drawn = fresnel_edge(x[near])
@@ -157,6 +181,21 @@ def _drawn(x: Array, most: tuple[float, float], turned: NDArray[np.bool_]) -> ND
         drawn = np.where(np.broadcast_to(turned, x.shape)[near], drawn.conj(), drawn)
     found[near] += share[near] * (drawn - found[near])
     return found
+
+
+def _detour(way: Array, terms: Array, deep: Array, seen: Array) -> Array:
+    """x at ways from the rim; where rays do not tell it, it grows on as at the rim."""
+    inside = np.clip(way, -seen, deep)
+    total = np.zeros(np.broadcast_shapes(inside.shape, terms.shape[:-1]))
+    for term in np.moveaxis(terms, -1, 0)[::-1]:
+        total = total * inside + term
+    return np.asarray(total * inside + terms[..., 0] * (way - inside))
+
+
+def _beyond(pupil: OpenPupil, rate: Array) -> Array:
+    """How far beyond the rim it is not dark, in stop coordinates."""
+    line = pupil.is_line
+    return np.minimum(SHADOW[line] / rate, FARTHEST[line] * pupil.reach)
 
 
 def fresnel_edge(x: Array) -> NDArray[np.complex128]:
@@ -167,10 +206,6 @@ def fresnel_edge(x: Array) -> NDArray[np.complex128]:
 
 def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Edge:
     """How the light of an object point falls off at the border of its footprint.
-
-    Rays of neighbouring object points that pass the very point of the rim land beside the border; the same
-    point of the plane is reached directly from the object point. What the ways differ by is the detour, on
-    either side. Neighbours are taken where the detour is stationary along the rim.
 
     Parameters
     ----------
@@ -183,121 +218,67 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
     plane_z_mm
         z of the plane behind the lens.
     """
-    rim = pupil.rim
-    points = np.broadcast_to(np.asarray(point_mm, float), rim.shape)
-    base = trace_bundle(scene, np.asarray(point_mm), rim, plane_z_mm)
-    rims = _Rim(scene, _stopped_by(scene, points, pupil, plane_z_mm), plane_z_mm)
-    at, before = rims.reached(points, rim)
-    zone_mm = np.sqrt(2.0 * before / scene.wavenumber_per_mm)[:, None] * _across(pupil, base)
-    count = len(rim)
-    rate, bend, moves = np.full(count, SHARPEST), np.zeros(count), np.zeros(count)
-    for share in STEP_SHARES:
-        step = share * zone_mm
-        inner, outer = (
-            _detour_by_rim(rims, pupil, base, points, sign * step, at, before) for sign in (1.0, -1.0)
-        )
-        found = _second_order(inner, outer)
-        new = (rate == SHARPEST) & base.ok & found[2]
-        rate, bend = np.where(new, found[0], rate), np.where(new, found[1], bend)
-        x = np.sign(inner[1]) * np.sqrt(np.abs(inner[1]))
-        moves = np.where(new, x / np.linalg.norm(step, axis=1), moves)
-        if not np.any((rate == SHARPEST) & base.ok):
-            break
-    turned = moves < 0.0
-    return Edge(pupil, np.minimum(rate, SHARPEST), bend, turned, float(np.max(np.abs(moves))))
-
-
-def _detour_by_rim(
-    rims: _Rim, pupil: OpenPupil, base: RayBundle, points: Array, step: Array, at: Array, before: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Of where light of neighbours passes the rim: how far inwards, k times the detour, whether rays tell."""
-    scene, plane_z_mm = rims.scene, rims.plane_z_mm
-    moved = points + step
-    through = rims.through(moved, pupil.rim, at)
-    by_rim = shoot(scene, moved, through, plane_z_mm, clip=False)
-    path = by_rim.opl - rims.reached(moved, through)[1] + before
-    direct, straight, ok = _aimed(scene, points, base, by_rim.position, plane_z_mm)
-    return pupil.inwards(direct), scene.wavenumber_per_mm * (path - straight), ok & by_rim.ok
-
-
-def _second_order(
-    one: tuple[Array, Array, NDArray[np.bool_]], other: tuple[Array, Array, NDArray[np.bool_]]
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Rate and bend of x through two places on either side of the rim, and where they mean something."""
+    detours = Detours(scene, point_mm, pupil, plane_z_mm)
+    inner, outer, moved, good = _beside(detours)
     with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = (np.sqrt(np.abs(detour)) / np.abs(way) for way, detour, _ in (one, other))
-        apart = one[0] - other[0]
-        rate = (second * one[0] - first * other[0]) / apart
-        bend = (first - second) / apart / rate
-        good = one[2] & other[2] & np.isfinite(bend) & (rate > 0.0) & (one[0] * other[0] < -(LEAST**2))
-    return rate, bend, good & (one[1] * other[1] > 0.0)
+        rate = np.where(good, np.sqrt(np.abs(inner.detour)) / np.abs(inner.inwards), SHARPEST)
+    moves = np.where(good, np.sign(inner.detour) * np.sqrt(np.abs(inner.detour)) / moved, 0.0)
+    per_mm = (inner.inwards - outer.inwards) / (2.0 * moved)
+    within = np.linspace(0.0, 1.0, STEPS_WITHIN[pupil.is_line] + 1)[1:, None]
+    beyond = np.linspace(0.0, -1.0, STEPS_BEYOND + 1)[1:, None]
+    deep = list(detours.marched(within * DEEPEST[pupil.is_line] * pupil.reach, per_mm, good))
+    dark = list(detours.marched(beyond * _beyond(pupil, rate), per_mm, good))
+    terms, ends = _fitted((inner, outer), (deep, dark), good)
+    terms[~good, 0] = SHARPEST
+    return Edge(pupil, terms, *ends, moves < 0.0, float(np.max(np.abs(moves))))
 
 
-def _stopped_by(scene: Scene, points: Array, pupil: OpenPupil, plane_z_mm: float) -> NDArray[np.intp]:
-    """The surface at which light beyond each arm of the rim ends."""
-    beyond = pupil.points(np.full(len(pupil.angles), BEYOND), pupil.angles)
-    rays = shoot(scene, points, beyond, plane_z_mm, clip=True)
-    last = scene.system.surfaces - 1
-    return np.where(rays.ok, scene.lens.stop_index, np.clip(rays.failed_surface, 0, last)).astype(np.intp)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rim:
-    """Points on the surfaces that stop light, one for each arm."""
-
-    scene: Scene
-    surfaces: NDArray[np.intp]
-    plane_z_mm: float
-
-    def reached(self, points: Array, stop: Array) -> tuple[Array, Array]:
-        """Where rays of object points meet their surfaces, shape (n, 3), and their paths up to there."""
-        rays = shoot(self.scene, points, stop, self.plane_z_mm, clip=False)
-        assert rays.hits is not None
-        start = np.column_stack([points, np.full(len(points), self.scene.object_grid.z_mm)])
-        legs = np.linalg.norm(np.diff(np.concatenate([start[:, None], rays.hits], axis=1), axis=1), axis=-1)
-        paths = np.cumsum(self.scene.system.index[0, :-1] * legs, axis=1)
-        each = np.arange(len(points))
-        return rays.hits[each, self.surfaces], paths[each, self.surfaces]
-
-    def through(self, points: Array, stop: Array, at: Array) -> Array:
-        """Stop points through which rays of other object points meet their surfaces at the same places."""
-        axes = [1] if self.scene.object_grid.is_line else [0, 1]
-        moves = [STEP * np.eye(2)[axis] for axis in axes]
-        ends = [[self.reached(points, stop + sign * move)[0] for sign in (1.0, -1.0)] for move in moves]
-        slopes = np.stack([(a - b)[:, axes] / (2.0 * STEP) for a, b in ends], axis=-1)
-        inverse, found = inverses(slopes), stop.copy()
-        for _ in range(AIM_STEPS):
-            miss = (at - self.reached(points, found)[0])[:, axes]
-            if not np.any(np.abs(miss) > MET_MM):
-                break
-            found[:, axes] += np.einsum("nij,nj->ni", inverse, miss)
-        return found
-
-
-def _across(pupil: OpenPupil, base: RayBundle) -> Array:
-    """Ways (x, y) of unit length in which an object point moves its detour across the rim alone."""
-    if pupil.is_line:
-        return np.array([[0.0, 1.0]] * 2)
-    rim = pupil.rim
-    along = (np.roll(rim, -1, axis=0) - np.roll(rim, 1, axis=0))[:, ::-1]
-    y, x = np.einsum("nij,nj->ni", base.cosine_jacobian, along).T
-    return np.column_stack([-y, x]) / np.maximum(np.hypot(x, y), 1e-300)[:, None]
-
-
-def _aimed(
-    scene: Scene, points: Array, base: RayBundle, target: Array, plane_z_mm: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Stop points of rays that meet the plane at targets (x, y, z), their paths, and whether they do."""
-    axes = [1] if scene.object_grid.is_line else [1, 0]
-    stop, inverse = base.pupil.copy(), inverses(np.where(base.ok[:, None, None], base.jacobian, 1.0))
-    index = float(scene.system.index[0, -1])
-    for _ in range(AIM_STEPS):
-        rays = shoot(scene, points, stop, plane_z_mm, clip=False)
-        miss = np.where(rays.ok[:, None], (target - rays.position)[:, axes], 0.0)
-        if not np.any(np.abs(miss) > MET_MM):
+def _beside(detours: Detours) -> tuple[Landed, Landed, Array, NDArray[np.bool_]]:
+    """Light next to the rim on either side, by which movement it was found, and whether it tells anything."""
+    count = len(detours.zone_mm)
+    nothing = Landed(np.zeros(count), np.zeros(count), detours.pupil.rim, np.zeros(count, bool))
+    inner = outer = nothing
+    moved = np.ones(count)
+    for share in STEP_SHARES:
+        step = share * detours.zone_mm
+        one, other = detours.landed(step), detours.landed(-step)
+        new = ~inner.ok & detours.base.ok & one.ok & other.ok & np.isfinite(one.detour + other.detour)
+        new &= (one.inwards * other.inwards < -(LEAST**2)) & (one.detour * other.detour > 0.0)
+        inner, outer = inner.replaced(new, one), outer.replaced(new, other)
+        moved = np.where(new, step, moved)
+        if np.all(inner.ok | ~detours.base.ok):
             break
-        stop[:, axes] += np.einsum("nij,nj->ni", inverse, miss)
-    rays = shoot(scene, points, stop, plane_z_mm, clip=False)
-    miss = (target - rays.position)[:, axes]
-    path = rays.opl + np.sum(index * rays.direction[:, axes] * miss, axis=1)
-    return stop, path, rays.ok & (np.abs(miss).max(axis=1) < AIMED_MM)
+    return inner, outer, moved, inner.ok
+
+
+def _fitted(
+    beside: tuple[Landed, Landed], sides: tuple[list[Landed], list[Landed]], good: NDArray[np.bool_]
+) -> tuple[Array, tuple[Array, Array]]:
+    """Coefficients of x over the way t, and from where to where they follow the rays, for each arm.
+
+    Rays farthest from the rim, within it and beyond, are left out until the others agree.
+    """
+    nodes = [*beside, *sides[0], *sides[1]]
+    way, detour = (np.array([getattr(node, name) for node in nodes]).T for name in ("inwards", "detour"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = np.sqrt(np.abs(detour)) / np.abs(way)
+    many = np.column_stack([np.sum([node.ok for node in side], axis=0) for side in sides])
+    terms, left, arms = np.zeros((len(good), ORDER + 1)), good.copy(), np.arange(len(good))
+    starts = 2, 2 + len(sides[0])
+    while np.any(left):
+        for counts in np.unique(many[left], axis=0):
+            some = arms[left & np.all(many == counts, axis=1)]
+            used = [0, 1, *(s + i for s, c in zip(starts, counts, strict=True) for i in range(c))]
+            t, v = way[some][:, used], values[some][:, used]
+            powers = t[:, :, None] ** np.arange(min(ORDER, len(used) // 2) + 1)
+            weight = np.abs(t)[:, :, None]
+            found = np.linalg.pinv(weight * powers) @ (weight * v[:, :, None])
+            off = np.abs((t * (powers @ found)[:, :, 0]) ** 2 - (t * v) ** 2).max(axis=1)
+            fits = (off < UNFOLLOWED) | (len(used) == 2)
+            terms[some[fits], : powers.shape[2]] = found[fits, :, 0]
+            left[some[fits]] = False
+        longer = np.argmax(many, axis=1)
+        many[arms[left], longer[left]] -= 1
+    last = np.where(many > 0, np.array(starts) + many - 1, [0, 1])
+    inside, outside = np.abs(way[arms[:, None], last]).T
+    return terms, (inside, outside)

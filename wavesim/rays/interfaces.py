@@ -31,12 +31,17 @@ class SurfaceMap:
     ----------
     z_mm : ndarray
         Height of the surface in the fixed frame; NaN where it does not reach.
-    inside : ndarray of bool
-        Whether the surface is there, within its clear semi-diameter.
+    inwards_mm : ndarray
+        How far the point lies within its clear semi-diameter; negative beyond.
     """
 
     z_mm: Array
-    inside: NDArray[np.bool_]
+    inwards_mm: Array
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Whether the surface is there, within its clear semi-diameter."""
+        return np.asarray(np.isfinite(self.z_mm) & (self.inwards_mm >= 0.0))
 
 
 @dataclass(frozen=True)
@@ -89,8 +94,8 @@ def surface_map(system: CompiledSystem, surface: int, x_mm: Array, y_mm: Array) 
             dz = dz - step
             if not np.any(np.abs(step) > HEIGHT_TOLERANCE_MM):
                 break
-    inside = np.isfinite(dz) & (r2 <= system.semi_diameter[surface] ** 2)
-    return SurfaceMap(np.asarray(vertex[2] + dz), inside)
+    inwards = system.semi_diameter[surface] - np.sqrt(r2)
+    return SurfaceMap(np.asarray(vertex[2] + dz), np.asarray(inwards))
 
 
 def crossings(scene: Scene, field_mm: tuple[float, float]) -> tuple[Crossings, ...]:

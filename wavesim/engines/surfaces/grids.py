@@ -56,6 +56,8 @@ class WorkingGrid:
         Of each surface, the lowest and the highest point within reach.
     reflected : float
         Share of the rays that are totally reflected.
+    spared : float
+        Of the energy of light that fills the stop evenly, what its rim turns beyond the bands.
     """
 
     grid: Grid
@@ -63,6 +65,7 @@ class WorkingGrid:
     reach_mm: tuple[float, ...]
     heights_mm: tuple[tuple[float, float], ...]
     reflected: float
+    spared: float
 
     @property
     def samples_on_surfaces(self) -> list[int]:
@@ -93,8 +96,8 @@ class LightWithin:
         Of each surface, as of :class:`WorkingGrid`.
     coarsest_mm : tuple of float
         Of each surface, the pitch at which neither side mistakes one wave of its band for another.
-    reflected : float
-        Share of the rays that are totally reflected.
+    reflected, spared : float
+        As of :class:`WorkingGrid`.
     """
 
     middle_mm: tuple[float, float]
@@ -104,6 +107,7 @@ class LightWithin:
     heights_mm: tuple[tuple[float, float], ...]
     coarsest_mm: tuple[float, ...]
     reflected: float
+    spared: float
 
     def own_half_mm(self, surface: int) -> float:
         """Half of the window in which light of a surface that leaves on one side does not come in again."""
@@ -156,7 +160,10 @@ def refuse_if_huge(engine: str, samples: int, cost: Cost, force: bool) -> None:
 
 
 def working_grid(
-    scene: Scene, pitch_mm: float | None = None, half_width_mm: float | None = None
+    scene: Scene,
+    pitch_mm: float | None = None,
+    half_width_mm: float | None = None,
+    zones: float = FRESNEL_ZONES,
 ) -> WorkingGrid:
     """Choose the grid, or check one that is asked for.
 
@@ -166,6 +173,8 @@ def working_grid(
         What is carried where.
     pitch_mm, half_width_mm
         Of the grid; chosen if left out.
+    zones
+        Room beside the rays for light that the rim turns, in Fresnel zones of the object.
 
     Raises
     ------
@@ -180,17 +189,22 @@ def working_grid(
     TotalReflectionWarning
         If some of the rays never leave the lens.
     """
-    light = light_within(scene)
+    light = light_within(scene, zones)
     grid = sampled(scene, light, min(light.coarsest_mm), _narrowest_mm(light), pitch_mm, half_width_mm)
     media = tuple(
         Medium(grid, scene.wavelength_um, float(n), band)
         for n, band in zip(scene.system.index[0], light.bands_per_mm, strict=True)
     )
-    return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected)
+    return WorkingGrid(grid, media, light.reach_mm, light.heights_mm, light.reflected, light.spared)
 
 
-def light_within(scene: Scene) -> LightWithin:
+def light_within(scene: Scene, zones: float = FRESNEL_ZONES) -> LightWithin:
     """How far the light of an object reaches within a lens, and how steep it is, from rays.
+
+    Parameters
+    ----------
+    scene, zones
+        As of :func:`working_grid`.
 
     Raises
     ------
@@ -207,8 +221,8 @@ def light_within(scene: Scene) -> LightWithin:
         middle[0] = 0.0
     _first_leg_mm(scene)
     bundle = _bundle(scene, middle)
-    bands, tangents = _bands(scene, bundle.sines)
-    reach = _reach(scene, bundle, middle)
+    bands, tangents = _bands(scene, bundle.sines, zones)
+    reach = _reach(scene, bundle, middle, zones)
     profiles = [_profile(scene, i, middle, r) for i, r in enumerate(reach)]
     if bundle.reflected > 0.0:
         warnings.warn(_reflection_message(bundle.reflected), TotalReflectionWarning, stacklevel=5)
@@ -220,6 +234,7 @@ def light_within(scene: Scene) -> LightWithin:
         tuple((low, high) for low, high, _ in profiles),
         tuple(_coarsest_mm(scene, bands, [slope for _, _, slope in profiles])),
         bundle.reflected,
+        _spared(scene, bundle, bands),
     )
 
 
@@ -296,7 +311,7 @@ def _reflection_message(share: float) -> str:
     return f"total reflection: {100.0 * share:.3g} % of the rays from the object's middle and rim never leave"
 
 
-def _bands(scene: Scene, sines: Array) -> tuple[list[float], list[float]]:
+def _bands(scene: Scene, sines: Array, zones: float) -> tuple[list[float], list[float]]:
     """Largest transverse wave number in each medium, and the tangent of its angle."""
     k = scene.wavenumber_per_mm * scene.system.index[0]
     zone = np.sqrt(k / _first_leg_mm(scene))
@@ -305,12 +320,21 @@ def _bands(scene: Scene, sines: Array) -> tuple[list[float], list[float]]:
             f"light at {math.degrees(math.asin(np.max(sines))):.3g} degrees to the axis: at most "
             f"{math.degrees(math.asin(STEEPEST_SINE)):.3g} degrees can be carried from plane to plane"
         )
-    band = np.minimum(k * sines * BAND_MARGIN + FRESNEL_ZONES * zone, STEEPEST_SINE * k)
+    band = np.minimum(k * sines * BAND_MARGIN + zones * zone, STEEPEST_SINE * k)
     return list(band), list(band / np.sqrt(k * k - band * band))
 
 
-def _reach(scene: Scene, bundle: _Bundle, middle: Array) -> list[float]:
-    zone = FRESNEL_ZONES * math.sqrt(1e-3 * scene.wavelength_um * _first_leg_mm(scene))
+def _spared(scene: Scene, bundle: _Bundle, bands: list[float]) -> float:
+    """Of evenly lit energy, what a straight edge turns by more than the band is wide beyond the rays."""
+    stop, k = scene.lens.stop_index, scene.wavenumber_per_mm * scene.system.index[0]
+    beyond = np.maximum(np.array(bands) - k * bundle.sines, 1e-300)[stop + 1 :]
+    # An edge's spectrum is 1 / q; a slit has two of them, a disc twice as much rim for its area.
+    rim = 2.0 / bundle.reach_mm[stop:] * (0.5 if scene.object_grid.is_line else 1.0)
+    return float(min(1.0, np.max(rim / (2.0 * math.pi * beyond))))
+
+
+def _reach(scene: Scene, bundle: _Bundle, middle: Array, zones: float) -> list[float]:
+    zone = zones * math.sqrt(1e-3 * scene.wavelength_um * _first_leg_mm(scene))
     offset = np.linalg.norm(scene.system.vertex[0, :, :2] - middle, axis=-1)
     light = REACH_MARGIN * bundle.reach_mm + zone
     return [float(r) for r in np.minimum(light, scene.system.semi_diameter + offset)]

@@ -63,20 +63,31 @@ def sample_surfaces(scene: Scene, grid: Grid, reach_mm: tuple[float, ...]) -> li
 def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: Crossings) -> SurfaceSamples:
     x, y = (c.ravel() for c in np.broadcast_arrays(grid.x_mm, grid.y_mm[:, None]))
     away = np.hypot(x - grid.centre_mm[0], y - grid.centre_mm[1])
-    near = np.flatnonzero(away <= reach_mm)
+    near = np.flatnonzero(away <= reach_mm + grid.pitch_mm)
     found = surface_map(scene.system, surface, x[near], y[near])
-    pixels, z, away = near[found.inside], found.z_mm[found.inside], away[near[found.inside]]
+    lit = rim_share(np.minimum(found.inwards_mm, reach_mm - away[near]), grid.pitch_mm)
+    there = np.isfinite(found.z_mm) & (lit > 0.0)
+    pixels, z, lit, away = near[there], found.z_mm[there], lit[there], away[near[there]]
     if not len(pixels):
         raise SamplingError(
             f"no sample of the working grid of {grid.pitch_mm:g} mm lies on surface {surface}"
         )
     rim = float(z[np.argmax(away)])
     order = np.argsort(z, kind="stable")
-    pixels, z = pixels[order], z[order]
+    pixels, z, lit = pixels[order], z[order], lit[order]
     x, y = x[pixels], y[pixels]
     slopes = surface_slopes(scene.system, surface, x, y, z)
-    passed = transmission_at(scene, surface, crossing, x, y)
+    passed = lit * transmission_at(scene, surface, crossing, x, y)
     return SurfaceSamples(pixels, z, slopes[:1] if grid.is_line else slopes, passed, rim)
+
+
+def rim_share(inwards_mm: Array, pitch_mm: float) -> Array:
+    """What samples next to a rim count for the light within it, so that the rim lies between samples.
+
+    Their weights integrate what is linear from sample to sample up to the rim, and keep it in its place.
+    """
+    place = np.clip(inwards_mm / pitch_mm, -1.0, 1.0)
+    return np.asarray(np.where(place < 0.0, 0.5 * (1.0 + place) ** 2, 1.0 - 0.5 * (1.0 - place) ** 2))
 
 
 def surface_slopes(

@@ -32,7 +32,7 @@ SPREAD_PASSES = 60
 SPREAD_OUT = {True: 1.0, False: 2.4}
 """What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
 
-BASE_BYTES, LEAST_BYTES = 100_000, {True: 650_000, False: 18_000_000}
+BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
 """Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
 
 

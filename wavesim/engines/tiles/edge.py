@@ -27,15 +27,15 @@ LEAST_SHARED = 0.7
 """Share of its footprint that a tile must have in common with its neighbours."""
 
 
-UNTOLD = 0.55
+UNTOLD = 0.35
 """Of the energy that diffraction moves at a sharp edge, what goes farther from it than 1, in x of
 :mod:`wavesim.rays.edges`; farther than x: so much over x."""
 
-MOVED = {"sharp": 0.5, "drawn": 0.32}
+MOVED = {"sharp": 0.5, "drawn": 0.2}
 """Of the way by which footprints of a tile's ends differ from the centre's, what counts as lost: its mean
 point is half as far away, and edges that light draws differ by less than sharp ones. The second measured."""
 
-SECOND_ORDER = 5.0
+SECOND_ORDER = 0.5
 """Error of Fresnel's edge, as a multiple of the squared error of a sharp one: the next order in
 wavelength over distances. Measured on twins of the paper's lens."""
 
@@ -91,8 +91,7 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
     the tile's points differ from the centre's, and the first Fresnel zone between the lens and the plane.
     """
     moved = []
-    spans = tile.spans_mm
-    for corner in (spans[:, 0], spans[:, 1]):
+    for corner in ([o[end] for o in tile.offsets_mm] for end in (0, -1)):
         point = np.array(tile.centre_mm)
         point[1] += corner[0]
         if len(corner) == 2:
@@ -108,12 +107,18 @@ def edge_error(scene: Scene, tile: Tile, carrier: RayMap) -> tuple[float, float]
     return tuple(min(1.0, math.sqrt(share * width)) for width in (strip, 0.1 * zone))  # type: ignore[return-value]
 
 
-def drawn_error(tile: Tile, carrier: RayMap, sharp: float) -> float:
-    """Relative error of the field from an edge that Fresnel integrals draw, of that of a sharp edge."""
+def drawn_error(scene: Scene, tile: Tile, carrier: RayMap, sharp: float) -> float:
+    """Relative error of the field from an edge that Fresnel integrals draw, of that of a sharp edge.
+
+    Light that the object grid ends before it comes to the rim has a sharp edge all the same.
+    """
     if carrier.edge is None:
         return sharp
-    told = carrier.edge.told(float(np.max(np.ptp(tile.spans_mm, axis=1))))
-    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(min(1.0, UNTOLD / told))))
+    told = carrier.edge.told(tile.width_mm)
+    held = 0.5e-3 * scene.wavelength_um / tile.pitch_mm
+    cut = float(np.mean(np.any(np.abs(carrier.maps.at(carrier.rim_mm)[2:]) > held, axis=0)))
+    untold = min(1.0, UNTOLD / told + cut)
+    return min(sharp, math.hypot(SECOND_ORDER * sharp**2, sharp * math.sqrt(untold)))
 
 
 def rim_share(rim_mm: Array) -> float:

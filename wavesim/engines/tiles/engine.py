@@ -238,7 +238,7 @@ class EikonalTiles(Engine):
         middle = self.probe.tiles[len(self.probe.tiles) // 2]
         carrier = self._map(middle.centre_mm)
         share, sharp = edge_error(self.scene, middle, carrier)
-        drawn = drawn_error(middle, carrier, sharp)
+        drawn = drawn_error(self.scene, middle, carrier, sharp)
         parts = (
             Neglected(what, left),
             Neglected("movement of the aperture's edge over a tile", share, at_rim=True),

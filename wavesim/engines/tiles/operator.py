@@ -80,6 +80,11 @@ class Tile:
         half = 0.5 * self.pitch_mm
         return np.array([[o[0] - half, o[-1] + half] for o in self.offsets_mm])
 
+    @property
+    def width_mm(self) -> float:
+        """From its first sample to its last along the longer side."""
+        return float(max(o[-1] - o[0] for o in self.offsets_mm))
+
 
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
     """Well below the error allowed, and no finer than the type of number holds."""
@@ -152,7 +157,7 @@ class TileOperator:
         self._tile_factors = factors.tile_factors(list(tile.offsets_mm)).astype(self._dtype)
         k = scene.wavenumber_per_mm
         limit = np.pi / (k * tile.pitch_mm)
-        width = float(np.max(np.ptp(tile.spans_mm, axis=1)))
+        width = tile.width_mm
         carried = _carrier(carrier, fine, lit - across.start, k, limit, width, self._dtype)
         if not np.any(carried):
             return

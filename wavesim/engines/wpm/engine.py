@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -35,7 +35,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.errors import SamplingError, refuse_not_positive, refuse_other
-from wavesim.engines.surfaces.grids import WorkingGrid, refuse_if_huge, working_grid
+from wavesim.engines.surfaces.grids import FRESNEL_ZONES, WorkingGrid, refuse_if_huge, working_grid
 from wavesim.engines.surfaces.samples import SurfaceSamples, other_transmission, sample_surfaces
 from wavesim.engines.surfaces.waves import Medium, SurfaceWaves, interpolation_error
 from wavesim.engines.wpm.cost import passage_cost, setup_cost
@@ -55,6 +55,10 @@ both media (staircase)."""
 
 SUBSTEP_PHASE = 1.2
 """The same for the step chosen here; leaves 1e-4."""
+
+ROOMS = (FRESNEL_ZONES, 20.0, 80.0)
+"""Zones worth trying. Of a point that fills the stop of a one-quarter twin of the paper's lens 4 leave out
+1.7 %, 80 leave out 0.23 %."""
 
 STAIRCASE_WAVES = 0.25
 """Step chosen here, in wavelengths."""
@@ -84,6 +88,9 @@ class WavePropagation(Engine):
         Whether surfaces keep their place within a step.
     pitch_mm, half_width_mm
         Of the working grid; chosen if left out.
+    zones
+        Fresnel zones of room beside the rays, in direction and on the surfaces, for light that the aperture's
+        rim turns: the error that it leaves there falls with the root of this number.
     force
         Run even what takes more than some hours or gigabytes.
 
@@ -96,6 +103,12 @@ class WavePropagation(Engine):
     """
 
     name = "wpm"
+
+    @classmethod
+    def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
+        """Little room beside the rays, then more."""
+        for zones in ROOMS:
+            yield {"zones": zones}
 
     @classmethod
     def curves(cls) -> dict[str, list[dict[str, Any]]]:
@@ -113,20 +126,22 @@ class WavePropagation(Engine):
         interface: Interface = "substep",
         pitch_mm: float | None = None,
         half_width_mm: float | None = None,
+        zones: float = FRESNEL_ZONES,
         force: bool = False,
     ) -> None:
         super().__init__(scene)
+        refuse_not_positive("zones", zones)
         refuse_other("interface", interface, ("substep", "staircase"))
         if step_um is not None:
             refuse_not_positive("step_um", step_um)
         self.interface = interface
-        self._step_um, self._force = step_um, force
+        self._step_um, self._zones, self._force = step_um, zones, force
         self._grid_asked = (pitch_mm, half_width_mm)
 
     @cached_property
     def working(self) -> WorkingGrid:
         """Grid, media and extent of the surfaces."""
-        return working_grid(self.scene, *self._grid_asked)
+        return working_grid(self.scene, *self._grid_asked, self._zones)
 
     def settings(self) -> dict[str, Any]:
         grid = self.working.grid
@@ -135,6 +150,7 @@ class WavePropagation(Engine):
             "interface": self.interface,
             "pitch_mm": grid.pitch_mm,
             "half_width_mm": grid.half_widths_mm[0],
+            "zones": self._zones,
         }
 
     def cost(self) -> Cost:
@@ -154,6 +170,8 @@ class WavePropagation(Engine):
             Neglected("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
             Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),
         ]
+        turned = math.sqrt(self.working.spared)
+        found.append(Neglected("light that the rim turns beyond the grid's band", turned, at_rim=True))
         if self.interface == "substep":
             error = interpolation_error(max(self._phases()))
             found.append(Neglected("interpolation between planes", error))
