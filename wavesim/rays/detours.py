@@ -25,8 +25,8 @@ BEYOND = 1.0 + 1e-6
 """Of the reach, where light is stopped; what stops it there is taken for the edge."""
 
 AIMED_MM = 1e-5
-MET_MM = 1e-13
-"""Rounding: nearer rays do not come."""
+MET_MM = 1e-9
+"""Near enough: what is left adds no more than 1e-5 radians."""
 
 LONGEST = 3.0
 """Of the movement before, how much farther an object point is moved at a time."""

@@ -35,7 +35,7 @@ DEEPEST = {True: 1.9, False: 0.9}
 FARTHEST = {True: 0.4, False: 0.25}
 """And how far beyond it."""
 
-STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 8}, 4
+STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 6}, 3
 ORDER = 8
 """Of the polynomial in the way from the rim that x over this way is."""
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from engine_checks import dot_product_mismatch, peak_bytes
 
-from lensdesign import Lens, Pose
+from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
@@ -22,6 +22,7 @@ from wavesim.fields.field import Array, Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.cylinder import cylinder_scene
 from wavesim.oracles.registry import OracleCase
+from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Coating, Scene
 
 WAVELENGTH_UM, INDEX = 0.532, 1.5195
@@ -342,6 +343,38 @@ def test_total_reflection_is_named() -> None:
     steep = {1: SurfacePerturbation(tilt_x_deg=64.0)}
     with pytest.raises(InputError, match="total reflection"):
         WavePropagation(replace(scene, surface_perturbations=steep)).cost()
+
+
+def slit() -> Scene:
+    """A slit with glass behind it, lit by one object point."""
+    lens = lens_of([Surface(material=INDEX, semi_diameter_mm=0.0501, stop=True)], 0.2)
+    return Scene(lens, Grid((5,), 2.5e-4, -0.2), Grid((400,), 4e-4, 0.3), WAVELENGTH_UM)
+
+
+def test_light_that_the_rim_turns_is_told_by_the_band() -> None:
+    scene = slit()
+    point = Field(scene.object_grid, np.eye(5, dtype=complex)[2], WAVELENGTH_UM)
+    truth = WavePropagation(scene, zones=60.0).forward(point).values
+    errors = []
+    for zones in (2.0, 4.0, 8.0):
+        engine = WavePropagation(scene, zones=zones)
+        errors.append(relative_error(engine.forward(point).values, truth))
+        (told,) = [n for n in engine.neglected() if "rim" in n.what]
+        assert told.at_rim
+        assert 0.3 * told.relative_error < errors[-1] < 1.5 * told.relative_error
+    assert errors[2] < 0.7 * errors[0]
+
+
+def test_rim_lies_between_samples(paper_lens: Lens) -> None:
+    """However the grid falls upon it: samples that are in or out differ by 7e-4."""
+    scene = patch_scene(scaled(paper_lens, 1 / 4), 0.01, meridional=True, plane_distance_mm=2 / 4)
+    point = Field(scene.object_grid, np.eye(scene.object_grid.size, dtype=complex)[12], WAVELENGTH_UM)
+    pitch_mm = WavePropagation(scene).working.grid.pitch_mm
+    fine, *coarser = (
+        WavePropagation(scene, pitch_mm=share * pitch_mm).forward(point).values
+        for share in (0.5, 1.0, 0.7)
+    )
+    assert max(relative_error(one, fine) for one in coarser) < 1e-4
 
 
 def test_says_what_it_neglects(cylinder: OracleCase) -> None:
