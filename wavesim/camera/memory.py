@@ -40,7 +40,7 @@ def imaging_arrays(
         work("the process itself", PROCESS_BYTES, Phase.LIGHTING | carrying),
         work("light, as it is made", LIGHT_BYTES * math.prod(objects), Phase.LIGHTING),
         Listed("the transmission, what lies behind it, a picture", objects, np.complex64, carrying, 3),
-        work("the engine's work", engine.cost().peak_bytes, carrying),
+        work("the engine's work", engine.cost().peak_bytes_in_single, carrying),
         Listed("frames", (down, across), np.uint16, carrying, frames),
         Listed("light of modes, and its sums", (down, across), np.float64, carrying, sums),
     )

@@ -63,6 +63,7 @@ class WithGhost(Engine):
             sum(part.seconds for part in parts),
             sum(part.setup_seconds for part in parts),
             sum(part.peak_bytes for part in parts),
+            sum(part.peak_bytes_in_single for part in parts),
         )
 
     def rim_light(self, light: Light) -> float:

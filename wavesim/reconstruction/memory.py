@@ -106,7 +106,7 @@ class Sizes:
     @classmethod
     def of(cls, engine: Engine, distances_mm: Sequence[float]) -> Sizes:
         """With an engine, in complex64."""
-        scene, taken = engine.scene, engine.cost().peak_bytes
+        scene, taken = engine.scene, engine.cost().peak_bytes_in_single
         return cls(scene.object_grid.shape, scene.exit_grid.shape, tuple(distances_mm), taken)
 
     @property

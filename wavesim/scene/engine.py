@@ -48,12 +48,20 @@ class Cost:
     setup_seconds : float
         Once for each engine.
     peak_bytes : int
-        Most memory at one time, set-up included, arguments and result not.
+        Most memory at one time, set-up included, arguments and result not; for values in double precision.
+    single_bytes : int, optional
+        The same for values in single precision, if these take less.
     """
 
     seconds: float
     setup_seconds: float
     peak_bytes: int
+    single_bytes: int | None = None
+
+    @property
+    def peak_bytes_in_single(self) -> int:
+        """Most memory at one time where values are of complex64."""
+        return self.peak_bytes if self.single_bytes is None else self.single_bytes
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from wavesim.engines.tiles.residual import FACTOR_ORDER
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
-from wavesim.runtime.memory import COMPLEX128, FLOAT64
+from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
@@ -31,6 +31,9 @@ SPREAD_PASSES = 60
 
 SPREAD_OUT = {True: 1.0, False: 2.4}
 """What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
+
+PLACES_BYTES = 24
+"""Of both transforms of a tile, for each point and dimension."""
 
 BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
 """Rays of one tile; and with the matrices to fit polynomials to them, on a line and on a plane."""
@@ -60,7 +63,7 @@ def tiles_cost(
     mapper: Callable[[tuple[float, float]], RayMap],
     error: float,
 ) -> Cost:
-    """Predict time and memory for complex128 fields, all tiles taken for equal to the middle one."""
+    """Predict time and memory, all tiles taken for equal to the middle one; seconds for complex128 fields."""
     middle = tiles[len(tiles) // 2]
     carrier = mapper(middle.centre_mm)
     size = _sizes(scene, plane, middle, carrier, error)
@@ -78,15 +81,20 @@ def tiles_cost(
     if carrier.edge is not None:
         edge = EDGE_SECONDS[scene.object_grid.is_line]
         setup, probing = setup + edge + pass_seconds(EDGE_PASSES * size.window), probing + edge
-    kept, passing = _bytes(size, rank, low_rank, len(shape), min(count, THREADS))
     beyond_seconds, beyond_bytes = 0.0, 0
     if plane.beyond is not None:
-        beyond_seconds, beyond_bytes = plane.beyond.seconds, plane.beyond.peak_bytes
-    result = COMPLEX128 * math.prod(shape)
+        beyond_seconds = plane.beyond.seconds
+        beyond_bytes = plane.beyond.peak_bytes + COMPLEX128 * math.prod(shape)
+
+    def peak_bytes(value_bytes: int) -> int:
+        kept, passing = _bytes(size, rank, low_rank, len(shape), min(count, THREADS), value_bytes)
+        return max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, beyond_bytes))
+
     return Cost(
         count * one + beyond_seconds,
         probing + count * setup,
-        max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, result + beyond_bytes)),
+        peak_bytes(COMPLEX128),
+        peak_bytes(COMPLEX64),
     )
 
 
@@ -108,17 +116,20 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
     return _Size(modes, coarse, int(filled * coarse), window, taps, terms)
 
 
-def _bytes(size: _Size, rank: int, low_rank: bool, dimensions: int, at_once: int) -> tuple[int, int]:
+def _bytes(
+    size: _Size, rank: int, low_rank: bool, dimensions: int, at_once: int, value_bytes: int
+) -> tuple[int, int]:
     """Kept by one tile, and held beside while one is made or some are used at once."""
-    kept = COMPLEX128 * rank * (size.modes + size.points) + size.window
-    if size.taps:
-        kept += COMPLEX128 * size.window + size.coarse
-    making = (2 * COMPLEX128 * rank + FLOAT64 * (3 * dimensions + 3)) * size.points
+    # Both transforms keep the places of their points, in double precision, and an order of them.
+    kept = value_bytes * rank * (size.modes + size.points) + PLACES_BYTES * dimensions * size.points
+    kept += value_bytes * size.window + size.coarse if size.taps else size.window
+    making = (2 * value_bytes * rank + FLOAT64 * (3 * dimensions + 3)) * size.points
     if dimensions == 1:
         making = max(making, (5 * FLOAT64 + 3 * COMPLEX128) * size.window)
         terms = size.map_terms * FLOAT64
         if low_rank:
             terms = max(terms, (FACTOR_ORDER[True] + 1) * (FLOAT64 + COMPLEX128))
         making += min(size.points, BLOCK) * terms
-    using = COMPLEX128 * (2 * rank * size.points + rank * size.modes + 2 * size.window + 2 * size.coarse)
+    own = size.coarse if size.taps else size.window
+    using = value_bytes * (2 * rank * size.points + rank * size.modes + 2 * own)
     return kept, max(making, at_once * using) + BASE_BYTES

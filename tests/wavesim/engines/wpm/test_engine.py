@@ -371,8 +371,7 @@ def test_rim_lies_between_samples(paper_lens: Lens) -> None:
     point = Field(scene.object_grid, np.eye(scene.object_grid.size, dtype=complex)[12], WAVELENGTH_UM)
     pitch_mm = WavePropagation(scene).working.grid.pitch_mm
     fine, *coarser = (
-        WavePropagation(scene, pitch_mm=share * pitch_mm).forward(point).values
-        for share in (0.5, 1.0, 0.7)
+        WavePropagation(scene, pitch_mm=share * pitch_mm).forward(point).values for share in (0.5, 1.0, 0.7)
     )
     assert max(relative_error(one, fine) for one in coarser) < 1e-4
 
