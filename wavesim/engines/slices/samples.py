@@ -16,6 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
 from wavesim.engines.slices.compensation import Compensation, slice_of
+from wavesim.engines.surfaces.samples import rim_share
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import wave_factor
 from wavesim.rays.interfaces import surface_map
@@ -67,13 +68,14 @@ class Reached:
         """y of some rows of the square, x of its columns."""
         return self.grid.y_mm[self._inside(1)][first:stop], self.grid.x_mm[self._inside(0)]
 
-    def heights(self, first: int, stop: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Height of the surface in some rows, and where it is there, open, and within reach."""
+    def heights(self, first: int, stop: int) -> tuple[Array, Array]:
+        """Height of the surface in some rows, and what samples count for: nothing where no light gets."""
         y, x = self.axes_mm(first, stop)
         found = surface_map(self.scene.system, self.surface, *np.broadcast_arrays(x, y[:, None]))
         middle = self.grid.centre_mm
-        away2 = (x - middle[0]) ** 2 + (y[:, None] - middle[1]) ** 2
-        return found.z_mm, found.inside & (away2 <= self.reach_mm**2)
+        away = np.hypot(x - middle[0], y[:, None] - middle[1])
+        lit = rim_share(np.minimum(found.inwards_mm, self.reach_mm - away), self.grid.pitch_mm)
+        return found.z_mm, np.where(np.isfinite(found.z_mm), lit, 0.0)
 
     def span_mm(self) -> tuple[float, float]:
         """Lowest and highest sample.
@@ -85,8 +87,8 @@ class Reached:
         """
 
         def ends(first: int, stop: int) -> tuple[float, float]:
-            z, inside = self.heights(first, stop)
-            there = z[inside]
+            z, lit = self.heights(first, stop)
+            there = z[lit > 0.0]
             return (float(there.min()), float(there.max())) if len(there) else (np.inf, -np.inf)
 
         found = for_blocks(ends, self.shape[0], self.rows_at_once) if min(self.shape) > 0 else []
@@ -101,7 +103,8 @@ class Reached:
     def _inside(self, which: int) -> slice:
         """Along x (0) or y (1)."""
         points = self.grid.y_mm if which else self.grid.x_mm
-        near = np.flatnonzero(np.abs(points - self.grid.centre_mm[which]) <= self.reach_mm)
+        away = np.abs(points - self.grid.centre_mm[which])
+        near = np.flatnonzero(away <= self.reach_mm + self.grid.pitch_mm)
         return slice(int(near[0]), int(near[-1]) + 1) if len(near) else slice(0, 0)
 
 
@@ -174,10 +177,11 @@ def sliced(
     k = reached.scene.wavenumber_per_mm
 
     def work(first: int, stop: int) -> tuple[Array, Array]:
-        z, inside = reached.heights(first, stop)
+        z, lit = reached.heights(first, stop)
+        inside = lit > 0.0
         y, x = reached.axes_mm(first, stop)
         before, behind, amplitude = given.at(y, x, inside)
-        z = z[inside]
+        z, amplitude = z[inside], amplitude * lit[inside]
         which = slice_of(planes_mm, z)
         path = before * (z - low[which]) + behind * (high[which] - z)
         factors[first:stop][inside] = amplitude.astype(factors.real.dtype) * wave_factor(

@@ -216,7 +216,8 @@ def test_every_sample_of_a_tilted_surface_is_in_one_slice() -> None:
     engine = AnnularSlices(eighth(0.05, pose=Pose(tilt_x_deg=3.0)), 7)
     for i, surface in enumerate(engine._prepared.surfaces):
         reached = Reached(engine.scene, i, engine.sides[i][0].grid, engine.light.reach_mm[i])
-        z, inside = reached.heights(0, reached.shape[0])
+        z, lit = reached.heights(0, reached.shape[0])
+        inside = lit > 0.0
         assert np.array_equal(inside, surface.numbers != np.iinfo(surface.numbers.dtype).max)
         assert np.array_equal(inside, surface.factors != 0.0)
         counted = np.zeros(inside.shape, int)
