@@ -16,14 +16,13 @@ from lensdesign.analysis.spread import (
     Footprint,
     Spread,
     Throughput,
-    edge_thickness_mm,
     observation_distance_mm,
     rms_spot_diameter,
     spread_and_footprints,
-    throughput,
 )
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.solid import glass_element
 from lensdesign.tracing.bundles import launch
 
 NA_TOLERANCE = 1e-3
@@ -48,13 +47,16 @@ class _Traced:
         return capped_sine(self.spread.spread_deg) / capped_sine(self.matching.spread_limit_deg)
 
 
-def check_design(lens: Lens | str | os.PathLike[str]) -> CheckReport:
+def check_design(lens: Lens | str | os.PathLike[str], *, refined: bool = True) -> CheckReport:
     """Check a lens at all its wavelengths against Eqs. 1 and 2, its sensor, its NA and its edges.
 
     Parameters
     ----------
     lens
         A lens, or the design file that holds it.
+    refined
+        Whether the worst rays of a dense sampling are followed to where they are worst. Without, spread and
+        footprints are up to a thousandth too small, in a tenth of the time: for lenses that are changing.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def check_design(lens: Lens | str | os.PathLike[str]) -> CheckReport:
     """
     if not isinstance(lens, Lens):
         lens = load_design(lens)
-    traced = [_trace(lens, w) for w in lens.wavelengths_um]
+    traced = [_trace(lens, w, refined) for w in lens.wavelengths_um]
     rows = tuple(t.row for t in traced)
     worst = max(traced, key=lambda t: t.load)
     edge = edge_thickness_mm(lens)
@@ -110,11 +112,19 @@ def check_design(lens: Lens | str | os.PathLike[str]) -> CheckReport:
     )
 
 
-def _trace(lens: Lens, wavelength_um: float) -> _Traced:
+def edge_thickness_mm(lens: Lens) -> float | None:
+    """Smallest length of the edge cylinder of any glass element; None without one.
+
+    As :class:`lensdesign.lens.solid.Element` has it: bevels are taken off.
+    """
+    elements = (glass_element(lens, number) for number in range(len(lens.glass_fronts)))
+    return min((e.edge_thickness_mm for e in elements), default=None)
+
+
+def _trace(lens: Lens, wavelength_um: float, refined: bool) -> _Traced:
     matching = match(lens, wavelength_um)
     planes_mm = (0.0, *lens.sensor.plane_distances_mm)
-    spread, (at_exit, *footprints) = spread_and_footprints(lens, wavelength_um, planes_mm)
-    passes = throughput(lens, wavelength_um)
+    spread, (at_exit, *footprints), passes = spread_and_footprints(lens, wavelength_um, planes_mm, refined)
     plane_mm = observation_distance_mm(lens)
     spots = [rms_spot_diameter(lens, wavelength_um, h, plane_mm) for h in _spot_heights(lens)]
     paraxial = first_order(lens, wavelength_um)

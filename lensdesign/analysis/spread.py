@@ -16,7 +16,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from lensdesign.lens.solid import glass_element
 from lensdesign.tracing.bundles import launch_pairs, pupil_rings
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.extremes import Extremes, Metric, extremes
@@ -159,16 +158,19 @@ def footprint(
 
 
 def spread_and_footprints(
-    lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float]
-) -> tuple[Spread, tuple[Footprint, ...]]:
-    """As :func:`largest_spread`, and :func:`footprint` on each plane; sought at once, which is faster."""
-    (angle, *rest), passes = _largest(lens, [None, *plane_distances_mm], wavelength_um)
+    lens: Lens, wavelength_um: float, plane_distances_mm: Sequence[float], refined: bool = True
+) -> tuple[Spread, tuple[Footprint, ...], Throughput]:
+    """As :func:`largest_spread`, :func:`footprint` on each plane and :func:`throughput`; faster at once.
+
+    Not `refined`, values are the largest of a dense sampling, which takes a tenth of the time.
+    """
+    (angle, *rest), passes = _largest(lens, [None, *plane_distances_mm], wavelength_um, refined=refined)
     each = len(rest) // len(plane_distances_mm)
     footprints = tuple(
         _footprint(lens, distance, rest[i * each : (i + 1) * each], passes)
         for i, distance in enumerate(plane_distances_mm)
     )
-    return _spread(angle, passes), footprints
+    return _spread(angle, passes), footprints, passes
 
 
 def rms_spot_diameter(
@@ -214,18 +216,19 @@ def throughput(
     field_heights_mm: Sequence[float] | None = None,
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
+    rings: int = 32,
+    arms: int = 96,
 ) -> Throughput:
     """Share of an evenly filled stop that passes the lens, per field height and the smallest.
 
     Rings up to the very rim are weighted by the trapezoidal rule in r^2, so that a rim that is only just
-    clipped shows. Parameters are those of :func:`largest_spread`.
+    clipped shows. Parameters are those of :func:`largest_spread`, and how many rings of how many points.
     """
     wavelength_um = _wavelength(lens, wavelength_um)
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
     heights = _heights(lens, field_heights_mm)
     azimuths = np.zeros(1) if symmetric else 2.0 * np.pi * np.arange(8) / 8
     fields = (heights[:, None, None] * np.stack([np.sin(azimuths), np.cos(azimuths)], axis=-1)).reshape(-1, 2)
-    rings, arms = 32, 96
     angle = 2.0 * np.pi * np.arange(arms) / arms
     radius = np.sqrt(np.linspace(0.0, 1.0, rings + 1))
     weights = np.full(rings + 1, 1.0 / rings)
@@ -248,15 +251,6 @@ def observation_distance_mm(lens: Lens) -> float:
     return PAPER_DISTANCE_MM if first <= PAPER_DISTANCE_MM <= last else first
 
 
-def edge_thickness_mm(lens: Lens) -> float | None:
-    """Smallest length of the edge cylinder of any glass element; None without one.
-
-    As :class:`lensdesign.lens.solid.Element` has it: bevels are taken off.
-    """
-    elements = (glass_element(lens, number) for number in range(len(lens.glass_fronts)))
-    return min((e.edge_thickness_mm for e in elements), default=None)
-
-
 def _largest(
     lens: Lens,
     planes_mm: Sequence[float | None],
@@ -264,6 +258,7 @@ def _largest(
     field_heights_mm: Sequence[float] | None = None,
     pose: Pose = Pose(),
     surface_perturbations: Perturbations = None,
+    refined: bool = True,
 ) -> tuple[tuple[Extremes, ...], Throughput]:
     """Extremes over field and pupil of the reach on planes, and for None of the angle, and the throughput.
 
@@ -275,8 +270,9 @@ def _largest(
         field_heights_mm = tuple(_heights(lens, field_heights_mm).tolist())
     if pose == Pose() and not surface_perturbations and not any(system.figures):
         # A catalogue's file may have changed since: the indices say so, the lens does not.
-        return _of_nominal(lens, tuple(planes_mm), wavelength_um, field_heights_mm, tuple(system.index.flat))
-    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, pose, surface_perturbations)
+        indices = tuple(system.index.flat)
+        return _of_nominal(lens, tuple(planes_mm), wavelength_um, field_heights_mm, refined, indices)
+    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, pose, surface_perturbations, refined)
 
 
 @lru_cache(maxsize=64)
@@ -285,9 +281,10 @@ def _of_nominal(
     planes_mm: tuple[float | None, ...],
     wavelength_um: float,
     field_heights_mm: tuple[float, ...] | None,
+    refined: bool,
     _index: tuple[float, ...],
 ) -> tuple[tuple[Extremes, ...], Throughput]:
-    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, Pose(), None)
+    return _searched(lens, planes_mm, wavelength_um, field_heights_mm, Pose(), None, refined)
 
 
 def _searched(
@@ -297,14 +294,18 @@ def _searched(
     field_heights_mm: Sequence[float] | None,
     pose: Pose,
     surface_perturbations: Perturbations,
+    refined: bool,
 ) -> tuple[tuple[Extremes, ...], Throughput]:
     system, symmetric = _one_system(lens, wavelength_um, pose, surface_perturbations)
     metrics = [metric for z in planes_mm for metric in ([_angle] if z is None else _reaches(lens, z))]
     heights, whole = _heights(lens, field_heights_mm), field_heights_mm is None
-    found = extremes(lens, system, metrics, heights, symmetric=symmetric, between_heights=whole)
+    found = extremes(
+        lens, system, metrics, heights, symmetric=symmetric, between_heights=whole, refined=refined
+    )
     if any(math.isnan(f.value) for f in found):
         raise DesignError(f"{lens.title or 'the lens'}: {_dark('of the field', wavelength_um)}")
-    return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations)
+    points = (32, 96) if refined else (8, 24)
+    return found, throughput(lens, wavelength_um, field_heights_mm, pose, surface_perturbations, *points)
 
 
 def _spread(found: Extremes, passes: Throughput) -> Spread:
@@ -326,7 +327,7 @@ def _footprint(
     half_side = 0.5 * min(lens.sensor.size_mm)
     margin = half_side - widest.value
     if sides:
-        margin = min(0.5 * size - side.value for size, side in zip(lens.sensor.size_mm, sides, strict=True))
+        margin = min(0.5 * s - side.value for s, side in zip(lens.sensor.size_mm, sides, strict=True))
     return Footprint(
         plane_distance_mm=plane_distance_mm,
         radius_mm=widest.value,
@@ -366,8 +367,8 @@ def _heights(lens: Lens, field_heights_mm: Sequence[float] | None) -> Array:
     if field_heights_mm is None:
         return np.linspace(0.0, lens.half_field_mm, TABLE_HEIGHTS)
     heights = np.atleast_1d(np.asarray(field_heights_mm, float))
-    limit = lens.half_field_mm * (1.0 + 1e-12)
-    if heights.ndim != 1 or not len(heights) or not np.all((heights >= 0.0) & (heights <= limit)):
+    inside = (heights >= 0.0) & (heights <= lens.half_field_mm * (1.0 + 1e-12))
+    if heights.ndim != 1 or not len(heights) or not np.all(inside):
         raise InputError(
             f"field_heights_mm = {field_heights_mm!r}: must be from 0 to {lens.half_field_mm:g} mm"
         )
@@ -394,7 +395,5 @@ def _trace(
 
 
 def _dark(which: str, wavelength_um: float) -> str:
-    return (
-        f"no ray {which} passes at {wavelength_um:g} um; look for a semi_diameter_mm that is too small, and "
-        "for total reflection (material, radius_mm)"
-    )
+    hint = "look for a semi_diameter_mm that is too small, and for total reflection (material, radius_mm)"
+    return f"no ray {which} passes at {wavelength_um:g} um; {hint}"

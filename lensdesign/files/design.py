@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
@@ -43,7 +44,20 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
         If a glass is unknown, or not known at one of the wavelengths.
     """
     path = Path(path)
-    data = read_toml(path)
+    return lens_of(read_toml(path), path)
+
+
+def lens_of(data: dict[str, Any], path: Path) -> Lens:
+    """A lens from the tables of a design file, refused as :func:`load_design` refuses it.
+
+    Parameters
+    ----------
+    data
+        The tables.
+    path
+        Their file, whether it has been written or not: paths in them start from its folder, and messages
+        name it.
+    """
     refuse_other_kind(data, path, "design")
     lens = validate(Lens, data, path)
     refuse_doubtful(lens, path)

@@ -151,7 +151,9 @@ def _limit_waves(merit: PupilMerit) -> float:
     return math.sqrt(-math.log(min(max(merit.at_least, 1e-12), 1.0 - 1e-12))) / (2.0 * math.pi)
 
 
-def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) -> WavefrontPrediction:
+def predict(
+    lens: Lens, study: Study, points: Sequence[Judged] | None = None, draws: int = DRAWS
+) -> WavefrontPrediction:
     """Predict wavefronts and yield of a study without trials.
 
     What it neglects: third order, merits other than the wavefront's, and rays that a perturbed stop lets
@@ -165,6 +167,8 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
         What scatters.
     points
         What is judged; by default what the study's merits `rms_waves` and `strehl` judge.
+    draws
+        By how many the study's perturbations are known; a power of two.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
         If rays from an object point do not pass.
     """
     judged = judged_points(study) if points is None else tuple(points)
-    batch = realise(replace_draws(study, DRAWS), range(DRAWS))
+    batch = realise(replace_draws(study, draws), range(draws))
     known = _known(lens, study, judged, second=True)
     amounts = known.changes.amounts(batch)
     together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
@@ -183,7 +187,7 @@ def predict(lens: Lens, study: Study, points: Sequence[Judged] | None = None) ->
     limits = np.array([point.limit_waves for point in judged])
     good = np.all(squares <= limits**2, axis=1)
     columns = tuple(p.column for p in study.perturbations)
-    return WavefrontPrediction(found, float(np.mean(good)), DRAWS, columns)
+    return WavefrontPrediction(found, float(np.mean(good)), draws, columns)
 
 
 @dataclass(frozen=True)
@@ -244,20 +248,22 @@ def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> 
     """Derivatives by all that a study perturbs and compensates."""
 
     def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:
-        found = [
-            differentials(
+        # Points of one wavelength share all that is traced of the lens.
+        found: dict[Place, FieldDifferentials] = {}
+        for wavelength in dict.fromkeys(w for _, w in points):
+            same = [place for place in points if place[1] == wavelength]
+            part = differentials(
                 lens,
                 perturbed,
                 np.array(sizes),
-                [point],
+                [point for point, _ in same],
                 wavelength_um=wavelength,
                 plane_distance_mm=study.sampling.plane_distance_mm,
                 pivot_z_mm=study.pivot_z_mm,
                 second=second,
             )
-            for point, wavelength in points
-        ]
-        return found[0].changes, tuple(known.fields[0] for known in found)
+            found |= zip(same, part.fields, strict=True)
+        return part.changes, tuple(found[place] for place in points)
 
     own = [(point.field_mm, point.wavelength_um) for point in judged]
     scatter = study.perturbations, [p.tolerance for p in study.perturbations]

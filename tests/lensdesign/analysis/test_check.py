@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DESIGNS
 
 from lensdesign import Lens, Surface
 from lensdesign.analysis.check import check_design
@@ -170,3 +171,12 @@ def test_a_lens_without_a_glass_element_has_no_edge(paper_lens: Lens) -> None:
     report = check_design(lens)
     assert report.edge_thickness_mm is None
     assert "edge thickness" not in [c.name for c in report.constraints]
+
+
+@pytest.mark.parametrize("name", ["paper_singlet", "moulded_pair", "rectangular_sensor"])
+def test_a_check_without_refinement_is_near_the_one_with_it(name: str) -> None:
+    whole, quick = (check_design(DESIGNS / f"{name}.toml", refined=refined) for refined in (True, False))
+    for exact, near in zip(whole.constraints, quick.constraints, strict=True):
+        assert near.name == exact.name
+        assert near.value == pytest.approx(exact.value, rel=1e-3)
+    assert quick.max_spread_deg < whole.max_spread_deg  # the search did something

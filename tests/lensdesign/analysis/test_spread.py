@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from lensdesign import DesignError, InputError, Lens, ObjectSpace, Pose, Sensor, Surface, SurfacePerturbation
 from lensdesign.analysis.arrival import arrival_angles
+from lensdesign.analysis.check import edge_thickness_mm
 from lensdesign.analysis.spread import (
-    edge_thickness_mm,
     footprint,
     largest_spread,
     observation_distance_mm,

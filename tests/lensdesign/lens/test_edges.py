@@ -13,8 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from random_lenses import numbers
 
-from lensdesign.analysis.check import check_design
-from lensdesign.analysis.spread import edge_thickness_mm
+from lensdesign.analysis.check import check_design, edge_thickness_mm
 from lensdesign.errors import DesignError, InputError
 from lensdesign.fabrication.drawing.sheets import lens_drawing
 from lensdesign.fabrication.mesh.mesh import lens_mesh
