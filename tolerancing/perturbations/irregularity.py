@@ -23,10 +23,13 @@ RINGS, ARMS = 24, 72
 """Over which the peak to valley is taken, the rim included."""
 
 
+FALLING = np.array([zernike_orders(index)[0] ** -2.0 for index in INDICES])
+"""How large each of them is, beside the others."""
+
+
 def draw_shape(generator: np.random.Generator) -> Array:
     """Coefficients of `INDICES`, of root mean square 1, shape (11,)."""
-    falling = np.array([zernike_orders(index)[0] ** -2.0 for index in INDICES])
-    coefficients = generator.standard_normal(len(INDICES)) * falling
+    coefficients = generator.standard_normal(len(INDICES)) * FALLING
     return np.asarray(coefficients / np.sqrt(np.sum(coefficients**2)))
 
 

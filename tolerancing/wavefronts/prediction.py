@@ -22,7 +22,7 @@ from tolerancing.study.evaluate import compensated_points, realise
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.compensation import Compensation, less_model
 from tolerancing.wavefronts.derivatives import FieldDifferentials, differentials
-from tolerancing.wavefronts.system import Changes
+from tolerancing.wavefronts.system import Changes, amounts_of
 
 Place = tuple[tuple[float, float], float | None]
 """An object point and a wavelength, the lens's first for None."""
@@ -152,7 +152,11 @@ def _limit_waves(merit: PupilMerit) -> float:
 
 
 def predict(
-    lens: Lens, study: Study, points: Sequence[Judged] | None = None, draws: int = DRAWS
+    lens: Lens,
+    study: Study,
+    points: Sequence[Judged] | None = None,
+    amounts: Array | None = None,
+    second: bool = True,
 ) -> WavefrontPrediction:
     """Predict wavefronts and yield of a study without trials.
 
@@ -167,8 +171,10 @@ def predict(
         What scatters.
     points
         What is judged; by default what the study's merits `rms_waves` and `strehl` judge.
-    draws
-        By how many the study's perturbations are known; a power of two.
+    amounts : ndarray, shape (draws, d), optional
+        What :func:`drawn_amounts` gives, for those who predict many lenses.
+    second
+        Whether to go to second order; the first takes a tenth of the time.
 
     Raises
     ------
@@ -178,16 +184,21 @@ def predict(
         If rays from an object point do not pass.
     """
     judged = judged_points(study) if points is None else tuple(points)
-    batch = realise(replace_draws(study, draws), range(draws))
-    known = _known(lens, study, judged, second=True)
-    amounts = known.changes.amounts(batch)
+    known = _known(lens, study, judged, second=second)
+    if amounts is None:
+        amounts = drawn_amounts(study)
     together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
     squares = np.stack([mean_squares(field, together) for field in known.fields], axis=1)
     found = tuple(_point(known, k, amounts, together, squares[:, k]) for k in range(len(judged)))
     limits = np.array([point.limit_waves for point in judged])
     good = np.all(squares <= limits**2, axis=1)
     columns = tuple(p.column for p in study.perturbations)
-    return WavefrontPrediction(found, float(np.mean(good)), draws, columns)
+    return WavefrontPrediction(found, float(np.mean(good)), len(amounts), columns)
+
+
+def drawn_amounts(study: Study) -> Array:
+    """Amounts of the study's perturbations by which predictions know them, shape (draws, d)."""
+    return amounts_of(realise(replace_draws(study, DRAWS), range(DRAWS)))
 
 
 @dataclass(frozen=True)
@@ -216,10 +227,9 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
         As of :func:`predict`.
     """
     judged = judged_points(study)
-    batch = realise(replace_draws(study, DRAWS), range(DRAWS))
     known = _known(lens, study, judged, second=False)
     forms = [first_order(field) for field in known.fields]
-    amounts, limits = known.changes.amounts(batch), np.array([point.limit_waves**2 for point in judged])
+    amounts, limits = drawn_amounts(study), np.array([point.limit_waves**2 for point in judged])
 
     def good(columns: slice, factor: float) -> float:
         changed = amounts.copy()

@@ -58,15 +58,31 @@ class Changes:
 
     def amounts(self, batch: PerturbationBatch) -> Array:
         """How much of each change each trial has, shape (trials, d)."""
-        found = np.zeros((len(batch), self.count))
-        for k, (columns, parameter) in enumerate(zip(self.columns, batch.parameters, strict=True)):
-            if not parameter.is_irregularity:
-                found[:, columns.start] = batch.values[:, k]
-                continue
-            shapes = batch.shapes[k]
-            size = peak_to_valley(shapes) if parameter.parameter.split("_")[1] == "pv" else 1.0
-            found[:, columns] = (batch.values[:, k] / size)[:, None] * shapes
-        return found
+        return amounts_of(batch)
+
+
+def amounts_of(batch: PerturbationBatch) -> Array:
+    """How much of each change each trial has, shape (trials, d)."""
+    columns, count = columns_of(batch.parameters)
+    found = np.zeros((len(batch), count))
+    for k, (own, parameter) in enumerate(zip(columns, batch.parameters, strict=True)):
+        if not parameter.is_irregularity:
+            found[:, own.start] = batch.values[:, k]
+            continue
+        shapes = batch.shapes[k]
+        size = peak_to_valley(shapes) if parameter.parameter.split("_")[1] == "pv" else 1.0
+        found[:, own] = (batch.values[:, k] / size)[:, None] * shapes
+    return found
+
+
+def columns_of(parameters: Sequence[PerturbedParameter]) -> tuple[tuple[slice, ...], int]:
+    """Which changes each perturbation is, and how many there are."""
+    columns, place = [], 0
+    for parameter in parameters:
+        count = len(INDICES) if parameter.is_irregularity else 1
+        columns.append(slice(place, place + count))
+        place += count
+    return tuple(columns), place
 
 
 def changes_of(
@@ -103,11 +119,7 @@ def changes_of(
     numbers = _Numbers(lens, [parameters[k] for k in smooth], pivot_z_mm, wavelength_um)
     steps = STEP_SHARE * np.asarray(sizes, float)[smooth]
     slopes, (i, j, bends) = numbers.derivatives(steps, second)
-    columns, place = [], 0
-    for parameter in parameters:
-        count = len(INDICES) if parameter.is_irregularity else 1
-        columns.append(slice(place, place + count))
-        place += count
+    columns, place = columns_of(parameters)
     own = np.array([columns[k].start for k in smooth], int)
     first_all = np.zeros((len(slopes), place))
     first_all[:, own] = slopes
@@ -120,7 +132,7 @@ def changes_of(
         for k, p in enumerate(parameters)
         if p.is_irregularity and (surface := p.surface) is not None
     )
-    return Changes(numbers.layout, first_all, second_all, tuple(columns), figures)
+    return Changes(numbers.layout, first_all, second_all, columns, figures)
 
 
 def pair_places(count: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -1,0 +1,1 @@
+"""What the page shows, without the page: the lens as it is edited, and figures of it."""

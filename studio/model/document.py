@@ -1,0 +1,145 @@
+"""The design's file: opened, saved when asked, never over what changed there meanwhile; and edits kept aside."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from lensdesign.common.toml_files import read_toml
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import design_text
+from studio.model.editing import Editing, Step, Tables, lens_from
+
+
+@dataclass(frozen=True)
+class Document:
+    """A design file as it was last read or written.
+
+    Attributes
+    ----------
+    path
+        The file.
+    digest
+        Of its bytes then; empty where it did not exist.
+    """
+
+    path: Path
+    digest: str
+
+    def saved(self, editing: Editing, path: Path | None = None) -> Document:
+        """Write the lens, and tell the file as it is then.
+
+        Parameters
+        ----------
+        editing
+            What is saved.
+        path
+            Another file, which must not exist; the document's own where left out.
+
+        Raises
+        ------
+        InputError
+            If the file changed on disk meanwhile, exists where it must not, or cannot be written.
+        """
+        target = self.path if path is None else path
+        known = self.digest if _same(target, self.path) else ""
+        if (found := digest_of(target)) != known:
+            raise InputError(f"{target}: {_why_not(known, found)}")
+        with atomic_path(target) as temporary:
+            temporary.write_text(design_text(editing.lens, target.parent), encoding="utf-8")
+        return Document(target, digest_of(target))
+
+
+def opened(path: Path) -> tuple[Document, Editing]:
+    """Open a design file.
+
+    Raises
+    ------
+    InputError
+        As of :func:`lensdesign.load_design`.
+    """
+    digest = digest_of(path)
+    tables = read_toml(path)
+    return Document(path, digest), Editing(path, Step(tables, lens_from(tables, path), "opened"))
+
+
+def digest_of(path: Path) -> str:
+    """Of a file's bytes; empty where there is no file."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _why_not(known: str, found: str) -> str:
+    """Why a file of one digest is not written over one of another."""
+    if not known:
+        return "exists already; give another name"
+    if not found:
+        return "is gone from the disk; save under another name"
+    return "changed on disk since it was opened; save under another name, or open it anew"
+
+
+def _same(one: Path, other: Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+class Aside:
+    """Unsaved edits, and where the page is served, kept in the user's own folder until they are saved.
+
+    Parameters
+    ----------
+    path
+        The design file that is edited.
+    folder
+        Where to keep them; the user's folder of caches where left out.
+    """
+
+    def __init__(self, path: Path, folder: Path | None = None) -> None:
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        self.folder = Path(home) / "transferlens" / "studio" if folder is None else folder
+        name = hashlib.sha256(os.path.realpath(path).encode()).hexdigest()[:24]
+        self.file = self.folder / f"{name}.json"
+
+    def read(self) -> dict[str, Any]:
+        """What is kept; empty where nothing is, or it cannot be read."""
+        try:
+            found = json.loads(self.file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def keep(self, **values: Any) -> None:
+        """Keep values beside those that are there; only the user can read them."""
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        temporary = self.file.with_suffix(f".{os.getpid()}")
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            json.dump(self.read() | values, stream)
+        os.replace(temporary, self.file)
+
+    def restored(self, document: Document, editing: Editing) -> Editing:
+        """The editing with the edits that were kept, if they were made on the file as it is."""
+        kept = self.read()
+        tables = kept.get("tables")
+        if not isinstance(tables, str) or kept.get("digest") != document.digest:
+            return editing
+        import tomllib
+
+        try:
+            return editing.changed(tomllib.loads(tables), "edits of the last session")
+        except (InputError, ValueError):
+            return editing
+
+
+def tables_text(tables: Tables) -> str:
+    """Tables as the text of a TOML file."""
+    return tomli_w.dumps(tables)

@@ -1,0 +1,136 @@
+"""All figures of a lens, in the order in which they are had: what rays tell, what pupils tell, the whole check."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from lensdesign.analysis.check import check_design
+from lensdesign.analysis.report import CheckReport
+from lensdesign.errors import TransferLensError
+from lensdesign.lens.lens import Lens
+from studio.model.built import Built, Workmanship, built
+from studio.model.picture import Layout, heights_of, layout_of
+from studio.model.pupils import (
+    COARSE,
+    COARSE_PATCH_UM,
+    PATCH_UM,
+    PatchPicture,
+    PupilFigures,
+    patch_picture,
+    pupil_figures,
+)
+from studio.model.whatif import WhatIf
+
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """Figures of one lens.
+
+    Attributes
+    ----------
+    lens
+        The lens.
+    settled
+        Whether they are those of the commands; while a value moves, coarser ones stand for them.
+    layout, check, pupils, built, patch
+        None where they are not had yet, or cannot be.
+    refused
+        Why not, a sentence each.
+    seconds
+        That each stage took.
+    """
+
+    lens: Lens
+    settled: bool = False
+    layout: Layout | None = None
+    check: CheckReport | None = None
+    pupils: tuple[PupilFigures, ...] = ()
+    built: Built | None = None
+    patch: PatchPicture | None = None
+    refused: tuple[str, ...] = ()
+    seconds: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What figures are asked for.
+
+    Attributes
+    ----------
+    lens
+        The lens.
+    what_if
+        How far it is off.
+    made
+        By what tolerances; None for no prediction.
+    patch_field_mm
+        Height of the object point of the patch.
+    """
+
+    lens: Lens
+    what_if: WhatIf
+    made: Workmanship | None
+    patch_field_mm: float
+
+
+def rays_of(asked: Asked, *, settled: bool) -> Figures:
+    """Layout, and what the check tells."""
+    began, refused, lens = time.perf_counter(), [], asked.lens
+    layout = _tried(lambda: layout_of(lens), refused)
+    check = _tried(lambda: check_design(lens, refined=settled), refused)
+    return Figures(
+        lens,
+        settled,
+        layout=layout,
+        check=check,
+        refused=tuple(refused),
+        seconds=(time.perf_counter() - began,),
+    )
+
+
+def waves_of(asked: Asked, *, settled: bool) -> Figures:
+    """Pupils at three object points, what is predicted as built, and the patch: coarse while values move."""
+    began, refused, lens = time.perf_counter(), [], asked.lens
+    what_if = asked.what_if.of(lens)
+    pupils = _tried(
+        lambda: pupil_figures(lens, what_if, heights_of(lens), *(() if settled else (COARSE,))), refused
+    )
+    made = asked.made
+    as_built = (
+        None
+        if made is None
+        else _tried(lambda: built(lens, made, settled=settled), refused)
+    )
+    return Figures(
+        lens,
+        settled,
+        pupils=pupils or (),
+        built=as_built,
+        refused=tuple(refused),
+        seconds=(time.perf_counter() - began,),
+    )
+
+
+def patch_of(asked: Asked, *, settled: bool) -> Figures:
+    """The patch."""
+    began, refused, lens = time.perf_counter(), [], asked.lens
+    side, height = (PATCH_UM if settled else COARSE_PATCH_UM), min(asked.patch_field_mm, lens.half_field_mm)
+    patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, side), refused)
+    return Figures(
+        lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,)
+    )
+
+
+def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:
+    """A figure, or None and a sentence why not."""
+    try:
+        return figure()
+    except TransferLensError as error:
+        refused.append(str(error))
+        return None

@@ -1,0 +1,181 @@
+"""The values of a design that can be edited: where they stand, how they are written, and in which steps they go."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from lensdesign.common.toml_files import did_you_mean
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from studio.model.editing import Place, Tables, value_at
+
+STEPS = 400
+"""Of a slider, on each side of the value that it was made for."""
+
+PLANE = "plane"
+"""How the radius of a plane is written; also empty."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value.
+
+    Attributes
+    ----------
+    place
+        Where it stands in the tables.
+    group
+        Heading under which it is shown.
+    label, unit
+        What it is.
+    text
+        As it is shown.
+    number
+        Where a slider stands; None where there is none.
+    low, high, step
+        Of the slider.
+    kind
+        ``number``, ``whole`` or ``glass``.
+    """
+
+    place: Place
+    group: str
+    label: str
+    unit: str
+    text: str
+    number: float | None
+    low: float
+    high: float
+    step: float
+    kind: str = "number"
+
+    @property
+    def key(self) -> str:
+        """Its place as one word."""
+        return ".".join(map(str, self.place))
+
+
+def place_of(key: str) -> Place:
+    """The place of which a key was made."""
+    return tuple(int(part) if part.isdigit() else part for part in key.split("."))
+
+
+def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
+    """All values of a design.
+
+    Parameters
+    ----------
+    tables, lens
+        The design as it is.
+    opened
+        As it was opened: ranges of sliders are about these values, so that they stand while one drags.
+    """
+
+    def number(group: str, place: Place, label: str, unit: str, span: float = 0.2, least: float = 0.0) -> Value:
+        own, first = value_at(tables, place), value_at(opened, place)
+        if not isinstance(own, int | float):
+            return Value(place, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
+        middle = own if not isinstance(first, int | float) else first
+        half = max(span * abs(middle), least)
+        step = nice(half / STEPS)
+        if not middle - half <= own <= middle + half:
+            middle = own
+            half = max(span * abs(middle), least)
+            step = nice(half / STEPS)
+        half = step * STEPS
+        return Value(place, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step)
+
+    found = []
+    for i, surface in enumerate(lens.surfaces):
+        group, at = f"surface {i + 1}", ("surface", i)
+        keys = surface.shape_class.KEYS
+        for name, label in (("radius_mm", "radius"), ("radius_x_mm", "radius x")):
+            if name in keys:
+                row = number(group, (*at, name), label, "mm")
+                found.append(row if row.text else _plane(row))
+        for name, label in (("conic", "conic"), ("conic_x", "conic x")):
+            if name in keys:
+                row = number(group, (*at, name), label, "", least=0.4)
+                found.append(row if row.text else _zero(row))
+        reach = surface.semi_diameter_mm or lens.stop_semi_diameter_mm
+        for k in range(len(surface.asphere)):
+            power = 2 * k + 4
+            most = 0.02 / reach**power
+            found.append(number(group, (*at, "asphere", k), f"r^{power}", f"mm^-{power - 1}", 0.5, most))
+        if surface.thickness_mm is not None:
+            found.append(number(group, (*at, "thickness_mm"), "thickness", "mm"))
+            found.append(_glass(group, (*at, "material"), surface.material))
+        found.append(number(group, (*at, "semi_diameter_mm"), "semi-diameter", "mm"))
+    found += [
+        number("object", ("object", "working_distance_mm"), "working distance", "mm"),
+        number("object", ("object", "field_diameter_mm"), "field diameter", "mm"),
+        number("object", ("object", "numerical_aperture"), "numerical aperture", ""),
+    ]
+    found += [
+        number("sensor", ("sensor", "plane_distances_mm", k), f"plane H{k + 1}", "mm", 0.5)
+        for k in range(len(lens.sensor.plane_distances_mm))
+    ]
+    found.append(number("sensor", ("sensor", "pixel_pitch_um"), "pixel pitch", "um"))
+    for k, axis in enumerate("xy"):
+        found.append(_whole("sensor", ("sensor", "pixels", k), f"pixels {axis}", lens.sensor.pixels[k]))
+    found += [
+        number("light", ("wavelengths_um", k), "wavelength", "um") for k in range(len(lens.wavelengths_um))
+    ]
+    return tuple(found)
+
+
+def parsed(kind: str, text: str) -> Any:
+    """What was typed, as a design file would hold it; None takes the key out.
+
+    Raises
+    ------
+    InputError
+        If it is no number where one is needed.
+    """
+    text = text.strip().replace("\N{MINUS SIGN}", "-")
+    if not text or text.casefold() in (PLANE, "none", "air"):
+        return None
+    try:
+        return int(text) if kind == "whole" else float(text)
+    except ValueError:
+        if kind == "glass":
+            return text
+        raise InputError(f"{text!r}: must be a {'whole ' if kind == 'whole' else ''}number") from None
+
+
+def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
+    """Names of glasses that contain a text, those that begin with it first; else the nearest."""
+    from lensdesign.lens.glass import list_glasses
+
+    names = list(dict.fromkeys(name for name, _ in list_glasses(lens.glass_catalogs)))
+    asked = text.casefold().strip()
+    found = sorted(
+        (n for n in names if asked in n.casefold()), key=lambda n: (not n.casefold().startswith(asked), len(n))
+    )
+    hint = did_you_mean(text, names).removeprefix("; did you mean ").removesuffix("?")
+    return found[:most] or ([hint] if hint else [])
+
+
+def nice(value: float) -> float:
+    """The nearest of 1, 2 and 5 times a power of ten that is not above a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))
+
+
+def _plane(row: Value) -> Value:
+    return Value(row.place, row.group, row.label, row.unit, PLANE, None, 0.0, 0.0, 0.0)
+
+
+def _zero(row: Value) -> Value:
+    return Value(row.place, row.group, row.label, row.unit, "0", 0.0, -0.4, 0.4, 0.001)
+
+
+def _glass(group: str, place: Place, material: str | float | None) -> Value:
+    text = "air" if material is None else f"{material:g}" if isinstance(material, float) else material
+    return Value(place, group, "glass", "", text, None, 0.0, 0.0, 0.0, "glass")
+
+
+def _whole(group: str, place: Place, label: str, count: int) -> Value:
+    return Value(place, group, label, "", str(count), None, 0.0, 0.0, 0.0, "whole")

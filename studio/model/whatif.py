@@ -1,0 +1,99 @@
+"""What if the lens were not as designed: decentered, tilted, heated, a radius off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from tolerancing.perturbations.batch import batch_of
+from tolerancing.perturbations.parameters import PerturbedParameter
+from wavesim.scene.placement import NOMINAL, Placement
+
+MOVES = (
+    ("decenter_x_mm", "decenter x", "mm", 0.1, 0.0005),
+    ("decenter_y_mm", "decenter y", "mm", 0.1, 0.0005),
+    ("tilt_x_deg", "tilt x", "deg", 0.5, 0.0025),
+    ("tilt_y_deg", "tilt y", "deg", 0.5, 0.0025),
+)
+"""Parameter, label, unit, largest amount and step of what a lens and an element do alike."""
+
+
+@dataclass(frozen=True)
+class Amount:
+    """One thing that may be off, and how far a slider goes.
+
+    Attributes
+    ----------
+    target, parameter
+        As of a perturbation of a tolerance study.
+    label, unit
+        What it is.
+    most, step
+        Of the slider, which goes to both sides.
+    """
+
+    target: str
+    parameter: str
+    label: str
+    unit: str
+    most: float
+    step: float
+
+    @property
+    def key(self) -> str:
+        """Both as one word."""
+        return f"{self.target}.{self.parameter}"
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """How far what is off, by keys of :class:`Amount`; what is 0 is left out."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def with_value(self, key: str, value: float) -> WhatIf:
+        """With another amount."""
+        kept = {k: v for k, v in self.values.items() if k != key}
+        return WhatIf(kept | {key: value} if value else kept)
+
+    def of(self, lens: Lens) -> WhatIf:
+        """What of it a lens can have."""
+        known = {amount.key for amount in amounts_of(lens)}
+        return WhatIf({k: v for k, v in self.values.items() if k in known})
+
+    def placement(self, lens: Lens, wavelength_um: float | None = None) -> Placement:
+        """Lens and bench as they are then.
+
+        Raises
+        ------
+        InputError
+            If a value is not usable, or heat does to a glass what is not known.
+        """
+        if not self.values:
+            return NOMINAL
+        perturbed = []
+        for key in self.values:
+            target, _, parameter = key.rpartition(".")
+            try:
+                perturbed.append(PerturbedParameter(target=target, parameter=parameter))
+            except ValueError as error:
+                raise InputError(f"{key}: {error}") from error
+        batch = batch_of(perturbed, np.array([list(self.values.values())]), 0.0, 0)
+        return batch.placements(lens, wavelength_um or lens.wavelengths_um[0])[0]
+
+
+def amounts_of(lens: Lens) -> tuple[Amount, ...]:
+    """What of a lens may be off: all of it, its elements where it has several, radii, and the temperature."""
+    found = [Amount("lens", *move) for move in MOVES]
+    if len(lens.glass_fronts) > 1:
+        found += [Amount(f"element {k + 1}", *move) for k in range(len(lens.glass_fronts)) for move in MOVES]
+    found += [
+        Amount(f"surface {i + 1}", "radius_percent", f"radius {i + 1}", "%", 0.5, 0.0025)
+        for i, surface in enumerate(lens.surfaces)
+        if surface.radius_mm is not None
+    ]
+    return (*found, Amount("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
