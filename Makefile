@@ -6,7 +6,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/ready
 OUT := demo_output
-PACKAGES := lensdesign wavesim tolerancing
+PACKAGES := lensdesign wavesim tolerancing studio
 
 .PHONY: demo gallery paper test style types tests test-lowest docs benchmarks lock clean
 

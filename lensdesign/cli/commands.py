@@ -15,6 +15,7 @@ from lensdesign.cli import plates as cli_plates
 from lensdesign.cli import searching as cli_searching
 from lensdesign.cli import verify as cli_verify
 from lensdesign.cli import view as cli_view
+from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.making import Design, Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
@@ -104,6 +105,7 @@ app.command()(cli_making.drawing)
 app.command()(cli_making.sag)
 app.command()(cli_ghost.ghost)
 app.command()(cli_view.view)
+app.command()(cli_workbench.studio)
 app.command()(cli_verify.verify)
 app.command("testplates")(cli_plates.fit)
 

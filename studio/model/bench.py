@@ -1,7 +1,7 @@
 """The workbench: a design that is edited, and figures of it that follow, the newest first.
 
-One thread computes. It takes the newest state that there is, so that a queue never forms: what a slider passed
-over while a figure was made is never computed. When nothing changes any more, it makes the figures anew as the
+One thread computes. It takes the newest state that there is, so that no queue forms: what a slider passed
+over while a figure was made is never computed. When nothing changes any more, figures are made anew as the
 commands make them.
 """
 
@@ -48,7 +48,9 @@ class Workbench:
         If the file holds no lens.
     """
 
-    def __init__(self, design: Path | str | Lens, grade: str = "precision", aside: Aside | None = None) -> None:
+    def __init__(
+        self, design: Path | str | Lens, grade: str = "precision", aside: Aside | None = None
+    ) -> None:
         if isinstance(design, Lens):
             path = Path("lens.toml")
             tables = _tables_of(design)

@@ -1,4 +1,4 @@
-"""What a lens will be as built: wavefronts and yield predicted under a grade or a study, and what that costs."""
+"""What a lens will be as built: wavefronts and yield predicted under a grade or a study, and the cost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from tolerancing.merits.pupil import RmsWaves
 from tolerancing.perturbations.grades import GRADES, starting_study
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.prediction import Judged, WavefrontPrediction, drawn_amounts, judged_points, predict
+from tolerancing.wavefronts.prediction import (
+    Judged,
+    WavefrontPrediction,
+    drawn_amounts,
+    judged_points,
+    predict,
+)
 
 FEWER = 4
 """While a value moves: every so many of the draws, to first order."""

@@ -1,4 +1,4 @@
-"""The design's file: opened, saved when asked, never over what changed there meanwhile; and edits kept aside."""
+"""The design's file: opened, saved when asked, never over what changed there; and edits kept aside."""
 
 from __future__ import annotations
 

@@ -179,5 +179,3 @@ def with_stop(tables: Tables, number: int) -> Tables:
             surface["stop"] = True
             surface.setdefault("semi_diameter_mm", (sizes or [None])[0])
     return changed
-
-

@@ -1,4 +1,4 @@
-"""All figures of a lens, in the order in which they are had: what rays tell, what pupils tell, the whole check."""
+"""All figures of a lens, in stages: what rays tell, what pupils tell, the patch."""
 
 from __future__ import annotations
 
@@ -15,15 +15,13 @@ from studio.model.built import Built, Workmanship, built
 from studio.model.picture import Layout, heights_of, layout_of
 from studio.model.pupils import (
     COARSE,
-    COARSE_PATCH_UM,
-    PATCH_UM,
+    COARSE_PATCH,
     PatchPicture,
     PupilFigures,
     patch_picture,
     pupil_figures,
 )
 from studio.model.whatif import WhatIf
-
 
 Found = TypeVar("Found")
 
@@ -81,7 +79,8 @@ class Asked:
 
 def rays_of(asked: Asked, *, settled: bool) -> Figures:
     """Layout, and what the check tells."""
-    began, refused, lens = time.perf_counter(), [], asked.lens
+    began, lens = time.perf_counter(), asked.lens
+    refused: list[str] = []
     layout = _tried(lambda: layout_of(lens), refused)
     check = _tried(lambda: check_design(lens, refined=settled), refused)
     return Figures(
@@ -96,17 +95,14 @@ def rays_of(asked: Asked, *, settled: bool) -> Figures:
 
 def waves_of(asked: Asked, *, settled: bool) -> Figures:
     """Pupils at three object points, what is predicted as built, and the patch: coarse while values move."""
-    began, refused, lens = time.perf_counter(), [], asked.lens
+    began, lens = time.perf_counter(), asked.lens
+    refused: list[str] = []
     what_if = asked.what_if.of(lens)
     pupils = _tried(
         lambda: pupil_figures(lens, what_if, heights_of(lens), *(() if settled else (COARSE,))), refused
     )
     made = asked.made
-    as_built = (
-        None
-        if made is None
-        else _tried(lambda: built(lens, made, settled=settled), refused)
-    )
+    as_built = None if made is None else _tried(lambda: built(lens, made, settled=settled), refused)
     return Figures(
         lens,
         settled,
@@ -119,12 +115,11 @@ def waves_of(asked: Asked, *, settled: bool) -> Figures:
 
 def patch_of(asked: Asked, *, settled: bool) -> Figures:
     """The patch."""
-    began, refused, lens = time.perf_counter(), [], asked.lens
-    side, height = (PATCH_UM if settled else COARSE_PATCH_UM), min(asked.patch_field_mm, lens.half_field_mm)
-    patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, side), refused)
-    return Figures(
-        lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,)
-    )
+    began, lens = time.perf_counter(), asked.lens
+    refused: list[str] = []
+    height, samples = min(asked.patch_field_mm, lens.half_field_mm), (None if settled else COARSE_PATCH)
+    patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, samples), refused)
+    return Figures(lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,))
 
 
 def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:

@@ -1,4 +1,4 @@
-"""Wavefronts, Strehl ratios and line contrast of a lens that is not as designed, and a small patch through it."""
+"""Wavefronts, Strehl ratios and contrast of a lens that is not as designed, and a small patch through it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ SAMPLES, COARSE = 128, 48
 WIDTHS = (1.0, 1.25, 1.6, 2.0, 2.8)
 """Line widths, in units of wavelength / (2 NA)."""
 
-PATCH_UM = 14.0
-COARSE_PATCH_UM = 9.0
+PATCH_UM = 16.0
+"""Side of the patch for a resolution of 0.532 um; others in proportion."""
+
+COARSE_PATCH = 67
+"""Samples of the stop for the patch while a value moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +68,7 @@ def pupil_figures(
         If rays do not arrive.
     """
     placement = what_if.placement(lens)
-    resolution_um = 0.5 * lens.wavelengths_um[0] / lens.object.numerical_aperture
-    widths = tuple(float(w * resolution_um) for w in WIDTHS)
+    widths = tuple(float(w * _resolution_um(lens)) for w in WIDTHS)
     found = []
     for height in heights_mm:
         registered = refocus(_sampler(lens, float(height), samples).pupil(placement))
@@ -80,7 +82,14 @@ def pupil_figures(
         waves = np.where(inside, pupil.waves_on_grid, np.nan)
         found.append(
             PupilFigures(
-                height, strehl(pupil), rms_waves(pupil), (x, y), registered.refocus_um, widths, contrast, waves
+                height,
+                strehl(pupil),
+                rms_waves(pupil),
+                (x, y),
+                registered.refocus_um,
+                widths,
+                contrast,
+                waves,
             )
         )
     return tuple(found)
@@ -109,43 +118,53 @@ class PatchPicture:
     nominal: Array
 
 
-def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, side_um: float = PATCH_UM) -> PatchPicture:
+def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | None = None) -> PatchPicture:
     """A chart of bars through the lens as it may be, and back through the nominal one, refocused.
+
+    Parameters
+    ----------
+    lens, what_if
+        The lens, and how far it is off.
+    height_mm
+        Of the object point in the patch's middle, along y.
+    samples
+        As of :class:`wavesim.PatchChain`.
 
     Raises
     ------
     InputError
         If rays do not arrive.
     """
-    chain = _chain(lens, height_mm, side_um)
-    chart = _chart(chain)
-    seen = chain.perturbed(what_if.placement(lens)).returned(chart, "focus").values
-    return PatchPicture(side_um, np.abs(seen) ** 2, _nominal(lens, height_mm, side_um))
+    chain = _chain(lens, height_mm, samples)
+    seen = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
+    return PatchPicture(chain.patch_um, np.abs(seen) ** 2, _nominal(lens, height_mm, samples))
 
 
 @lru_cache(maxsize=4)
-def _chain(lens: Lens, height_mm: float, side_um: float) -> PatchChain:
-    return PatchChain(lens, (0.0, height_mm), patch_um=side_um)
+def _chain(lens: Lens, height_mm: float, samples: int | None) -> PatchChain:
+    return PatchChain(
+        lens, (0.0, height_mm), patch_um=PATCH_UM / 0.532 * _resolution_um(lens), samples=samples
+    )
 
 
 @lru_cache(maxsize=4)
-def _nominal(lens: Lens, height_mm: float, side_um: float) -> Array:
-    chain = _chain(lens, height_mm, side_um)
+def _nominal(lens: Lens, height_mm: float, samples: int | None) -> Array:
+    chain = _chain(lens, height_mm, samples)
     return np.asarray(np.abs(chain.perturbed().returned(_chart(chain), "focus").values) ** 2)
 
 
+def _resolution_um(lens: Lens) -> float:
+    return 0.5 * lens.wavelengths_um[0] / lens.object.numerical_aperture
+
+
 def _chart(chain: PatchChain) -> Array:
-    """Three groups of bars in each direction, of 2.4, 1.6 and 1.1 times the resolution."""
-    grid = chain.patch
-    xy = grid.coordinates_um
-    resolution = 0.5 * grid.wavelength_um / chain.lens.object.numerical_aperture
-    chart = np.zeros(grid.shape)
-    share = grid.side_um / 14.0
-    for row, width in zip((-4.3, 0.2, 4.0), (2.4, 1.6, 1.1), strict=True):
-        w = width * resolution * share
-        for middle, axis in ((-3.4, 0), (3.4, 1)):
-            cx, cy = middle * share, row * share
-            u, v = (xy[None, :] - cx, xy[:, None] - cy) if axis == 0 else (xy[:, None] - cy, xy[None, :] - cx)
-            bars = np.any([np.abs(u - 2.0 * w * k) <= 0.5 * w for k in (-1, 0, 1)], axis=0)
-            chart = np.maximum(chart, bars * (np.abs(v) <= 2.5 * w))
+    """Three groups of three bars in each direction, 2, 1.5 and 1.1 times the resolution wide."""
+    xy, unit = chain.patch.coordinates_um, _resolution_um(chain.lens)
+    chart = np.zeros(chain.patch.shape)
+    for row, width in ((-8.2, 2.0), (1.5, 1.5), (9.3, 1.1)):
+        for column, across in ((-7.0, True), (7.0, False)):
+            x, y = np.meshgrid(xy / unit - column, xy / unit - row)
+            u, v = (x, y) if across else (y, x)
+            bars = np.any([np.abs(u - 2.0 * width * k) <= 0.5 * width for k in (-1, 0, 1)], axis=0)
+            chart = np.maximum(chart, bars * (np.abs(v) <= 2.5 * width))
     return chart

@@ -1,4 +1,4 @@
-"""The values of a design that can be edited: where they stand, how they are written, and in which steps they go."""
+"""The values of a design that can be edited: where they stand, how they are written, their steps."""
 
 from __future__ import annotations
 
@@ -73,7 +73,9 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
         As it was opened: ranges of sliders are about these values, so that they stand while one drags.
     """
 
-    def number(group: str, place: Place, label: str, unit: str, span: float = 0.2, least: float = 0.0) -> Value:
+    def number(
+        group: str, place: Place, label: str, unit: str, span: float = 0.2, least: float = 0.0
+    ) -> Value:
         own, first = value_at(tables, place), value_at(opened, place)
         if not isinstance(own, int | float):
             return Value(place, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
@@ -152,7 +154,8 @@ def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
     names = list(dict.fromkeys(name for name, _ in list_glasses(lens.glass_catalogs)))
     asked = text.casefold().strip()
     found = sorted(
-        (n for n in names if asked in n.casefold()), key=lambda n: (not n.casefold().startswith(asked), len(n))
+        (n for n in names if asked in n.casefold()),
+        key=lambda n: (not n.casefold().startswith(asked), len(n)),
     )
     hint = did_you_mean(text, names).removeprefix("; did you mean ").removesuffix("?")
     return found[:most] or ([hint] if hint else [])

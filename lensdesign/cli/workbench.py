@@ -1,0 +1,39 @@
+"""The command that opens the workbench, which a package above this one has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lensdesign.cli.making import Design
+from lensdesign.errors import InputError
+
+WORKBENCHES = "lensdesign.workbench"
+"""Group of entry points: what serves a design, by the name ``serve``."""
+
+
+def studio(
+    design: Design,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port; 0 takes that of the last time, or a free one.")
+    ] = 0,
+    tolerances: Annotated[
+        str,
+        typer.Option(metavar="GRADE", help="Grade or study file: how the lens is made."),
+    ] = "precision",
+    show: Annotated[bool, typer.Option("--open/--no-open", help="Whether to open the browser.")] = True,
+) -> None:
+    """Open the workbench: change the lens in the browser and see at once what that does.
+
+    It serves on this machine alone, under an address that holds a token, until it is stopped (Ctrl+C).
+    Nothing is written to the design before it is saved; unsaved edits are kept for the next time.
+    """
+    from importlib.metadata import entry_points
+    from importlib.util import find_spec
+
+    found = tuple(entry_points(group=WORKBENCHES, name="serve"))
+    if not found or find_spec("panel") is None:
+        raise InputError("lensdesign studio needs an extra: pip install 'transferlens[studio]'")
+    found[0].load()(Path(design), port, tolerances, show=show)

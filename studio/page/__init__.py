@@ -1,0 +1,1 @@
+"""The page: its frame, its server, and the same in a notebook."""

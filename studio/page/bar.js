@@ -1,0 +1,80 @@
+// The bar on top: title, undo, redo, save, theme; keys; and whether the server is still there.
+export function render({ model, el }) {
+  const root = document.createElement("div");
+  root.className = "bar";
+  const make = (tag, name, parent = root) => {
+    const node = document.createElement(tag);
+    node.className = name;
+    parent.append(node);
+    return node;
+  };
+  make("span", "mark").textContent = "transferlens";
+  const title = make("span", "title"), file = make("span", "file");
+  const said = make("span", "said");
+  said.setAttribute("role", "status");
+  const button = (label, hint, act) => {
+    const node = make("button", "");
+    node.textContent = label;
+    node.title = node.ariaLabel = hint;
+    node.onclick = act;
+    return node;
+  };
+  const ask = (action) => () => model.send_msg({ action });
+  const undo = button("↶ Undo", "Undo (Ctrl+Z)", ask("undo"));
+  const redo = button("↷ Redo", "Redo (Ctrl+Shift+Z)", ask("redo"));
+  const name = make("input", "name");
+  name.ariaLabel = "File to save to";
+  name.spellcheck = false;
+  const save = button("Save", "Save (Ctrl+S)", () => model.send_msg({ action: "save", file: name.value }));
+  const sun = button("◐", "Dark or light", () => dress(page.dataset.theme === "dark" ? "light" : "dark"));
+  const page = document.documentElement;
+  const dress = (theme) => {
+    page.dataset.theme = theme;
+    try { localStorage.setItem("studio-theme", theme); } catch {}
+    model.send_msg({ theme });
+  };
+
+  const update = () => {
+    title.textContent = model.title || "untitled";
+    file.textContent = model.is_saved ? "" : "● unsaved";
+    undo.disabled = !model.can_undo;
+    redo.disabled = !model.can_redo;
+    undo.title = model.can_undo ? `Undo: ${model.undo} (Ctrl+Z)` : "Nothing to undo";
+    if (root.getRootNode().activeElement !== name) name.value = model.file;
+    said.textContent = model.said;
+    said.classList.toggle("bad", model.is_bad);
+  };
+  for (const key of ["title", "file", "is_saved", "can_undo", "can_redo", "undo", "said", "is_bad"])
+    model.on(key, update);
+
+  document.addEventListener("keydown", (event) => {
+    if (!(event.ctrlKey || event.metaKey)) return;
+    const key = event.key.toLowerCase();
+    const action = key === "z" ? (event.shiftKey ? "redo" : "undo") : key === "y" ? "redo" : key === "s" ? "save" : "";
+    if (!action) return;
+    event.preventDefault();
+    document.activeElement?.blur?.();
+    model.send_msg({ action, file: name.value });
+  });
+
+  // Asked every second: when another server answers in the place of one that went, the page comes anew, with
+  // the edits that were kept.
+  let gone = false, first = null;
+  const banner = document.getElementById("gone");
+  const look = async () => {
+    try {
+      const answer = await fetch("alive", { cache: "no-store" });
+      if (!answer.ok) throw new Error(String(answer.status));
+      const now = await answer.text();
+      first ??= now;
+      if (now !== first || gone) location.reload();
+    } catch {
+      gone = first !== null;
+      if (banner && gone) { banner.hidden = false; document.getElementById("page").inert = true; }
+    }
+  };
+  if (banner) { look(); setInterval(look, 1000); }
+  if (banner) dress(page.dataset.theme || "light");
+  update();
+  return root;
+}

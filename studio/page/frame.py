@@ -1,0 +1,198 @@
+"""The page of a workbench, put together from panes."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+import param
+from panel.custom import JSComponent
+
+from lensdesign.common.text import visible
+from lensdesign.errors import TransferLensError
+from studio import panes
+from studio.model.bench import Workbench
+from studio.panes.common import follow, text
+from studio.panes.rays import field_heights
+from studio.panes.themes import Dresser, dressed
+
+HERE = Path(__file__).parent
+PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
+
+
+class Bar(JSComponent):
+    """The bar on top."""
+
+    title = param.String(default="", doc="Of the design.")
+    file = param.String(default="", doc="To which it is saved.")
+    is_saved = param.Boolean(default=True, doc="Whether the file holds what is shown.")
+    can_undo = param.Boolean(default=False, doc="Whether there is a step back.")
+    can_redo = param.Boolean(default=False, doc="Whether there is a step forward.")
+    undo = param.String(default="", doc="What would be undone.")
+    said = param.String(default="", doc="What happened last.")
+    is_bad = param.Boolean(default=False, doc="Whether that is a refusal.")
+
+    _esm = HERE / "bar.js"
+    _stylesheets = [HERE / "bar.css"]  # noqa: RUF012 - as Panel has it
+
+    def __init__(self, received: Any, **params: Any) -> None:
+        super().__init__(**params)
+        self._received = received
+
+    def _handle_msg(self, data: Any) -> None:
+        if isinstance(data, dict):
+            self._received(data)
+
+
+def page(bench: Workbench) -> pn.Template:
+    """The whole page, for one tab of a browser."""
+    dressers: list[Dresser] = []
+    template = pn.Template((HERE / "page.html").read_text(encoding="utf-8"))
+    template.add_variable("page_css", (HERE / "page.css").read_text(encoding="utf-8"))
+    template.add_panel("bar", _bar(bench, dressers))
+    template.add_panel("side", _side(bench))
+    template.add_panel("main", _main(bench, dressers))
+    template.add_panel(
+        "told", _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
+    )
+    dressed(dressers, "light")
+    return template
+
+
+def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
+    def received(message: dict[str, Any]) -> None:
+        if message.get("theme") in ("light", "dark"):
+            dressed(dressers, message["theme"])
+            return
+        action = message.get("action")
+        bar.param.update(said="", is_bad=False)
+        if action == "undo":
+            bench.undo()
+        elif action == "redo":
+            bench.redo()
+        elif action == "save":
+            try:
+                path = Path(str(message.get("file") or bench.document.path))
+                bench.save(None if path == bench.document.path else path)
+                bar.said = f"saved {bench.document.path}"
+            except TransferLensError as error:
+                bar.param.update(said=str(error), is_bad=True)
+
+    bar = Bar(received, sizing_mode="stretch_width")
+
+    def update() -> None:
+        editing = bench.editing
+        bar.param.update(
+            title=visible(bench.lens.title),
+            file=str(bench.document.path),
+            is_saved=bench.is_saved,
+            can_undo=bool(editing.before),
+            can_redo=bool(editing.after),
+            undo=visible(editing.now.what),
+        )
+
+    follow(bench, bar, update)
+    return bar
+
+
+def _side(bench: Workbench) -> pn.Tabs:
+    return _tabs(("Lens", panes.surfaces(bench)), ("What if", panes.what_if(bench)))
+
+
+def _told(bench: Workbench) -> pn.Column:
+    return _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
+
+
+def _tabs(*tabs: tuple[str, Any]) -> pn.Tabs:
+    return pn.Tabs(*tabs, sizing_mode="stretch_width", margin=0, dynamic=True, stylesheets=[PARTS])
+
+
+def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
+    return _styled(
+        pn.Column(
+            _card(_legend(bench), panes.layout(bench, dressers)),
+            _tabs(("Live", _live(bench, dressers))),
+        )
+    )
+
+
+def _live(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
+    planes = min(2, len(bench.lens.sensor.plane_distances_mm))
+    row = partial(pn.Row, sizing_mode="stretch_width", margin=0, styles={"gap": "1px"})
+    return pn.Column(
+        row(
+            _card(_head("Spread", "against field, and the sensor's limit"), panes.spread(bench, dressers)),
+            *(
+                _card(
+                    _head(f"Footprint H{k + 1}", "spots on the sensor"), panes.footprint(bench, k, dressers)
+                )
+                for k in range(planes)
+            ),
+        ),
+        row(
+            *(
+                _card(_head("Wavefront" if k == 0 else "&nbsp;"), panes.wavefront(bench, k, dressers))
+                for k in range(3)
+            ),
+        ),
+        row(
+            _card(_head("Contrast", "of lines, as it is"), panes.contrast(bench, dressers)),
+            _card(_head("Patch", "of a chart, reconstructed"), panes.patch(bench, dressers)),
+        ),
+        sizing_mode="stretch_width",
+        styles={"gap": "1px"},
+    )
+
+
+def _legend(bench: Workbench) -> pn.pane.HTML:
+    from studio.panes.themes import FIELDS
+
+    pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0, stylesheets=[PARTS])
+
+    def update() -> None:
+        names = "".join(
+            f'<i style="color:{color}">●</i><small style="padding:0">{text(name)}</small>'
+            for name, color in zip(field_heights(bench.lens), FIELDS["light"], strict=True)
+        )
+        pane.object = (
+            f'<div class="head">Layout <small>to scale; rays from field heights</small>{names}</div>'
+        )
+
+    follow(bench, pane, update)
+    return pane
+
+
+def _head(title: str, more: str = "") -> pn.pane.HTML:
+    small = f"<small>{text(more)}</small>" if more else ""
+    return pn.pane.HTML(
+        f'<div class="head">{title}{small}</div>', sizing_mode="stretch_width", margin=0, stylesheets=[PARTS]
+    )
+
+
+def _card(*parts: Any) -> pn.Column:
+    return _styled(
+        pn.Column(
+            *parts, sizing_mode="stretch_width", styles={"background": "var(--paper, #fff)", "min-width": "0"}
+        )
+    )
+
+
+def _styled(column: pn.Column) -> pn.Column:
+    """A column whose words have the page's looks."""
+    column.sizing_mode = "stretch_width"
+    column.styles = {"gap": "1px", **column.styles}
+    for part in column.select(lambda part: isinstance(part, pn.pane.HTML | pn.widgets.Widget)):
+        part.stylesheets = [PARTS]
+    return column
+
+
+def notebook_view(bench: Workbench) -> pn.Row:
+    """The panes of the page side by side."""
+    dressers: list[Dresser] = []
+    side, main, told = _side(bench), _main(bench, dressers), _told(bench)
+    side.width = told.width = 330
+    side.sizing_mode = told.sizing_mode = "fixed"
+    dressed(dressers, "light")
+    return pn.Row(side, main, told, sizing_mode="stretch_width")

@@ -1,0 +1,37 @@
+"""The workbench in a notebook."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+
+if TYPE_CHECKING:
+    import panel as pn
+
+
+def studio(lens: Workbench | Lens | str | Path, grade: str = "precision") -> pn.Row:
+    """The workbench of a lens as one object that a notebook shows; its panes are those of the page.
+
+    Parameters
+    ----------
+    lens
+        A lens, a design file, or a workbench, which then has several views.
+    grade
+        By which the lens is predicted as built: a grade, or a tolerance study's file.
+
+    Raises
+    ------
+    InputError
+        If the file holds no lens.
+    """
+    import panel as pn
+
+    from studio.page.frame import notebook_view
+
+    pn.extension(inline=True)
+    bench = lens if isinstance(lens, Workbench) else Workbench(lens, grade)
+    bench.ask()
+    return notebook_view(bench)

@@ -1,0 +1,130 @@
+"""The server: on this machine alone, behind a path that nobody can guess."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+import sys
+import uuid
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from lensdesign.errors import InputError
+from studio.model.bench import Workbench
+from studio.model.document import Aside
+
+ADDRESS = "127.0.0.1"
+
+
+def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:
+    """Serve the workbench of a design until it is stopped.
+
+    Parameters
+    ----------
+    design
+        The design file.
+    port
+        On which to listen; 0 takes the one of the last time where that is free, else any.
+    grade
+        By which the lens is predicted as built.
+    show
+        Whether to open the browser.
+
+    Raises
+    ------
+    InputError
+        If the file holds no lens, or the port is taken.
+    """
+    aside = Aside(design)
+    bench = Workbench(design, grade, aside)
+    kept = aside.read()
+    token, port = _token(kept.get("token")), _port(port, kept.get("port"))
+    server = server_of(bench, port, token)
+    server.start()
+    aside.keep(token=token, port=port)
+    address = f"http://{ADDRESS}:{port}/{token}/"
+    print(f"{design} on {address}", flush=True)
+    if bench.editing.before:
+        print("with the unsaved edits of the last session; undo takes them back", flush=True)
+    if show:
+        server.io_loop.add_callback(_open, address)
+    bench.ask()
+    try:
+        server.run_until_shutdown()
+    finally:
+        bench.close()
+        print("stopped; unsaved edits are kept for the next time", file=sys.stderr)
+
+
+def server_of(bench: Workbench, port: int, token: str) -> Any:
+    """A server of a workbench, not yet started."""
+    import panel as pn
+
+    from studio.page.frame import page
+
+    pn.extension(inline=True)
+    return pn.serve(
+        {"/": lambda: page(bench)},
+        port=port,
+        address=ADDRESS,
+        prefix=f"/{token}",
+        websocket_origin=[f"{ADDRESS}:{port}", f"localhost:{port}"],
+        extra_patterns=[("/alive", _alive())],
+        show=False,
+        start=False,
+        title="transferlens studio",
+        keep_alive_milliseconds=10_000,
+        check_unused_sessions_milliseconds=2_000,
+        unused_session_lifetime_milliseconds=5_000,
+        session_token_expiration=86_400,
+        admin=False,
+        liveness=False,
+    )
+
+
+def _alive() -> type:
+    """What answers whether the server is there, and which one it is."""
+    from tornado.web import RequestHandler
+
+    name = uuid.uuid4().hex
+
+    class Alive(RequestHandler):
+        def get(self) -> None:
+            self.set_header("Cache-Control", "no-store")
+            self.finish(name)
+
+    return Alive
+
+
+def _token(kept: Any) -> str:
+    """That of the last time, so that a page that is still open finds the server again; else a new one."""
+    return kept if isinstance(kept, str) and len(kept) == 32 and kept.isalnum() else secrets.token_hex(16)
+
+
+def _port(asked: int, kept: Any) -> int:
+    if asked:
+        if not _is_free(asked):
+            raise InputError(f"--port {asked}: is taken by another program; give another one, or none")
+        return asked
+    if isinstance(kept, int) and 1024 <= kept < 65536 and _is_free(kept):
+        return kept
+    with closing(socket.socket()) as free:
+        free.bind((ADDRESS, 0))
+        return int(free.getsockname()[1])
+
+
+def _is_free(port: int) -> bool:
+    with closing(socket.socket()) as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind((ADDRESS, port))
+        except OSError:
+            return False
+    return True
+
+
+def _open(address: str) -> None:
+    import webbrowser
+
+    webbrowser.open(address)

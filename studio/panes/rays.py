@@ -1,0 +1,239 @@
+"""Panes of what rays tell: layout, spread against field, footprints with spots."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import panel as pn
+
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.model.picture import Layout, heights_of
+from studio.panes.common import bench_of, follow
+from studio.panes.themes import FIELDS, Dresser, Theme, chart, dressed, framed
+
+ROOM = 1.06
+"""Of what is shown, beyond it."""
+
+
+def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+    """The lens to scale, with rays of three fields."""
+    from bokeh.models import ColumnDataSource
+
+    bench, own = bench_of(lens), [] if dressers is None else dressers
+    made = chart(own, height=270, x="z (mm)", y="y (mm)", match_aspect=True)
+    box = framed(made)
+    names = ("glass", "rays", "surfaces", "planes", "labels")
+    sources = {name: ColumnDataSource({"xs": [], "ys": []}) for name in names}
+    sources["rays"].data = {"xs": [], "ys": [], "color": []}
+    sources["labels"].data = {"x": [], "y": [], "text": []}
+    glass = made.patches("xs", "ys", source=sources["glass"], line_color=None, fill_alpha=0.75)
+    made.multi_line("xs", "ys", source=sources["rays"], line_color="color", line_width=0.8, line_alpha=0.85)
+    outline = made.multi_line("xs", "ys", source=sources["surfaces"], line_width=1.4)
+    planes = made.multi_line("xs", "ys", source=sources["planes"], line_width=2)
+    labels = made.text(
+        "x",
+        "y",
+        "text",
+        source=sources["labels"],
+        text_font_size="11px",
+        text_align="center",
+        text_baseline="bottom",
+    )
+    made.xgrid.visible = made.ygrid.visible = False
+    theme: list[Theme] = ["light"]
+
+    def dress(colors: dict[str, str], name: Theme) -> None:
+        theme[0] = name
+        glass.glyph.fill_color = colors["glass"]
+        outline.glyph.line_color = colors["edge"]
+        planes.glyph.line_color = colors["ink"]
+        labels.glyph.text_color = colors["faint"]
+        count = len(sources["rays"].data["color"])
+        if count:
+            sources["rays"].data["color"] = _colors(count, name)
+            sources["rays"].data = dict(sources["rays"].data)
+
+    own.append(dress)
+    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
+    seen: list[Any] = [None]
+
+    def update() -> None:
+        found = bench.figures.layout
+        if found is None or found is seen[0]:
+            return
+        seen[0] = found
+        _fill(sources, found, bench.figures.lens, theme[0])
+        _frame(box, found, bench.figures.lens)
+
+    follow(bench, pane, update)
+    if dressers is None:
+        dressed(own, "light")
+    return pane
+
+
+def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+    """Largest angle behind the lens against field height, with the sensor's limit."""
+    from bokeh.models import ColumnDataSource, Range1d, Span
+
+    bench, own = bench_of(lens), [] if dressers is None else dressers
+    made = chart(
+        own, height=190, x="field height (mm)", y="spread (deg)", x_range=Range1d(0, 1), y_range=Range1d(0, 1)
+    )
+    source = ColumnDataSource({"x": [], "y": []})
+    line = made.line("x", "y", source=source, line_width=2)
+    dots = made.scatter("x", "y", source=source, size=4)
+    limit = Span(dimension="width", line_dash="dashed", line_width=1.2)
+    made.add_layout(limit)
+    names: list[dict[str, str]] = [{}]
+
+    def paint() -> None:
+        report, colors = bench.figures.check, names[0]
+        if report is not None and colors:
+            over = report.max_spread_deg > report.spread_limit_deg * (1.0 + 1e-6)
+            line.glyph.line_color = dots.glyph.fill_color = colors["bad" if over else "accent"]
+            dots.glyph.line_color = None
+            limit.line_color = colors["bad" if over else "faint"]
+
+    def dress(colors: dict[str, str], _: Theme) -> None:
+        names[0] = colors
+        paint()
+
+    own.append(dress)
+    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
+
+    def update() -> None:
+        report = bench.figures.check
+        if report is None:
+            return
+        source.data = {"x": list(report.spread_heights_mm), "y": list(report.spread_per_field_deg)}
+        limit.location = report.spread_limit_deg
+        _widen(made.y_range, 0.0, 1.15 * max(report.spread_limit_deg, report.max_spread_deg))
+        _widen(made.x_range, 0.0, 1.02 * report.spread_heights_mm[-1])
+        paint()
+
+    follow(bench, pane, update)
+    if dressers is None:
+        dressed(own, "light")
+    return pane
+
+
+def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
+    """Spots of three fields on the sensor in one of its planes, and how far all light reaches."""
+    from bokeh.models import ColumnDataSource
+
+    bench, own = bench_of(lens), [] if dressers is None else dressers
+    made = chart(own, height=190, x="x (mm)", y="y (mm)", match_aspect=True)
+    box = framed(made)
+    spots, sensor, reach = (ColumnDataSource({"x": [], "y": []}) for _ in range(3))
+    spots.data = {"x": [], "y": [], "color": []}
+    made.scatter("x", "y", source=spots, size=2, color="color", line_color=None, alpha=0.9)
+    frame = made.line("x", "y", source=sensor, line_width=1.4)
+    circle = made.line("x", "y", source=reach, line_width=1.2, line_dash="dashed")
+    state: dict[str, Any] = {"colors": {}, "theme": "light"}
+
+    def paint() -> None:
+        colors, report = state["colors"], bench.figures.check
+        if not colors or report is None or plane >= len(report.plane_distances_mm):
+            return
+        name = f"footprint radius at {report.plane_distances_mm[plane]:g} mm"
+        met = all(c.met for c in report.constraints if c.name == name)
+        frame.glyph.line_color = colors["ink"]
+        circle.glyph.line_color = colors["accent" if met else "bad"]
+
+    def dress(colors: dict[str, str], theme: Theme) -> None:
+        state.update(colors=colors, theme=theme)
+        seen[0] = None
+        update()
+
+    own.append(dress)
+    pane = pn.pane.Bokeh(made, sizing_mode="stretch_width", margin=0)
+    seen: list[Any] = [None]
+
+    def update() -> None:
+        found, report = bench.figures.layout, bench.figures.check
+        if found is None or report is None or plane >= len(found.spots) or report is seen[0]:
+            return
+        seen[0] = report
+        points = found.spots[plane]
+        xy = np.concatenate(points)
+        spots.data = {
+            "x": xy[:, 0],
+            "y": xy[:, 1],
+            "color": np.repeat(FIELDS[state["theme"]], [len(p) for p in points]).tolist(),
+        }
+        half_x, half_y = (0.5 * side for side in bench.figures.lens.sensor.size_mm)
+        sensor.data = {
+            "x": [half_x * s for s in (-1, 1, 1, -1, -1)],
+            "y": [half_y * s for s in (-1, -1, 1, 1, -1)],
+        }
+        radius, angle = report.footprint_radius_mm[plane], np.linspace(0.0, 2.0 * np.pi, 97)
+        reach.data = {"x": radius * np.cos(angle), "y": radius * np.sin(angle)}
+        most = ROOM * max(half_y, radius)
+        wide = ROOM * max(half_x, radius)
+        _show(box, (-wide, wide), (-most, most))
+        paint()
+
+    follow(bench, pane, update)
+    if dressers is None:
+        dressed(own, "light")
+    return pane
+
+
+def _colors(count: int, theme: Theme) -> list[str]:
+    return [color for color in FIELDS[theme] for _ in range(count // 3)]
+
+
+def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> None:
+    sources["glass"].data = {"xs": [g[:, 0] for g in found.glass], "ys": [g[:, 1] for g in found.glass]}
+    sources["surfaces"].data = {
+        "xs": [s[:, 0] for s in found.surfaces],
+        "ys": [s[:, 1] for s in found.surfaces],
+    }
+    lines = [ray for field in found.rays for ray in field]
+    sources["rays"].data = {
+        "xs": [ray[:, 0] for ray in lines],
+        "ys": [ray[:, 1] for ray in lines],
+        "color": _colors(len(lines), theme),
+    }
+    half = 0.5 * lens.sensor.size_mm[1]
+    at = [(lens.object_z_mm, lens.half_field_mm), *((z, half) for z in lens.sensor_z_mm)]
+    sources["planes"].data = {"xs": [[z, z] for z, _ in at], "ys": [[-h, h] for _, h in at]}
+    sources["labels"].data = {
+        "x": [z for z, _ in at],
+        "y": [1.02 * h + 0.15 for _, h in at],
+        "text": ["object", *(f"H{k + 1}" for k in range(len(lens.sensor_z_mm)))],
+    }
+
+
+def _frame(box: Any, found: Layout, lens: Lens) -> None:
+    """All of the lens in view; what is shown changes in steps, lest it swims while one drags."""
+    high = max(0.5 * lens.sensor.size_mm[1], *(float(np.abs(s[:, 1]).max()) for s in found.surfaces))
+    high = _stepped(1.22 * high)
+    left, right = lens.object_z_mm, lens.sensor_z_mm[-1]
+    room = 0.04 * _stepped(right - left)
+    _show(box, (left - room, right + room), (-high, high))
+
+
+def _show(box: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Have a chart show what lies between these, if it does not yet."""
+    new = {"x": list(x), "y": list(y)}
+    if dict(box.data) != new:
+        box.data = new
+
+
+def _widen(span: Any, start: float, end: float) -> None:
+    """Show a range that rises in steps."""
+    span.update(start=start, end=_stepped(end))
+
+
+def _stepped(value: float) -> float:
+    """The next of values 3 % apart."""
+    return 1.03 ** math.ceil(math.log(max(value, 1e-12)) / math.log(1.03))
+
+
+def field_heights(lens: Lens) -> list[str]:
+    """Field heights of the pictures, as they are written."""
+    return [f"{height:.3g} mm" for height in heights_of(lens)]

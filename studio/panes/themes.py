@@ -1,0 +1,108 @@
+"""Looks of the charts, on light and on dark ground."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+Theme = Literal["light", "dark"]
+
+COLORS = {
+    "light": {
+        "ink": "#1d2327",
+        "faint": "#66717a",
+        "line": "#dde1e4",
+        "paper": "#ffffff",
+        "glass": "#cfe3ee",
+        "edge": "#3e5361",
+        "bad": "#c62828",
+        "accent": "#00796b",
+    },
+    "dark": {
+        "ink": "#d7dde3",
+        "faint": "#8b96a0",
+        "line": "#2c333a",
+        "paper": "#1a1e22",
+        "glass": "#26404e",
+        "edge": "#9fc3d6",
+        "bad": "#ff6b5e",
+        "accent": "#4cc2b0",
+    },
+}
+
+FIELDS = {"light": ("#c2410c", "#00805d", "#0069b4"), "dark": ("#ff8a4c", "#2fbf93", "#59b0f0")}
+"""Of three fields."""
+
+WAVES = {
+    "light": ("#2166ac", "#67a9cf", "#d1e5f0", "#eceff1", "#fddbc7", "#ef8a62", "#b2182b"),
+    "dark": ("#7cc4ff", "#4a8fc7", "#2f567a", "#2b3238", "#743d2f", "#c76a4a", "#ffa982"),
+}
+"""Of path differences, from negative to positive; refined between."""
+
+Dresser = Callable[[dict[str, str], Theme], None]
+
+
+def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **more: Any) -> Any:
+    """An empty Bokeh figure in the house's looks, with what dresses it added to `dressers`."""
+    from bokeh.plotting import figure
+
+    made = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        margin=0,
+        toolbar_location=None,
+        tools="",
+        min_border=2,
+        output_backend="canvas",
+        x_axis_label=x or None,
+        y_axis_label=y or None,
+        **more,
+    )
+    made.outline_line_color = None
+
+    def dress(colors: dict[str, str], theme: Theme) -> None:
+        made.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
+        made.xgrid.grid_line_color = made.ygrid.grid_line_color = colors["line"]
+        for axis in made.axis:
+            axis.update(
+                axis_line_color=colors["line"],
+                major_tick_line_color=None,
+                minor_tick_line_color=None,
+                major_label_text_color=colors["faint"],
+                axis_label_text_color=colors["faint"],
+                major_label_text_font_size="10px",
+                axis_label_text_font_size="11px",
+                axis_label_text_font_style="normal",
+                axis_label_standoff=3,
+                major_label_standoff=3,
+            )
+
+    dressers.append(dress)
+    return made
+
+
+def framed(made: Any) -> Any:
+    """Have a chart show a box to scale, as large as it fits; the source holds the box's corners, x and y."""
+    from bokeh.models import ColumnDataSource
+
+    source = ColumnDataSource({"x": [-1.0, 1.0], "y": [-1.0, 1.0]})
+    corners = made.scatter("x", "y", source=source, alpha=0.0, size=0)
+    for span in (made.x_range, made.y_range):
+        span.update(renderers=[corners], range_padding=0.0)
+    return source
+
+
+def dressed(dressers: list[Dresser], theme: Theme) -> None:
+    """Dress charts for a theme."""
+    for dress in dressers:
+        dress(COLORS[theme], theme)
+
+
+def between(stops: tuple[str, ...], count: int = 96) -> list[str]:
+    """Colours between stops, evenly."""
+    import numpy as np
+
+    values = np.array([[int(s[i : i + 2], 16) for i in (1, 3, 5)] for s in stops], float)
+    at = np.linspace(0, len(stops) - 1, count)
+    mixed = [np.interp(at, np.arange(len(stops)), values[:, k]) for k in range(3)]
+    return [f"#{int(r):02x}{int(g):02x}{int(b):02x}" for r, g, b in zip(*mixed, strict=True)]

@@ -1,0 +1,94 @@
+"""The workbench: what is typed, who is told, and that the newest state wins."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+
+from lensdesign import check_design, load_design
+from studio.model.bench import Workbench
+from studio.model.document import Aside
+from studio.model.whatif import WhatIf
+
+RADIUS = "surface.1.radius_mm"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Workbench]:
+    file = Path(shutil.copy(DESIGNS / "paper_singlet.toml", tmp_path / "lens.toml"))
+    made = Workbench(file, "", Aside(file, tmp_path / "aside"))
+    yield made
+    made.close()
+
+
+def wait(until: Callable[[], bool], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_figures_follow_and_settle_to_those_of_the_check(bench: Workbench) -> None:
+    assert bench.edit(RADIUS, "number", "-12.2")
+    wait(lambda: bench.figures.settled and bench.figures.lens == bench.lens)
+    assert bench.figures.check == check_design(bench.lens)
+
+
+def test_a_bad_value_is_refused_and_the_last_good_lens_stays(bench: Workbench) -> None:
+    before = bench.lens
+    assert not bench.edit(RADIUS, "number", "0")
+    assert bench.refused[RADIUS].startswith("surface 2, radius_mm: a radius of 0 is no surface")
+    assert bench.lens is before
+    assert bench.edit(RADIUS, "number", "-12.1")
+    assert bench.refused == {}
+
+
+def test_the_newest_state_wins(bench: Workbench) -> None:
+    for k in range(200):
+        bench.edit(RADIUS, "number", str(-12.0 - 0.001 * k), "drag")
+    made: list[float] = []
+    bench.listen(lambda: made.append(bench.figures.lens.surfaces[1].radius_mm or 0.0))
+    wait(lambda: bench.figures.lens == bench.lens and bench.figures.settled)
+    assert len(set(made)) < 20
+    assert made[-1] == pytest.approx(-12.199)
+    bench.undo()
+    assert bench.lens.surfaces[1].radius_mm == -12.0
+
+
+def test_saving_is_asked_for(bench: Workbench) -> None:
+    bench.edit(RADIUS, "number", "-12.2")
+    assert not bench.is_saved
+    assert load_design(bench.document.path).surfaces[1].radius_mm == -12.0
+    bench.save()
+    assert bench.is_saved
+    assert load_design(bench.document.path) == bench.lens
+
+
+def test_edits_outlive_the_process(bench: Workbench, tmp_path: Path) -> None:
+    bench.edit(RADIUS, "number", "-12.2")
+    wait(lambda: bool(bench.aside and bench.aside.read().get("tables")))
+    again = Workbench(bench.document.path, "", Aside(bench.document.path, tmp_path / "aside"))
+    assert again.lens == bench.lens
+    assert not again.is_saved
+
+
+def test_who_stopped_listening_is_not_told(bench: Workbench) -> None:
+    told: list[int] = []
+    end = bench.listen(lambda: told.append(1))
+    end()
+    end()
+    bench.tell()
+    assert told == []
+
+
+def test_what_if_is_of_the_lens(bench: Workbench) -> None:
+    bench.set_what_if(WhatIf({"lens.tilt_x_deg": 0.1, "element 2.tilt_x_deg": 0.1}))
+    assert set(bench.what_if.of(bench.lens).values) == {"lens.tilt_x_deg"}
+    wait(lambda: bool(bench.figures.pupils))
+    assert threading.active_count() < 20

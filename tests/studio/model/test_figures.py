@@ -1,0 +1,89 @@
+"""Figures of the workbench are those that the commands print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+
+from lensdesign import Lens, Pose, check_design, load_design
+from studio.model.built import workmanship
+from studio.model.figures import Asked, patch_of, rays_of, waves_of
+from studio.model.picture import heights_of
+from studio.model.whatif import WhatIf
+from tolerancing import load_study
+from tolerancing.wavefronts import predict
+from wavesim import PupilSampler, line_pair_contrast, refocus, rms_waves, strehl
+
+OFF = WhatIf({"lens.decenter_y_mm": 0.01, "lens.tilt_x_deg": 0.05})
+STUDY = str(DESIGNS / "as_built_tolerances.toml")
+
+
+def asked(lens: Lens, what_if: WhatIf = OFF, grade: str = STUDY) -> Asked:
+    return Asked(lens, what_if, workmanship(grade, lens, heights_of(lens)), 0.0)
+
+
+def test_settled_rays_are_those_of_the_check(paper_lens: Lens) -> None:
+    assert rays_of(asked(paper_lens), settled=True).check == check_design(paper_lens)
+
+
+def test_settled_waves_are_those_of_the_commands(paper_lens: Lens) -> None:
+    found = waves_of(asked(paper_lens), settled=True)
+    assert not found.refused
+    for figures in found.pupils:
+        pupil = refocus(
+            PupilSampler(paper_lens, (0.0, figures.field_mm)).pupil(Pose(decenter_y_mm=0.01, tilt_x_deg=0.05))
+        ).pupil
+        assert figures.strehl == pytest.approx(strehl(pupil), abs=1e-12)
+        assert figures.rms_waves == pytest.approx(rms_waves(pupil), abs=1e-12)
+        both = [line_pair_contrast(pupil, figures.widths_um[1], axis) for axis in ("x", "y")]
+        assert figures.contrast[1] == pytest.approx(min(both), abs=1e-12)
+    loaded = load_study(STUDY)
+    assert found.built is not None
+    assert found.built.prediction.good == predict(paper_lens, loaded.study).good
+
+
+def test_a_grade_judges_as_its_starting_study_does(paper_lens: Lens, tmp_path: Path) -> None:
+    from tolerancing import start_study
+
+    start_study(DESIGNS / "paper_singlet.toml", tmp_path / "study.toml", "high_precision")
+    (own,) = predict(paper_lens, load_study(tmp_path / "study.toml").study).points
+    found = waves_of(asked(paper_lens, grade="high_precision"), settled=True).built
+    assert found is not None
+    assert found.prediction.points[0].rms_waves == own.rms_waves
+    assert found.prediction.points[0].good == own.good
+
+
+def test_moving_figures_are_near_the_settled_ones(paper_lens: Lens) -> None:
+    one = asked(paper_lens)
+    near, exact = (waves_of(one, settled=settled) for settled in (False, True))
+    for a, b in zip(near.pupils, exact.pupils, strict=True):
+        assert a.strehl == pytest.approx(b.strehl, abs=0.03)
+    assert near.built is not None
+    assert exact.built is not None
+    assert near.built.prediction.good == pytest.approx(exact.built.prediction.good, abs=0.02)
+
+
+def test_a_lens_as_designed_brings_the_chart_back(paper_lens: Lens) -> None:
+    found = patch_of(asked(paper_lens, WhatIf()), settled=True).patch
+    assert found is not None
+    assert found.seen == pytest.approx(found.nominal)
+    off = patch_of(asked(paper_lens, WhatIf({"lens.tilt_x_deg": 0.4})), settled=True).patch
+    assert off is not None
+    assert abs(off.seen - off.nominal).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["moulded_pair", "rectangular_sensor"])
+def test_other_lenses_have_figures(name: str) -> None:
+    lens = load_design(DESIGNS / f"{name}.toml")
+    one = asked(lens, WhatIf({"environment.temperature_c": 5.0}), "precision")
+    for stage in (rays_of, waves_of, patch_of):
+        assert stage(one, settled=False).refused == ()
+
+
+def test_what_cannot_be_had_is_said(paper_lens: Lens) -> None:
+    dark = paper_lens.with_surface(1, semi_diameter_mm=0.01)
+    found = rays_of(Asked(dark, WhatIf(), None, 0.0), settled=False)
+    assert found.check is None
+    assert "no ray" in found.refused[0]
