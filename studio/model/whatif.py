@@ -62,8 +62,7 @@ class WhatIf:
 
     def of(self, lens: Lens) -> WhatIf:
         """What of it a lens can have."""
-        known = {amount.key for amount in amounts_of(lens)}
-        return WhatIf({k: v for k, v in self.values.items() if k in known})
+        return WhatIf({k: v for k, v in self.values.items() if _has(lens, k.rpartition(".")[0])})
 
     def placement(self, lens: Lens, wavelength_um: float | None = None) -> Placement:
         """Lens and bench as they are then.
@@ -86,8 +85,17 @@ class WhatIf:
         return batch.placements(lens, wavelength_um or lens.wavelengths_um[0])[0]
 
 
-def amounts_of(lens: Lens) -> tuple[Amount, ...]:
-    """What of a lens may be off: all of it, its elements where it has several, radii, and the temperature."""
+def _has(lens: Lens, target: str) -> bool:
+    """Whether a lens has a surface or an element of that number; all else every lens has."""
+    kind, _, number = target.partition(" ")
+    return not number or int(number) <= len(lens.glass_fronts if kind == "element" else lens.surfaces)
+
+
+def amounts_of(lens: Lens, what_if: WhatIf = WhatIf()) -> tuple[Amount, ...]:
+    """What of a lens may be off: all of it, its elements where it has several, radii, and the temperature.
+
+    What else is off, as in a trial of a study, comes behind.
+    """
     found = [Amount("lens", *move) for move in MOVES]
     if len(lens.glass_fronts) > 1:
         found += [Amount(f"element {k + 1}", *move) for k in range(len(lens.glass_fronts)) for move in MOVES]
@@ -96,4 +104,11 @@ def amounts_of(lens: Lens) -> tuple[Amount, ...]:
         for i, surface in enumerate(lens.surfaces)
         if surface.radius_mm is not None
     ]
-    return (*found, Amount("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
+    found.append(Amount("environment", "temperature_c", "temperature", "K", 40.0, 0.2))
+    known = {amount.key for amount in found}
+    for key, value in what_if.of(lens).values.items():
+        if key not in known:
+            target, _, parameter = key.rpartition(".")
+            label, _, unit = parameter.rpartition("_")
+            found.append(Amount(target, parameter, label or unit, unit, 3.0 * abs(value), 0.01 * abs(value)))
+    return tuple(found)

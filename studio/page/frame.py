@@ -113,7 +113,13 @@ def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
     return _styled(
         pn.Column(
             _card(_legend(bench), panes.layout(bench, dressers)),
-            _tabs(("Live", _live(bench, dressers))),
+            _tabs(
+                ("Live", _live(bench, dressers)),
+                ("Optimize", _card(panes.optimize(bench))),
+                ("Tolerances", _card(panes.tolerances(bench, dressers))),
+                ("Compare", _card(panes.compare(bench))),
+                ("Export", _card(panes.export(bench))),
+            ),
         )
     )
 

@@ -31,7 +31,10 @@ def bench_of(given: Workbench | Lens) -> Workbench:
 
 
 def follow(bench: Workbench, owner: Any, update: Callable[[], None]) -> None:
-    """Call `update` after changes of a bench, in the turn of the page that is being built; the newest only.
+    """Call `update` at once, and after changes of a bench in the turn of the page that is being built.
+
+    All that a page has to update after a change is done in one turn, and sent as one message; changes that
+    come before that turn are not queued.
 
     Parameters
     ----------
@@ -40,38 +43,55 @@ def follow(bench: Workbench, owner: Any, update: Callable[[], None]) -> None:
     owner
         What is updated; when it is gone, so is what was set up here.
     update
-        What to do. It is called at once, too.
+        What to do.
     """
     from bokeh.io import curdoc
 
     document = curdoc()
-    served = document.session_context is not None
-    pending = [False]
     alive = weakref.ref(owner)
+    if document.session_context is None:
 
-    def turn() -> None:
-        pending[0] = False
-        if served:
-            document.hold("combine")
-        try:
-            update()
-        finally:
-            if served:
-                document.unhold()
+        def heard() -> None:
+            if alive() is None:
+                end()
+            else:
+                update()
 
-    def heard() -> None:
-        if alive() is None:
-            end()
-        elif not served:
-            update()
-        elif not pending[0]:
-            pending[0] = True
-            document.add_next_tick_callback(turn)
-
-    end = bench.listen(heard)
-    if served:
-        document.on_session_destroyed(lambda _: end())
+        end = bench.listen(heard)
+    else:
+        turns = _TURNS.get(document)
+        if turns is None:
+            turns = _TURNS[document] = _Turns(document, bench)
+        turns.updates.append(update)
     update()
+
+
+class _Turns:
+    """What a page does after a change of its bench."""
+
+    def __init__(self, document: Any, bench: Workbench) -> None:
+        self.updates: list[Callable[[], None]] = []
+        self.document = weakref.ref(document)
+        self.pending = False
+        end = bench.listen(self.heard)
+        document.on_session_destroyed(lambda _: end())
+
+    def heard(self) -> None:
+        document = self.document()
+        if document is not None and not self.pending:
+            self.pending = True
+            document.add_next_tick_callback(self.turn)
+
+    def turn(self) -> None:
+        from panel.io.document import hold
+
+        self.pending = False
+        with hold(self.document()):
+            for update in self.updates:
+                update()
+
+
+_TURNS: weakref.WeakKeyDictionary[Any, _Turns] = weakref.WeakKeyDictionary()
 
 
 def text(value: object) -> str:

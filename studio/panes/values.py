@@ -12,7 +12,7 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
-from studio.model.whatif import MOVES, WhatIf, amounts_of
+from studio.model.whatif import MOVES, Amount, WhatIf, amounts_of
 from studio.panes.common import HERE, bench_of, follow
 
 MOVED = {move[0] for move in MOVES}
@@ -53,7 +53,14 @@ def surfaces(lens: Workbench | Lens) -> Values:
 
     def update() -> None:
         found = values_of(bench.editing.now.tables, bench.opened, bench.lens)
-        pane.param.update(rows=[_row(bench.lens, value) for value in found], refused=dict(bench.refused))
+        rows = [_row(bench.lens, value) for value in found]
+        pane.param.update(
+            **{
+                name: new
+                for name, new in (("rows", rows), ("refused", dict(bench.refused)))
+                if getattr(pane, name) != new
+            }
+        )
 
     follow(bench, pane, update)
     return pane
@@ -81,14 +88,14 @@ def what_if(lens: Workbench | Lens) -> Values:
     pane = Values(received, sizing_mode="stretch_width", margin=0)
 
     def update() -> None:
-        rows = []
-        for amount in amounts_of(bench.lens):
+        rows: list[dict[str, Any]] = []
+        for amount in amounts_of(bench.lens, bench.what_if):
             value = bench.what_if.values.get(amount.key, 0.0)
             most = max(amount.most, abs(value))
             rows.append(
                 {
                     "key": amount.key,
-                    "group": amount.target if amount.parameter in MOVED else "radii and heat",
+                    "group": _group_of(amount),
                     "label": amount.label,
                     "unit": amount.unit,
                     "text": f"{value:.6g}",
@@ -103,10 +110,18 @@ def what_if(lens: Workbench | Lens) -> Values:
                     else [],
                 }
             )
-        pane.rows = rows
+        order = list(dict.fromkeys(row["group"] for row in rows))
+        rows.sort(key=lambda row: order.index(row["group"]))
+        if pane.rows != rows:
+            pane.rows = rows
 
     follow(bench, pane, update)
     return pane
+
+
+def _group_of(amount: Amount) -> str:
+    whole = amount.parameter in MOVED or amount.parameter not in ("radius_percent", "temperature_c")
+    return amount.target if whole else "radii and heat"
 
 
 def _act(bench: Workbench, action: str, group: str) -> None:

@@ -45,7 +45,10 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
     def update() -> None:
         if field >= len(bench.figures.pupils) or bench.figures.pupils[field] is seen[0]:
             return
-        found = seen[0] = bench.figures.pupils[field]
+        last, found = seen[0], bench.figures.pupils[field]
+        seen[0] = found
+        if last is not None and np.array_equal(last.waves, found.waves, equal_nan=True):
+            return
         most = max(LEAST_WAVES, float(np.nanmax(np.abs(found.waves))))
         mapper.update(low=-most, high=most)
         source.data = {"image": [found.waves.astype(np.float32)]}

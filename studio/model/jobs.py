@@ -1,0 +1,84 @@
+"""Work in a process of its own, that tells how far it is and can be stopped."""
+
+from __future__ import annotations
+
+import multiprocessing
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from lensdesign.errors import TransferLensError
+
+WAIT_SECONDS = 0.2
+
+
+class Job:
+    """A function that runs in a process of its own.
+
+    Parameters
+    ----------
+    work
+        Called there with `arguments`, and with a function that takes a line of text: how far it is. It, they
+        and what it gives must be picklable.
+    arguments
+        Its arguments.
+    told
+        Called here, in a thread, after each line and at the end.
+
+    Attributes
+    ----------
+    progress
+        The last line.
+    state
+        ``running``, ``done``, ``failed`` or ``cancelled``.
+    result
+        What the function gave; where it failed, the reason.
+    """
+
+    def __init__(
+        self, work: Callable[..., Any], arguments: tuple[Any, ...], told: Callable[[], None]
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.progress, self.state = "", "running"
+        self.result: Any = None
+        self._told = told
+        self._messages: Any = context.Queue()
+        self._process = context.Process(target=_run, args=(work, arguments, self._messages), daemon=True)
+        self._process.start()
+        threading.Thread(target=self._follow, daemon=True, name="job").start()
+
+    def cancel(self) -> None:
+        """Stop it; what it has done is lost."""
+        if self.state == "running":
+            self.state = "cancelled"
+            self._process.terminate()
+            self._told()
+
+    def _follow(self) -> None:
+        while self.state == "running":
+            try:
+                kind, value = self._messages.get(timeout=WAIT_SECONDS)
+            except queue.Empty:
+                if not self._process.is_alive() and self._messages.empty():
+                    self._end("failed", "the process ended before its work was done")
+                continue
+            if kind == "line":
+                self.progress = value
+                self._told()
+            else:
+                self._end(kind, value)
+        self._process.join()
+
+    def _end(self, state: str, result: Any) -> None:
+        if self.state == "running":
+            self.state, self.result = state, result
+            self._told()
+
+
+def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) -> None:
+    """In the process."""
+    try:
+        messages.put(("done", work(*arguments, lambda line: messages.put(("line", line)))))
+    except TransferLensError as error:
+        messages.put(("failed", str(error)))

@@ -1,0 +1,173 @@
+"""Searches for lenses from the page: what may vary, what must hold, and the search itself."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from lensdesign.errors import InputError, atomic_path
+from lensdesign.files.design import design_text
+from lensdesign.lens.lens import Lens
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+from studio.model.built import Workmanship
+from studio.model.studies import write_study
+
+GOALS = (
+    "smallest spread",
+    "thinnest lens",
+    "smallest aperture",
+    "shortest track",
+    "as-built rms",
+    "yield",
+)
+
+CONSTRAINTS = (
+    ("max_spread_deg", "spread, at most", "deg"),
+    ("max_footprint_radius_mm", "footprint, at most", "mm"),
+    ("max_lens_thickness_mm", "thickness, at most", "mm"),
+    ("max_track_mm", "track, at most", "mm"),
+    ("min_edge_thickness_mm", "edge, at least", "mm"),
+    ("max_semi_diameter_mm", "semi-diameter, at most", "mm"),
+    ("min_yield", "yield, at least", ""),
+)
+"""Key, label and unit of what can be asked; of the first two, ``sensor`` is what the sensor allows."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is asked of a search.
+
+    Attributes
+    ----------
+    variables
+        Names of :func:`variables_of`.
+    goal
+        One of `GOALS`.
+    constraints
+        Values by the keys of `CONSTRAINTS`; what is left out is as a specification has it.
+    starts
+        Most starts.
+    """
+
+    variables: tuple[str, ...]
+    goal: str = "smallest spread"
+    constraints: dict[str, float | str] = field(default_factory=dict)
+    starts: int = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found, in plain values.
+
+    Attributes
+    ----------
+    text
+        The lens, as a design file.
+    feasible, violations, binding
+        Whether it keeps what was asked, each miss in a sentence, and what stops it from getting better.
+    summary
+        One line.
+    """
+
+    text: str
+    feasible: bool
+    violations: tuple[str, ...]
+    binding: tuple[str, ...]
+    summary: str
+
+
+def variables_of(lens: Lens) -> dict[str, dict[str, Any]]:
+    """What a search may vary, by name, with bounds about what the lens has."""
+    found: dict[str, dict[str, Any]] = {}
+    for i, surface in enumerate(lens.surfaces, start=1):
+        reach = surface.semi_diameter_mm or lens.stop_semi_diameter_mm
+        for name in surface.shape_parameters:
+            if name.startswith("radius"):
+                limits: dict[str, Any] = {"smallest_radius_mm": round(1.01 * reach, 6)}
+            elif name.startswith("conic"):
+                limits = {"bounds": [-5.0, 1.0]}
+            elif name.startswith("asphere_"):
+                most = 0.05 / reach ** int(name.removeprefix("asphere_"))
+                limits = {"bounds": [-most, most]}
+            else:
+                continue
+            found[f"surface {i} {name}"] = {"surface": i, "parameter": name, **limits}
+        if surface.thickness_mm is not None:
+            bounds = [0.3 * surface.thickness_mm, 2.0 * surface.thickness_mm]
+            found[f"surface {i} thickness_mm"] = {"surface": i, "parameter": "thickness_mm", "bounds": bounds}
+    distance = lens.object.working_distance_mm
+    bounds = [0.5 * distance, 2.0 * distance]
+    found["working_distance_mm"] = {"parameter": "working_distance_mm", "bounds": bounds}
+    return found
+
+
+def specification_text(lens: Lens, search: Search, folder: Path, study: str | None) -> str:
+    """A specification file in a folder.
+
+    Raises
+    ------
+    InputError
+        If nothing may vary, or a goal needs tolerances that are not chosen.
+    """
+    if not search.variables:
+        raise InputError("nothing may vary: tick what may")
+    known = variables_of(lens)
+    tables: dict[str, Any] = {
+        "optimize": {
+            "goal": search.goal,
+            "starts": search.starts,
+            "stop": "numerical aperture",
+        },
+        "constraints": dict(search.constraints),
+        "variable": [known[name] for name in search.variables if name in known],
+    }
+    if search.goal in AS_BUILT_GOALS or "min_yield" in search.constraints:
+        if study is None:
+            raise InputError(f"goal {search.goal!r}: choose tolerances first")
+        tables["tolerances"] = {"study": study}
+    # Tolerances of a figure are counted over a clear aperture; else a search is free to move its rays.
+    start = lens if study is not None else _without_sizes(lens)
+    return design_text(start, folder) + "\n" + tomli_w.dumps(tables)
+
+
+def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Callable[[str], None]) -> Found:
+    """Search, in the process that calls.
+
+    Raises
+    ------
+    InputError
+        As of :func:`lensdesign.load_specification` and :func:`lensdesign.optimize`.
+    """
+    from lensdesign.common.input_files import files_from
+    from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.search import optimize
+
+    with tempfile.TemporaryDirectory() as name, files_from("/"):
+        folder = Path(name)
+        if made is not None:
+            write_study(lens, made, 100, folder)
+        study = None if made is None else "study.toml"
+        with atomic_path(folder / "asked.toml") as file:
+            file.write_text(specification_text(lens, search, folder, study), encoding="utf-8")
+        result = optimize(load_specification(folder / "asked.toml"), report)
+    unit = f" {result.goal_unit}" if result.goal_unit else ""
+    summary = (
+        f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "
+        f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts came to this"
+    )
+    text = design_text(result.lens.replaced(title=lens.title), Path("/"))
+    return Found(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
+
+
+def _without_sizes(lens: Lens) -> Lens:
+    """The lens without clear semi-diameters but the stop's, and what goes with them."""
+    surfaces = tuple(
+        s if i == lens.stop_index else s.model_copy(update={"semi_diameter_mm": None, "figure": None})
+        for i, s in enumerate(lens.surfaces)
+    )
+    return lens.model_copy(update={"surfaces": surfaces, "edges": ()})

@@ -1,0 +1,163 @@
+"""Searches from the page: what may vary, what must hold, progress, what was found beside the start."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.model.built import workmanship
+from studio.model.editing import lens_from
+from studio.model.jobs import Job
+from studio.model.picture import heights_of
+from studio.model.searches import CONSTRAINTS, GOALS, Found, Search, run_search, variables_of
+from studio.panes.beside import comparison
+from studio.panes.common import bench_of, follow, text
+from tolerancing.perturbations.grades import GRADES
+
+
+def optimize(lens: Workbench | Lens) -> pn.Row:
+    """A search in a process of its own, with progress and cancel; what it finds is taken or dropped."""
+    bench = bench_of(lens)
+    return _Optimize(bench).view
+
+
+class _Optimize:
+    """The widgets, and the search that runs."""
+
+    def __init__(self, bench: Workbench) -> None:
+        self.bench = bench
+        self.job: Job | None = None
+        self.start: Lens | None = None
+        self.shown: Any = None
+        self.variables = pn.widgets.CheckBoxGroup(options=[], value=[], margin=(0, 10))
+        self.goal = pn.widgets.Select(
+            name="goal", options=list(GOALS), value=GOALS[0], sizing_mode="stretch_width"
+        )
+        self.limits = {
+            key: pn.widgets.TextInput(
+                name=f"{label}{f' ({unit})' if unit else ''}",
+                value="sensor" if key in ("max_spread_deg", "max_footprint_radius_mm") else "",
+                placeholder="no limit",
+                width=140,
+            )
+            for key, label, unit in CONSTRAINTS
+        }
+        self.run = pn.widgets.Button(name="Optimize", button_type="primary")
+        self.cancel = pn.widgets.Button(name="Cancel", disabled=True)
+        self.take = pn.widgets.Button(name="Take it", visible=False, button_type="primary")
+        self.drop = pn.widgets.Button(name="Drop it", visible=False)
+        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.run.on_click(self._run)
+        self.cancel.on_click(lambda _: self.job and self.job.cancel())
+        self.take.on_click(self._take)
+        self.drop.on_click(self._drop)
+        self.view = self._view()
+        follow(bench, self.view, self.update)
+
+    def _view(self) -> pn.Row:
+        head = '<div class="head">{}</div>'
+        form = pn.Column(
+            pn.pane.HTML(head.format("What may vary"), margin=0),
+            self.variables,
+            self.goal,
+            pn.pane.HTML(head.format("What must hold"), margin=0),
+            pn.FlexBox(*self.limits.values(), sizing_mode="stretch_width"),
+            pn.Row(self.run, self.cancel),
+            width=330,
+            margin=(0, 0, 10, 0),
+        )
+        found = pn.Column(
+            self.said, pn.Row(self.take, self.drop), sizing_mode="stretch_width", styles={"min-width": "0"}
+        )
+        view = pn.Row(form, found, sizing_mode="stretch_width", margin=0)
+        view._optimize = self  # lives as long as what shows it
+        return view
+
+    def _asked(self) -> Search:
+        limits: dict[str, float | str] = {}
+        for key, widget in self.limits.items():
+            given = widget.value.strip()
+            if given in ("sensor", "none") and widget.value:
+                limits[key] = given
+            elif given:
+                try:
+                    limits[key] = float(given)
+                except ValueError:
+                    raise InputError(f"{widget.name}: {given!r}: must be a number, or empty") from None
+            elif key in ("max_spread_deg", "max_footprint_radius_mm"):
+                limits[key] = "none"
+        return Search(tuple(self.variables.value), self.goal.value, limits)
+
+    def _run(self, _: object) -> None:
+        bench = self.bench
+        if self.job is not None and self.job.state == "running":
+            return
+        try:
+            asked = self._asked()
+            if not asked.variables:
+                raise InputError("nothing may vary: tick what may")
+            grade = bench.grade or next(iter(GRADES))
+            made = workmanship(grade, bench.lens, heights_of(bench.lens))
+            needs = asked.goal in ("as-built rms", "yield") or "min_yield" in asked.constraints
+        except InputError as error:
+            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            return
+        self.start, self.shown = bench.lens, None
+        self.take.visible = self.drop.visible = False
+        self.job = Job(run_search, (bench.lens, asked, made if needs else None), bench.tell)
+        self.update()
+
+    def _take(self, _: object) -> None:
+        found = self._found()
+        if found is not None:
+            self.bench.change("what a search found", lambda _: tomllib.loads(found.text))
+        self._drop(None)
+
+    def _drop(self, _: object) -> None:
+        self.job, self.shown, self.said.object = None, None, ""
+        self.take.visible = self.drop.visible = False
+
+    def _found(self) -> Found | None:
+        job = self.job
+        return job.result if job is not None and job.state == "done" else None
+
+    def update(self) -> None:
+        """Show how far the search is, or what it found."""
+        names = list(variables_of(self.bench.lens))
+        if list(self.variables.options) != names:
+            kept = [n for n in self.variables.value if n in names]
+            self.variables.options = names
+            self.variables.value = kept or [n for n in names if "radius" in n or n == "surface 2 conic"]
+        job = self.job
+        running = job is not None and job.state == "running"
+        if self.run.disabled is not running:
+            self.run.disabled, self.cancel.disabled = running, not running
+        if job is None or (state := (job.state, job.progress)) == self.shown:
+            return
+        self.shown = state
+        if job.state == "running":
+            self.said.object = f'<div class="told"><p>searching… {text(job.progress)}</p></div>'
+        elif job.state == "cancelled":
+            self.said.object = '<div class="told"><p>cancelled; the lens is as it was</p></div>'
+        elif job.state == "failed":
+            self.said.object = f'<div class="told"><p class="miss">{text(job.result)}</p></div>'
+        else:
+            self._show(job.result)
+
+    def _show(self, found: Found) -> None:
+        assert self.start is not None  # a search ran
+        lens = lens_from(tomllib.loads(found.text), Path("found.toml"))
+        kind, words = ("good", "every constraint is met") if found.feasible else ("bad", "not all is met")
+        told = "".join(f'<p class="miss">{text(one)}</p>' for one in found.violations)
+        told += "".join(f"<p>binding: {text(one)}</p>" for one in found.binding)
+        self.said.object = (
+            f'<div class="told"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>{told}</div>'
+            + comparison(["start", "found"], [self.start, lens])
+        )
+        self.take.visible = self.drop.visible = True

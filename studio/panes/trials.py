@@ -1,0 +1,136 @@
+"""A tolerance study of the lens: started here, its trials as they arrive, each of them to be looked at."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import panel as pn
+
+from lensdesign.errors import TransferLensError
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.model.built import workmanship
+from studio.model.jobs import Job
+from studio.model.picture import heights_of
+from studio.model.studies import run_trials, trial_what_if, trials_so_far
+from studio.panes.common import bench_of, follow, text
+from studio.panes.themes import Dresser, Theme, chart, dressed
+from tolerancing.analysis.yields import yield_of
+
+POLL_MILLISECONDS = 700
+
+
+def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
+    """Start a study by the chosen tolerances; click a trial to have its errors among the what-ifs."""
+    bench, own = bench_of(lens), [] if dressers is None else dressers
+    pane = _Tolerances(bench, own).view
+    if dressers is None:
+        dressed(own, "light")
+    return pane
+
+
+class _Tolerances:
+    """The widgets, the study that runs, and its folder."""
+
+    def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
+        from bokeh.models import ColumnDataSource
+
+        self.bench = bench
+        self.job: Job | None = None
+        self.polling: Any = None
+        self.folder: tempfile.TemporaryDirectory[str] | None = None
+        self.count = pn.widgets.IntInput(name="trials", value=400, start=20, end=100_000, step=100, width=120)
+        self.run = pn.widgets.Button(name="Start", button_type="primary", align="end")
+        self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
+        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.source = ColumnDataSource({"x": [], "y": [], "number": [], "color": []})
+        self.colors = ("#00796b", "#c62828")
+        self.passed = np.zeros(0, bool)
+        made = chart(dressers, height=260, x="trial", y="rms wavefront, worst field (λ)")
+        made.add_tools("tap")
+        made.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
+        dressers.append(self._dress)
+        self.source.selected.on_change("indices", self._picked)
+        self.run.on_click(self._start)
+        self.cancel.on_click(lambda _: self.job and self.job.cancel())
+        form = pn.Row(self.count, self.run, self.cancel, margin=(6, 6, 0, 6))
+        self.view = pn.Column(
+            form, self.said, pn.pane.Bokeh(made, sizing_mode="stretch_width"), sizing_mode="stretch_width"
+        )
+        self.view._tolerances = self  # lives as long as what shows it
+        follow(bench, self.view, self.update)
+
+    def _dress(self, colors: dict[str, str], _: Theme) -> None:
+        self.colors = (colors["accent"], colors["bad"])
+        if len(self.passed):
+            self.source.data = dict(self.source.data) | {"color": self._painted()}
+
+    def _painted(self) -> list[str]:
+        return [self.colors[0] if good else self.colors[1] for good in self.passed]
+
+    def _start(self, _: object) -> None:
+        if self.job is not None and self.job.state == "running":
+            return
+        bench = self.bench
+        try:
+            made = workmanship(bench.grade, bench.lens, heights_of(bench.lens))
+        except TransferLensError as error:
+            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            return
+        self.folder = tempfile.TemporaryDirectory(prefix="studio")
+        self.source.selected.indices = []
+        self.passed = np.zeros(0, bool)
+        self.job = Job(run_trials, (bench.lens, made, self.count.value, Path(self.folder.name)), bench.tell)
+        self.polling = pn.state.add_periodic_callback(self._poll, POLL_MILLISECONDS)
+        self.update()
+
+    def _poll(self) -> None:
+        self._read()
+        if self.job is None or self.job.state != "running":
+            self.polling.stop()
+            self.update()
+
+    def _read(self) -> None:
+        found = trials_so_far(Path(self.folder.name)) if self.folder is not None else None
+        if found is None or len(found.trials) == len(self.passed):
+            return
+        self.passed = np.asarray(found.passed, bool)
+        self.source.data = {
+            "x": list(found.trials),
+            "y": found.scores[:, 0],
+            "number": list(found.trials),
+            "color": self._painted(),
+        }
+
+    def _picked(self, _name: str, _old: Any, new: list[int]) -> None:
+        if not new or self.folder is None:
+            return
+        number = int(self.source.data["number"][new[0]])
+        self.bench.set_what_if(trial_what_if(Path(self.folder.name), number))
+        self.said.object = (
+            f'<div class="told"><p>trial {number}: its errors stand among the what-ifs, its wavefronts under '
+            "Live; irregularities, which no slider has, are left out</p></div>"
+        )
+
+    def update(self) -> None:
+        """Show how far the study is."""
+        job = self.job
+        running = job is not None and job.state == "running"
+        if self.run.disabled is not running:
+            self.run.disabled, self.cancel.disabled = running, not running
+        if job is None or self.source.selected.indices:
+            return
+        if job.state == "failed":
+            new = f'<p class="miss">{text(job.result)}</p>'
+        elif (good := yield_of(self.passed)) is None:
+            new = f"<p>{text(job.progress or 'starting')}…</p>"
+        else:
+            new = (
+                f"<p><b>{100.0 * good.share:.1f} %</b> of {good.total} lenses good "
+                f"({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %); {text(job.state)}. "
+                "Click a trial to look at its lens.</p>"
+            )
+        self.said.object = f'<div class="told">{new}</div>'
