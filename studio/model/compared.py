@@ -56,7 +56,7 @@ def _line(name: str, found: Sequence[tuple[float | str, bool | None] | None]) ->
 def _values(lens: Lens) -> dict[str, tuple[float | str, bool | None]]:
     found: dict[str, tuple[float | str, bool | None]] = {}
     for i, surface in enumerate(lens.surfaces, start=1):
-        given = surface.model_dump(exclude_none=True, exclude={"figure", "stop"})
+        given = surface.model_dump(exclude_defaults=True, exclude={"figure", "stop"})
         for key, value in given.items():
             if key == "asphere":
                 found |= {

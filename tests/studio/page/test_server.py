@@ -1,0 +1,230 @@
+"""The workbench in a real browser: figures against the command's, keys, refusals, two tabs, a killed server.
+
+Without Chromium the tests that need one are skipped; what stands behind the page is tested beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+from places import DESIGNS
+
+from lensdesign import load_design
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found on this machine")
+HOSTILE = '<img src=x onerror="document.title=1"><script>document.title=2</script>'
+MILLISECONDS = 90_000
+
+# Everything stands in shadow roots, which Playwright's selectors pierce; labels are those of screen readers.
+RADIUS = "surface 2 radius, mm"
+
+
+class Served:
+    """A server in a process of its own, and its address."""
+
+    def __init__(self, design: Path, cache: Path) -> None:
+        self.design = design
+        self.environment = os.environ | {"XDG_CACHE_HOME": str(cache), "OPENBLAS_NUM_THREADS": "1"}
+        self.begin()
+
+    def begin(self) -> None:
+        command = [sys.executable, "-m", "lensdesign.cli", "studio", str(self.design), "--no-open"]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=self.environment
+        )
+        assert self.process.stdout is not None
+        told = iter(self.process.stdout.readline, "")
+        self.address = next(line.split()[-1] for line in told if "http://" in line)
+
+    def kill(self) -> None:
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Callable[..., Served]]:
+    started: list[Served] = []
+
+    def begin(title: str | None = None) -> Served:
+        design = tmp_path / "lens.toml"
+        text = (DESIGNS / "paper_singlet.toml").read_text()
+        if title is not None:
+            text = text.replace('"Spatial information transfer lens, Table 1"', json.dumps(title))
+        design.write_text(text)
+        started.append(Served(design, tmp_path / "cache"))
+        return started[-1]
+
+    yield begin
+    for one in started:
+        one.kill()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+def opened(browser: Any, served: Served) -> Any:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.set_default_timeout(MILLISECONDS)
+    page.goto(served.address)
+    settled(page)
+    return page
+
+
+def settled(page: Any) -> None:
+    page.locator(".told[data-state=settled] .constraint").first.wait_for(timeout=MILLISECONDS)
+
+
+def spread(page: Any) -> float:
+    return float(page.locator(".constraint").nth(1).get_attribute("data-value"))
+
+
+def checked(design: Path) -> dict[str, Any]:
+    command = [sys.executable, "-m", "lensdesign.cli", "check", str(design), "--json"]
+    return json.loads(subprocess.run(command, capture_output=True, text=True).stdout)  # type: ignore[no-any-return]
+
+
+def test_only_who_knows_the_token_is_answered(serve: Callable[..., Served]) -> None:
+    served = serve()
+    root, token = served.address.rstrip("/").rsplit("/", 1)
+    assert root.startswith("http://127.0.0.1:")
+    assert len(token) == 32
+    with urllib.request.urlopen(f"{root}/{token}/alive") as answer:
+        assert answer.status == 200
+    for path in ("", "alive", "ws", "static/js/bokeh.min.js", f"{'0' * 32}/", f"{token[:-1]}/"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"{root}/{path}")
+        assert refused.value.code == 404
+
+
+@needs_browser
+def test_a_value_is_stepped_refused_undone_and_saved(serve: Callable[..., Served], browser: Any) -> None:
+    served = serve()
+    page = opened(browser, served)
+    assert spread(page) == checked(served.design)["max_spread_deg"]
+    box = page.get_by_label(RADIUS, exact=True)
+    step = 0.005
+    page.get_by_label(f"{RADIUS}, slider").press("ArrowRight")
+    assert float(box.input_value()) == pytest.approx(-12.0 + step)
+    page.get_by_label(f"{RADIUS}, slider").press("Shift+ArrowLeft")
+    assert float(box.input_value()) == pytest.approx(-12.0 - 9.0 * step)
+    box.fill("0")
+    box.press("Enter")
+    page.get_by_text("a radius of 0 is no surface").wait_for()
+    box.fill("-12.5")
+    box.press("Enter")
+    page.get_by_text("a radius of 0 is no surface").wait_for(state="hidden")
+    page.keyboard.press("Control+s")
+    page.get_by_text(f"saved {served.design}").wait_for()
+    assert load_design(served.design).surfaces[1].radius_mm == -12.5
+    settled(page)
+    assert spread(page) == checked(served.design)["max_spread_deg"]
+    for _ in range(3):
+        page.keyboard.press("Control+z")
+    until(lambda: float(box.input_value()) == -12.0)
+    page.close()
+
+
+@needs_browser
+def test_a_search_is_cancelled_and_one_is_taken(serve: Callable[..., Served], browser: Any) -> None:
+    served = serve()
+    page = opened(browser, served)
+    page.get_by_text("Optimize", exact=True).first.click()
+    run = page.get_by_role("button", name="Optimize", exact=True)
+    run.click()
+    page.get_by_role("button", name="Cancel", exact=True).click()
+    page.get_by_text("cancelled; the lens is as it was").wait_for()
+    run.click()
+    page.get_by_role("button", name="Take it").click()
+    until(lambda: float(page.get_by_label(RADIUS, exact=True).input_value()) != -12.0)
+    assert float(page.get_by_label(RADIUS, exact=True).input_value()) == pytest.approx(-11.9136, abs=1e-3)
+    page.close()
+
+
+@needs_browser
+def test_random_edits_leave_page_and_model_equal(serve: Callable[..., Served], browser: Any) -> None:
+    served = serve()
+    page = opened(browser, served)
+    rng = Random(21)
+    names = [RADIUS, "surface 1 radius, mm", "surface 2 conic", "surface 1 thickness, mm"]
+    for _ in range(200):
+        key = rng.choice(["ArrowUp", "ArrowDown", "Shift+ArrowUp", "Shift+ArrowDown"])
+        page.get_by_label(rng.choice(names), exact=True).press(key)
+    page.wait_for_timeout(500)
+    page.keyboard.press("Control+s")
+    page.get_by_text(f"saved {served.design}").wait_for()
+    settled(page)
+    front, back = load_design(served.design).surfaces
+    shown = [float(page.get_by_label(name, exact=True).input_value()) for name in names]
+    assert shown == pytest.approx([back.radius_mm, front.radius_mm, back.conic, front.thickness_mm], abs=1e-9)
+    assert spread(page) == checked(served.design)["max_spread_deg"]
+    page.close()
+
+
+@needs_browser
+def test_tabs_share_the_lens_and_a_killed_server_comes_back(
+    serve: Callable[..., Served], browser: Any
+) -> None:
+    served = serve(HOSTILE)
+    page, other = opened(browser, served), opened(browser, served)
+    box = page.get_by_label(RADIUS, exact=True)
+    box.fill("-12.4")
+    box.press("Enter")
+    until(lambda: other.get_by_label(RADIUS, exact=True).input_value() == "-12.4")
+    other.close()
+    assert page.title() == "transferlens studio"
+    assert page.get_by_text(HOSTILE).count() >= 1
+    served.kill()
+    page.get_by_text("The server has stopped").wait_for()
+    before = served.address
+    served.begin()
+    assert served.address == before
+    page.get_by_text("The server has stopped").wait_for(state="hidden")
+    settled(page)
+    until(lambda: page.get_by_label(RADIUS, exact=True).input_value() == "-12.4")
+    assert load_design(served.design).surfaces[1].radius_mm == -12.0
+    page.close()
+
+
+@needs_browser
+def test_no_request_leaves_the_machine(serve: Callable[..., Served], browser: Any) -> None:
+    served = serve()
+    page = browser.new_page()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(served.address)
+    settled(page)
+    for tab in ("Optimize", "Tolerances", "Compare", "Export", "What if"):
+        page.get_by_text(tab, exact=True).first.click()
+    assert len(asked) > 3
+    foreign = [url for url in asked if not url.startswith((served.address, "data:", "blob:"))]
+    assert foreign == []
+    page.close()
+
+
+def until(what: Callable[[], bool], seconds: float = 60.0) -> None:
+    import time
+
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.05)
