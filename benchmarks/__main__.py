@@ -39,6 +39,7 @@ SCRIPTS = (
     "exchange",
     "step_export",
     "import_time",
+    "workbench",
     "mutations",
 )
 

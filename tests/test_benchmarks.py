@@ -13,6 +13,7 @@ from benchmarks import full_plane_slices
 from benchmarks.__main__ import SCRIPTS
 
 FILES = sorted((ROOT / "benchmarks").rglob("*.py"))
+OURS = ("lensdesign", "wavesim", "tolerancing", "studio", "benchmarks")
 SHARED = {"__init__", "__main__", "timing", "others", "docs_pictures", "attacked_runs"}
 
 
@@ -22,7 +23,13 @@ def test_what_a_benchmark_imports_is_there(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.ImportFrom) or not node.module:
             continue
-        if node.module.partition(".")[0] not in ("lensdesign", "wavesim", "tolerancing", "benchmarks"):
+        if node.module.partition(".")[0] not in (
+            "lensdesign",
+            "wavesim",
+            "tolerancing",
+            "studio",
+            "benchmarks",
+        ):
             continue
         module = importlib.import_module(node.module)
         for name in (alias.name for alias in node.names):

@@ -77,6 +77,8 @@ SHORTER = {
     r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
     "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
+    # It serves until it is stopped, and its own tests run it in a browser: what it takes, here.
+    r"^lensdesign studio .*": "lensdesign studio --help",
     r"^(tolerancing indices .*--base) 32": r"\1 16",
     r"^(tolerancing rare .*--trials) 300": r"\1 50",
 }

@@ -16,6 +16,7 @@ from typing import Any
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
+from lensdesign.tracing.paths import FIELD_SHARES
 from studio.model.built import Workmanship, workmanship
 from studio.model.document import Aside, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
@@ -64,7 +65,7 @@ class Workbench:
             self.editing = aside.restored(self.document, self.editing)
         self.what_if = WhatIf()
         self.grade = grade
-        self.patch_field_mm = 0.0
+        self.patch_share = FIELD_SHARES[1]
         self.figures = Figures(self.lens)
         self.refused: dict[str, str] = {}
         self._made: tuple[str, tuple[Any, ...], Workmanship | None] | None = None
@@ -141,9 +142,9 @@ class Workbench:
         self.grade = grade
         self.ask()
 
-    def set_patch_field(self, height_mm: float) -> None:
-        """Change where on the object the patch is."""
-        self.patch_field_mm = height_mm
+    def set_patch(self, share: float) -> None:
+        """Change where on the object the patch is, as a share of the half field."""
+        self.patch_share = share
         self.ask()
 
     def _take(self, editing: Editing) -> None:
@@ -216,7 +217,7 @@ class Workbench:
 
     def _state(self) -> Asked:
         lens = self.lens
-        return Asked(lens, self.what_if, self._workmanship(lens), self.patch_field_mm)
+        return Asked(lens, self.what_if, self._workmanship(lens), self.patch_share)
 
     def _workmanship(self, lens: Lens) -> Workmanship | None:
         """Of the grade; tolerances stay while values move, and follow what the lens is made of."""

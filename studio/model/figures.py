@@ -16,12 +16,14 @@ from studio.model.picture import Layout, heights_of, layout_of
 from studio.model.pupils import (
     COARSE,
     COARSE_PATCH,
+    SAMPLES,
     PatchPicture,
     PupilFigures,
     patch_picture,
     pupil_figures,
 )
 from studio.model.whatif import WhatIf
+from wavesim.runtime.threads import one_blas_thread
 
 Found = TypeVar("Found")
 
@@ -67,14 +69,14 @@ class Asked:
         How far it is off.
     made
         By what tolerances; None for no prediction.
-    patch_field_mm
-        Height of the object point of the patch.
+    patch_share
+        Height of the patch's object point, as a share of the half field.
     """
 
     lens: Lens
     what_if: WhatIf
     made: Workmanship | None
-    patch_field_mm: float
+    patch_share: float
 
 
 def rays_of(asked: Asked, *, settled: bool) -> Figures:
@@ -94,15 +96,14 @@ def rays_of(asked: Asked, *, settled: bool) -> Figures:
 
 
 def waves_of(asked: Asked, *, settled: bool) -> Figures:
-    """Pupils at three object points, what is predicted as built, and the patch: coarse while values move."""
-    began, lens = time.perf_counter(), asked.lens
+    """Pupils at three object points, and what is predicted as built."""
+    began, lens, made = time.perf_counter(), asked.lens, asked.made
     refused: list[str] = []
-    what_if = asked.what_if.of(lens)
-    pupils = _tried(
-        lambda: pupil_figures(lens, what_if, heights_of(lens), *(() if settled else (COARSE,))), refused
-    )
-    made = asked.made
-    as_built = None if made is None else _tried(lambda: built(lens, made, settled=settled), refused)
+    samples = SAMPLES if settled else COARSE
+    with one_blas_thread():
+        what_if, heights = asked.what_if.of(lens), heights_of(lens)
+        pupils = _tried(lambda: pupil_figures(lens, what_if, heights, samples), refused)
+        as_built = None if made is None else _tried(lambda: built(lens, made, settled=settled), refused)
     return Figures(
         lens,
         settled,
@@ -117,8 +118,9 @@ def patch_of(asked: Asked, *, settled: bool) -> Figures:
     """The patch."""
     began, lens = time.perf_counter(), asked.lens
     refused: list[str] = []
-    height, samples = min(asked.patch_field_mm, lens.half_field_mm), (None if settled else COARSE_PATCH)
-    patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, samples), refused)
+    height, samples = asked.patch_share * lens.half_field_mm, None if settled else COARSE_PATCH
+    with one_blas_thread():
+        patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, samples), refused)
     return Figures(lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,))
 
 

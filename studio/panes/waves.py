@@ -8,6 +8,7 @@ import numpy as np
 import panel as pn
 
 from lensdesign.lens.lens import Lens
+from lensdesign.tracing.paths import FIELD_SHARES
 from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
@@ -111,7 +112,7 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
     mapper = LinearColorMapper(palette="Greys256", low=0, high=1)
     sources, charts = [], []
     for title in ("as designed", "as it is"):
-        made = chart(own, height=190, match_aspect=True)
+        made = chart(own, height=180, match_aspect=True)
         framed(made)
         made.axis.visible = made.grid.visible = False
         source = ColumnDataSource({"image": []})
@@ -125,7 +126,11 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
                 margin=0,
             )
         )
-    pane = pn.Row(*charts, sizing_mode="stretch_width", margin=0)
+    fields = {f"{share:g} of the half field" if share else "on the axis": share for share in FIELD_SHARES}
+    chosen = pn.widgets.Select(options=fields, value=bench.patch_share, margin=(0, 8), width=160)
+    chosen.param.watch(lambda event: bench.set_patch(event.new), "value")
+    shown = pn.Row(*charts, sizing_mode="stretch_width", margin=0)
+    pane = pn.Column(chosen, shown, sizing_mode="stretch_width", margin=0)
     seen: list[Any] = [None]
 
     def update() -> None:
