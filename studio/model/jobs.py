@@ -28,8 +28,8 @@ class Job:
 
     Attributes
     ----------
-    progress
-        The last line.
+    lines
+        What it told, line by line.
     state
         ``running``, ``done``, ``failed`` or ``cancelled``.
     result
@@ -40,13 +40,19 @@ class Job:
         self, work: Callable[..., Any], arguments: tuple[Any, ...], told: Callable[[], None]
     ) -> None:
         context = multiprocessing.get_context("spawn")
-        self.progress, self.state = "", "running"
+        self.state = "running"
+        self.lines: list[str] = []
         self.result: Any = None
         self._told = told
         self._messages: Any = context.Queue()
         self._process = context.Process(target=_run, args=(work, arguments, self._messages), daemon=True)
         self._process.start()
         threading.Thread(target=self._follow, daemon=True, name="job").start()
+
+    @property
+    def progress(self) -> str:
+        """The last line."""
+        return self.lines[-1] if self.lines else ""
 
     def cancel(self) -> None:
         """Stop it; what it has done is lost."""
@@ -64,7 +70,7 @@ class Job:
                     self._end("failed", "the process ended before its work was done")
                 continue
             if kind == "line":
-                self.progress = value
+                self.lines.append(value)
                 self._told()
             else:
                 self._end(kind, value)

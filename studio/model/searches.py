@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
@@ -16,6 +18,9 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
 from studio.model.built import Workmanship
 from studio.model.studies import write_study
+
+if TYPE_CHECKING:
+    from lensdesign.optimization.asked.specification import Specification
 
 GOALS = (
     "smallest spread",
@@ -126,10 +131,10 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
         "constraints": dict(search.constraints),
         "variable": [known[name] for name in search.variables if name in known],
     }
-    if search.goal in AS_BUILT_GOALS or "min_yield" in search.constraints:
-        if study is None:
-            raise InputError(f"goal {search.goal!r}: choose tolerances first")
+    if study is not None:
         tables["tolerances"] = {"study": study}
+    elif search.goal in AS_BUILT_GOALS or "min_yield" in search.constraints:
+        raise InputError(f"goal {search.goal!r}: choose tolerances first")
     # Tolerances of a figure are counted over a clear aperture; else a search is free to move its rays.
     start = lens if study is not None else _without_sizes(lens)
     return design_text(start, folder) + "\n" + tomli_w.dumps(tables)
@@ -143,9 +148,57 @@ def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Cal
     InputError
         As of :func:`lensdesign.load_specification` and :func:`lensdesign.optimize`.
     """
+    from lensdesign.optimization.search import optimize
+
+    with _asked(lens, search, made) as specification:
+        result = optimize(specification, report)
+    unit = f" {result.goal_unit}" if result.goal_unit else ""
+    summary = (
+        f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "
+        f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts came to this"
+    )
+    text = design_text(result.lens.replaced(title=lens.title), Path("/"))
+    return Found(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
+
+
+def run_exploration(
+    lens: Lens, search: Search, made: Workmanship | None, over: str, count: int, report: Callable[[str], None]
+) -> int:
+    """Explore what is traded for what, in the process that calls; how many searches were made.
+
+    Parameters
+    ----------
+    lens, search, made
+        As of :func:`run_search`; the goal counts for nothing.
+    over
+        Objectives, as of `lensdesign explore --over`.
+    count
+        Of lenses, about.
+    report
+        Called with each lens that is found: a JSON object with its values and its design file.
+
+    Raises
+    ------
+    InputError
+        As of :func:`lensdesign.load_specification`, and if no lens is found.
+    """
+    from lensdesign.exploration.front import Exploration, Explored
+    from lensdesign.exploration.objectives import axes_of
+
+    def keep(one: Explored) -> None:
+        if one.lens is not None:
+            found = design_text(one.lens.replaced(title=lens.title), Path("/"))
+            report(json.dumps({"values": one.values, "text": found}))
+
+    with _asked(lens, search, made) as specification:
+        return len(Exploration(specification, axes_of(over, specification), count, keep=keep).run())
+
+
+@contextmanager
+def _asked(lens: Lens, search: Search, made: Workmanship | None) -> Iterator[Specification]:
+    """The specification of a search, as long as its files are there."""
     from lensdesign.common.input_files import files_from
     from lensdesign.optimization.asked.specification import load_specification
-    from lensdesign.optimization.search import optimize
 
     with tempfile.TemporaryDirectory() as name, files_from("/"):
         folder = Path(name)
@@ -154,14 +207,7 @@ def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Cal
         study = None if made is None else "study.toml"
         with atomic_path(folder / "asked.toml") as file:
             file.write_text(specification_text(lens, search, folder, study), encoding="utf-8")
-        result = optimize(load_specification(folder / "asked.toml"), report)
-    unit = f" {result.goal_unit}" if result.goal_unit else ""
-    summary = (
-        f"{result.goal} {result.goal_value:.6g}{unit}; {result.evaluations} evaluations in "
-        f"{result.seconds:.1f} s, {result.starts_at_best} of {result.starts} starts came to this"
-    )
-    text = design_text(result.lens.replaced(title=lens.title), Path("/"))
-    return Found(text, result.feasible, tuple(result.violations), tuple(result.binding), summary)
+        yield load_specification(folder / "asked.toml")
 
 
 def _without_sizes(lens: Lens) -> Lens:

@@ -116,9 +116,11 @@ def _main(bench: Workbench, dressers: list[Dresser]) -> pn.Column:
             _tabs(
                 ("Live", _live(bench, dressers)),
                 ("Optimize", _card(panes.optimize(bench))),
+                ("Explore", _card(panes.explore(bench, dressers))),
                 ("Tolerances", _card(panes.tolerances(bench, dressers))),
                 ("Compare", _card(panes.compare(bench))),
                 ("Export", _card(panes.export(bench))),
+                ("Reconstructions", _card(panes.look(bench))),
             ),
         )
     )

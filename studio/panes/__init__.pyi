@@ -1,7 +1,9 @@
 from .beside import compare
+from .front import explore
 from .making import export
 from .rays import footprint, layout, spread
 from .search import optimize
+from .seen import look
 from .told import as_built, findings
 from .trials import tolerances
 from .values import surfaces, what_if
@@ -11,10 +13,12 @@ __all__ = [
     "as_built",
     "compare",
     "contrast",
+    "explore",
     "export",
     "findings",
     "footprint",
     "layout",
+    "look",
     "optimize",
     "patch",
     "spread",

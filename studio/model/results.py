@@ -1,0 +1,111 @@
+"""Folders of frames and reconstructions: what they say, their pictures, and the page that zooms."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lensdesign.errors import InputError
+
+SUMMARIES = ("reconstruction.json", "calibration.json", "image.json")
+PICTURES = (
+    "reconstruction.png",
+    "residuals.png",
+    "curves.png",
+    "calibration.png",
+    "frames.png",
+    "object.png",
+)
+MOST_BYTES = 64_000_000
+"""Of a file that is shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a folder holds.
+
+    Attributes
+    ----------
+    verdict
+        In words; empty where there is none.
+    explained
+        Whether the frames are explained; None where nothing says so.
+    facts
+        Names and values, those of what a calibration found included.
+    pictures
+        Names and PNG files.
+    page
+        The page that zooms, as HTML that loads nothing; empty where there is nothing to zoom into.
+    """
+
+    verdict: str
+    explained: bool | None
+    facts: tuple[tuple[str, str], ...]
+    pictures: tuple[tuple[str, bytes], ...]
+    page: str
+
+
+def look_at(folder: Path, report: Callable[[str], None]) -> Seen:
+    """Read a folder of `wavesim image`, `reconstruct` or `calibrate`.
+
+    Raises
+    ------
+    InputError
+        If it is none of these.
+    """
+    summaries = [path for name in SUMMARIES if (path := folder / name).is_file()]
+    if not summaries:
+        raise InputError(f"{folder}: holds none of {', '.join(SUMMARIES)}: give a folder that wavesim wrote")
+    report(f"reading {folder}")
+    told = _read(summaries[0])
+    verdict: Any = told.get("verdict") or {}
+    pictures = tuple(
+        (name, path.read_bytes())
+        for name in PICTURES
+        if (path := folder / name).is_file() and path.stat().st_size <= MOST_BYTES
+    )
+    report("making the page that zooms")
+    explained = verdict.get("explained") if isinstance(verdict, dict) else None
+    words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
+    return Seen(words, explained, tuple(_facts(told)), pictures, _page(folder))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+    if not isinstance(found, dict):
+        raise InputError(f"cannot read {path}: not what wavesim writes")
+    return found
+
+
+def _facts(told: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Values that are one word or number each, tables within tables behind their names."""
+    found = []
+    for name, value in told.items():
+        shown = f"{prefix}{name.replace('_', ' ')}"
+        if isinstance(value, dict) and name != "verdict":
+            found += _facts(value, f"{shown}, ")
+        elif isinstance(value, bool | int | str):
+            found.append((shown, str(value)))
+        elif isinstance(value, float):
+            found.append((shown, f"{value:.6g}"))
+    return found
+
+
+def _page(folder: Path) -> str:
+    """What `wavesim view` makes of the folder."""
+    with tempfile.TemporaryDirectory() as name:
+        page = Path(name) / "view.html"
+        command = [sys.executable, "-m", "wavesim.cli", "view", str(folder.resolve()), "-o", str(page)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode or page.stat().st_size > MOST_BYTES:
+            return ""
+        return page.read_text(encoding="utf-8")

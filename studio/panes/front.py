@@ -1,0 +1,121 @@
+"""What is traded for what: lenses as they are found, each of them to be loaded by a click."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from typing import Any
+
+import numpy as np
+import panel as pn
+
+from lensdesign.errors import TransferLensError
+from lensdesign.lens.lens import Lens
+from studio.model.bench import Workbench
+from studio.model.built import workmanship
+from studio.model.jobs import Job
+from studio.model.picture import heights_of
+from studio.model.searches import Search, run_exploration, variables_of
+from studio.panes.common import bench_of, follow, text
+from studio.panes.themes import Dresser, Theme, chart, dressed
+
+OBJECTIVES = {
+    "thickness": "thickness_mm",
+    "spread": "spread_deg",
+    "track": "track_mm",
+    "semi_diameter": "semi_diameter_mm",
+    "as_built_rms": "as_built_rms_waves",
+    "yield": "yield",
+}
+"""What can be weighed, and the columns of the values."""
+
+BUILT = ("as_built_rms", "yield")
+
+
+def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
+    """Explore two objectives in a process of its own; click a lens to load it."""
+    bench, own = bench_of(lens), [] if dressers is None else dressers
+    pane = _Explore(bench, own).view
+    if dressers is None:
+        dressed(own, "light")
+    return pane
+
+
+class _Explore:
+    """The widgets, the exploration that runs, and the lenses that it has found."""
+
+    def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
+        from bokeh.models import ColumnDataSource
+
+        self.bench = bench
+        self.job: Job | None = None
+        self.texts: list[str] = []
+        self.over = ("thickness", "as_built_rms")
+        names = list(OBJECTIVES)
+        self.across = pn.widgets.Select(name="across", options=names, value="thickness", width=140)
+        self.upward = pn.widgets.Select(name="upward", options=names, value="spread", width=140)
+        self.count = pn.widgets.IntInput(name="lenses", value=12, start=2, end=200, width=90)
+        self.run = pn.widgets.Button(name="Explore", button_type="primary", align="end")
+        self.cancel = pn.widgets.Button(name="Stop", disabled=True, align="end")
+        self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
+        self.source = ColumnDataSource({"x": [], "y": []})
+        self.made = chart(dressers, height=260, x="across", y="upward")
+        self.made.add_tools("tap")
+        self.dots = self.made.scatter("x", "y", source=self.source, size=9, line_color=None)
+        dressers.append(self._dress)
+        self.source.selected.on_change("indices", self._picked)
+        self.run.on_click(self._start)
+        self.cancel.on_click(lambda _: self.job and self.job.cancel())
+        form = pn.FlexBox(self.across, self.upward, self.count, self.run, self.cancel, margin=(6, 6, 0, 6))
+        shown = pn.pane.Bokeh(self.made, sizing_mode="stretch_width")
+        self.view = pn.Column(form, self.said, shown, sizing_mode="stretch_width")
+        self.view._explore = self  # lives as long as what shows it
+        follow(bench, self.view, self.update)
+
+    def _dress(self, colors: dict[str, str], _: Theme) -> None:
+        self.dots.glyph.fill_color = colors["accent"]
+
+    def _start(self, _: object) -> None:
+        bench, self.over = self.bench, (self.across.value, self.upward.value)
+        if self.job is not None and self.job.state == "running":
+            return
+        try:
+            built = any(name in BUILT for name in self.over)
+            made = workmanship(bench.grade, bench.lens, heights_of(bench.lens)) if built else None
+        except TransferLensError as error:
+            self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
+            return
+        varied = tuple(n for n in variables_of(bench.lens) if "asphere" not in n)
+        self.texts, self.source.data = [], {"x": [], "y": []}
+        asked = (bench.lens, Search(varied), made, ",".join(self.over), self.count.value)
+        self.job = Job(run_exploration, asked, bench.tell)
+        self.made.xaxis.axis_label, self.made.yaxis.axis_label = (OBJECTIVES[n] for n in self.over)
+        self.update()
+
+    def _picked(self, _name: str, _old: Any, new: list[int]) -> None:
+        if new and new[0] < len(self.texts):
+            chosen = self.texts[new[0]]
+            self.bench.change("a lens of the front", lambda _: tomllib.loads(chosen))
+
+    def update(self) -> None:
+        """Show the lenses that have been found."""
+        job = self.job
+        running = job is not None and job.state == "running"
+        if self.run.disabled is not running:
+            self.run.disabled, self.cancel.disabled = running, not running
+        if job is None:
+            return
+        if len(job.lines) > len(self.texts):
+            found = [json.loads(line) for line in job.lines]
+            self.texts = [one["text"] for one in found]
+            columns = [OBJECTIVES[name] for name in self.over]
+            x, y = (np.array([one["values"][column] for one in found], float) for column in columns)
+            self.source.data = {"x": x, "y": y}
+        if job.state == "failed":
+            new = f'<p class="miss">{text(job.result)}</p>'
+        else:
+            count = len(self.texts)
+            new = f"<p>{count} lenses, {text(job.state)}. Click one to load it; undo takes it back.</p>"
+        new = f'<div class="told">{new}</div>'
+        if self.said.object != new:
+            self.said.object = new
