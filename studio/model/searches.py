@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -137,7 +138,7 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
         raise InputError(f"goal {search.goal!r}: choose tolerances first")
     # Tolerances of a figure are counted over a clear aperture; else a search is free to move its rays.
     start = lens if study is not None else _without_sizes(lens)
-    return design_text(start, folder) + "\n" + tomli_w.dumps(tables)
+    return tomli_w.dumps(tomllib.loads(design_text(start, folder)) | tables)
 
 
 def run_search(lens: Lens, search: Search, made: Workmanship | None, report: Callable[[str], None]) -> Found:

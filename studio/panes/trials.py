@@ -48,7 +48,7 @@ class _Tolerances:
         self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": [], "number": [], "color": []})
         self.colors = ("#00796b", "#c62828")
-        self.passed = np.zeros(0, bool)
+        self.passed, self.limit, self.by_wavefront = np.zeros(0, bool), 0.0, 0.0
         made = chart(dressers, height=260, x="trial", y="rms wavefront, worst field (λ)")
         made.add_tools("tap")
         made.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
@@ -80,6 +80,7 @@ class _Tolerances:
         except TransferLensError as error:
             self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
             return
+        self.limit = min(p.limit_waves for p in made.judged)
         self.folder = tempfile.TemporaryDirectory(prefix="studio")
         self.source.selected.indices = []
         self.passed = np.zeros(0, bool)
@@ -98,6 +99,7 @@ class _Tolerances:
         if found is None or len(found.trials) == len(self.passed):
             return
         self.passed = np.asarray(found.passed, bool)
+        self.by_wavefront = float(np.mean(found.scores[:, 0] <= self.limit))
         self.source.data = {
             "x": list(found.trials),
             "y": found.scores[:, 0],
@@ -128,9 +130,12 @@ class _Tolerances:
         elif (good := yield_of(self.passed)) is None:
             new = f"<p>{text(job.progress or 'starting')}…</p>"
         else:
+            share, low, high, waves = (
+                100.0 * v for v in (good.share, good.low, good.high, self.by_wavefront)
+            )
             new = (
-                f"<p><b>{100.0 * good.share:.1f} %</b> of {good.total} lenses good "
-                f"({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %); {text(job.state)}. "
+                f"<p><b>{share:.1f} %</b> of {good.total} lenses keep the limits of wavefront and spread "
+                f"({low:.1f} to {high:.1f} %), {waves:.1f} % that of the wavefront; {text(job.state)}. "
                 "Click a trial to look at its lens.</p>"
             )
         self.said.object = f'<div class="told">{new}</div>'

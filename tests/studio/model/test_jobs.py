@@ -1,0 +1,63 @@
+"""Work in a process of its own: lines, result, failure, and being stopped."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+
+import pytest
+
+from lensdesign.errors import InputError
+from studio.model.jobs import Job
+
+
+def doubled(value: int, report: Callable[[str], None]) -> int:
+    report("one")
+    report("two")
+    return 2 * value
+
+
+def refused(report: Callable[[str], None]) -> None:
+    raise InputError("not like this")
+
+
+def lost(report: Callable[[str], None]) -> None:
+    os._exit(3)
+
+
+def endless(report: Callable[[str], None]) -> None:
+    report("begun")
+    time.sleep(600.0)
+
+
+def wait(until: Callable[[], bool]) -> None:
+    end = time.monotonic() + 120.0
+    while not until():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_lines_come_before_the_result() -> None:
+    told: list[int] = []
+    job = Job(doubled, (21,), lambda: told.append(1))
+    wait(lambda: job.state != "running")
+    assert (job.state, job.result, job.lines) == ("done", 42, ["one", "two"])
+    assert len(told) == 3
+
+
+@pytest.mark.parametrize(("work", "said"), [(refused, "not like this"), (lost, "ended before its work")])
+def test_what_fails_says_so(work: Callable[..., None], said: str) -> None:
+    job = Job(work, (), lambda: None)
+    wait(lambda: job.state != "running")
+    assert job.state == "failed"
+    assert said in job.result
+
+
+def test_what_is_cancelled_ends() -> None:
+    job = Job(endless, (), lambda: None)
+    wait(lambda: job.progress == "begun")
+    job.cancel()
+    assert job.state == "cancelled"
+    wait(lambda: not job._process.is_alive())
+    assert job.state == "cancelled"

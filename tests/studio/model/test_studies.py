@@ -1,0 +1,27 @@
+"""A study from the page: its trials, and what a trial's lens is off by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lensdesign import Lens
+from studio.model.built import workmanship
+from studio.model.studies import run_trials, trial_what_if, trials_so_far
+from wavesim import PupilSampler, refocus, rms_waves
+
+
+def test_a_trial_is_seen_as_it_was_scored(paper_lens: Lens, tmp_path: Path) -> None:
+    made = workmanship("high_precision", paper_lens, (0.0, 1.05, 1.5))
+    assert trials_so_far(tmp_path) is None
+    assert run_trials(paper_lens, made, 4, tmp_path, lambda _: None) == 4
+    found = trials_so_far(tmp_path)
+    assert found is not None
+    assert list(found.trials) == [0, 1, 2, 3]
+    placement = trial_what_if(tmp_path, 2).placement(paper_lens)
+    worst = max(
+        rms_waves(refocus(PupilSampler(paper_lens, (0.0, h)).pupil(placement)).pupil)
+        for h in (0.0, 1.05, 1.5)
+    )
+    assert worst == pytest.approx(found.scores[2, 0], rel=0.3)  # without the irregularities
