@@ -181,7 +181,7 @@ class Workbench:
 
     def settle(self) -> Figures:
         """Figures as the commands make them, in this thread."""
-        asked = self._state()
+        asked = Asked(self.lens, self.what_if, self._workmanship(self.lens), self.patch_share)
         for stage in (rays_of, waves_of, patch_of):
             self._publish(stage(asked, settled=True))
         return self.figures
@@ -196,11 +196,13 @@ class Workbench:
                     return
                 if self._asked == done:
                     continue
-                done, asked = self._asked, None
+                done = self._asked
             try:
-                asked = self._state()
+                asked = Asked(self.lens, self.what_if, None, self.patch_share)
                 self._keep()
-                for stage in (rays_of, waves_of, patch_of):
+                self._publish(rays_of(asked, settled=False))
+                asked = replace(asked, made=self._workmanship(asked.lens))
+                for stage in (waves_of, patch_of):
                     self._publish(stage(asked, settled=False))
                 if self._rests(done):
                     for stage in (rays_of, waves_of, patch_of):
@@ -214,10 +216,6 @@ class Workbench:
         with self._condition:
             self._condition.wait_for(lambda: self._ended or self._asked != done, REST_SECONDS)
             return not self._ended and self._asked == done
-
-    def _state(self) -> Asked:
-        lens = self.lens
-        return Asked(lens, self.what_if, self._workmanship(lens), self.patch_share)
 
     def _workmanship(self, lens: Lens) -> Workmanship | None:
         """Of the grade; tolerances stay while values move, and follow what the lens is made of."""

@@ -203,7 +203,7 @@ def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> N
     sources["planes"].data = {"xs": [[z, z] for z, _ in at], "ys": [[-h, h] for _, h in at]}
     sources["labels"].data = {
         "x": [z for z, _ in at],
-        "y": [1.02 * h + 0.15 for _, h in at],
+        "y": [1.02 * max(h, 0.35 * half) + 0.15 for _, h in at],
         "text": ["object", *(f"H{k + 1}" for k in range(len(lens.sensor_z_mm)))],
     }
 
