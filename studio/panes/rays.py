@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import panel as pn
 
+from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.picture import Layout, heights_of
@@ -170,7 +172,7 @@ def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | 
             "y": [half_y * s for s in (-1, -1, 1, 1, -1)],
         }
         radius, angle = report.footprint_radius_mm[plane], np.linspace(0.0, 2.0 * np.pi, 97)
-        reach.data = {"x": radius * np.cos(angle), "y": radius * np.sin(angle)}
+        reach.data = {"x": (radius * np.cos(angle)).tolist(), "y": (radius * np.sin(angle)).tolist()}
         most = ROOM * max(half_y, radius)
         wide = ROOM * max(half_x, radius)
         _show(box, (-wide, wide), (-most, most))
@@ -187,17 +189,10 @@ def _colors(count: int, theme: Theme) -> list[str]:
 
 
 def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> None:
-    sources["glass"].data = {"xs": [g[:, 0] for g in found.glass], "ys": [g[:, 1] for g in found.glass]}
-    sources["surfaces"].data = {
-        "xs": [s[:, 0] for s in found.surfaces],
-        "ys": [s[:, 1] for s in found.surfaces],
-    }
     lines = [ray for field in found.rays for ray in field]
-    sources["rays"].data = {
-        "xs": [ray[:, 0] for ray in lines],
-        "ys": [ray[:, 1] for ray in lines],
-        "color": _colors(len(lines), theme),
-    }
+    sources["glass"].data = _corners(found.glass)
+    sources["surfaces"].data = _corners(found.surfaces)
+    sources["rays"].data = _corners(lines) | {"color": _colors(len(lines), theme)}
     half = 0.5 * lens.sensor.size_mm[1]
     at = [(lens.object_z_mm, lens.half_field_mm), *((z, half) for z in lens.sensor_z_mm)]
     sources["planes"].data = {"xs": [[z, z] for z, _ in at], "ys": [[-h, h] for _, h in at]}
@@ -206,6 +201,11 @@ def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> N
         "y": [1.02 * max(h, 0.35 * half) + 0.15 for _, h in at],
         "text": ["object", *(f"H{k + 1}" for k in range(len(lens.sensor_z_mm)))],
     }
+
+
+def _corners(lines: Sequence[Array]) -> dict[str, list[Any]]:
+    """Of lines, as plain numbers: each array would be a message of its own."""
+    return {"xs": [line[:, 0].tolist() for line in lines], "ys": [line[:, 1].tolist() for line in lines]}
 
 
 def _frame(box: Any, found: Layout, lens: Lens) -> None:
