@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
-from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,6 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 
 HERE = Path(__file__).parent
-
-
-def asset(name: str) -> str:
-    """The text of a file of this room."""
-    return (HERE / name).read_text(encoding="utf-8")
 
 
 def bench_of(given: Workbench | Lens) -> Workbench:
@@ -103,9 +97,3 @@ def number(value: float, unit: str = "", digits: int = 4) -> str:
     """A number as the tables of the commands have it."""
     shown = f"{value:.4e}" if abs(value) >= 1e5 else f"{value:.{digits}f}"
     return f"{shown} {unit}".rstrip()
-
-
-@cache
-def component(name: str) -> str:
-    """Source of a component of the page."""
-    return asset(f"{name}.js")

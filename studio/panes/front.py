@@ -50,7 +50,7 @@ class _Explore:
         self.bench = bench
         self.job: Job | None = None
         self.texts: list[str] = []
-        self.over = ("thickness", "as_built_rms")
+        self.over = ("thickness", "spread")
         names = list(OBJECTIVES)
         self.across = pn.widgets.Select(name="across", options=names, value="thickness", width=140)
         self.upward = pn.widgets.Select(name="upward", options=names, value="spread", width=140)
