@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,7 @@ class Aside:
         self.folder = Path(home) / "transferlens" / "studio" if folder is None else folder
         name = hashlib.sha256(os.path.realpath(path).encode()).hexdigest()[:24]
         self.file = self.folder / f"{name}.json"
+        self._turn = threading.Lock()
 
     def read(self) -> dict[str, Any]:
         """What is kept; empty where nothing is, or it cannot be read."""
@@ -119,12 +121,13 @@ class Aside:
 
     def keep(self, **values: Any) -> None:
         """Keep values beside those that are there; only the user can read them."""
-        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        temporary = self.file.with_suffix(f".{os.getpid()}")
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-            json.dump(self.read() | values, stream)
-        os.replace(temporary, self.file)
+        with self._turn:  # the page and the thread of the figures both keep
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            temporary = self.file.with_suffix(f".{os.getpid()}")
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+                json.dump(self.read() | values, stream)
+            os.replace(temporary, self.file)
 
     def restored(self, document: Document, editing: Editing) -> Editing:
         """The editing with the edits that were kept, if they were made on the file as it is."""

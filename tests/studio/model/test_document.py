@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,10 @@ def test_edits_of_another_file_do_not_come_back(file: Path, tmp_path: Path) -> N
     aside = Aside(file, tmp_path / "aside")
     aside.keep(tables=tables_text(edited(editing).now.tables), digest="of another")
     assert aside.restored(document, editing) is editing
+
+
+def test_two_threads_may_keep_at_one_time(file: Path, tmp_path: Path) -> None:
+    aside = Aside(file, tmp_path / "aside")
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda k: aside.keep(**{f"value{k}": k}), range(200)))
+    assert len(aside.read()) == 200
