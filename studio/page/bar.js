@@ -53,7 +53,9 @@ export function render({ model, el }) {
     const action = key === "z" ? (event.shiftKey ? "redo" : "undo") : key === "y" ? "redo" : key === "s" ? "save" : "";
     if (!action) return;
     event.preventDefault();
-    document.activeElement?.blur?.();
+    let typed = document.activeElement;
+    while (typed?.shadowRoot?.activeElement) typed = typed.shadowRoot.activeElement;
+    if (action === "save") typed?.blur();  // what was typed is taken first
     model.send_msg({ action, file: name.value });
   });
 

@@ -1,7 +1,7 @@
 // Rows of a name, a slider and a box for each value. Text is set as text, never as markup.
 export function render({ model, el }) {
   const rows = new Map();
-  let shape = "", gesture = 0, waiting = null;
+  let shape = "", gesture = 0, waiting = null, touched = -1e9, later = 0;
   const root = document.createElement("div");
   root.className = "values";
   const glasses = document.createElement("datalist");
@@ -15,12 +15,16 @@ export function render({ model, el }) {
     return node;
   };
   const session = Math.random().toString(36).slice(2);
-  // The newest value of a frame is sent; those before it are not.
+  // While one drags, the newest value of a frame is sent and those before it are not; what was typed, at once.
+  const flush = () => { const one = waiting; waiting = null; if (one) model.send_msg(one); };
   const send = (row, text, whole) => {
-    const queued = waiting !== null;
+    touched = performance.now();
+    clearTimeout(later);
+    later = setTimeout(update, 450);
+    if (waiting && waiting.key !== row.key) flush();
+    if (!waiting && !whole) requestAnimationFrame(flush);
     waiting = { key: row.key, kind: row.kind, text, gesture: whole ? "" : session + gesture };
-    if (!queued)
-      requestAnimationFrame(() => { const one = waiting; waiting = null; model.send_msg(one); });
+    if (whole) flush();
   };
   const digits = (value, step) => {
     const places = Math.max(0, Math.min(12, 1 - Math.floor(Math.log10(step))));
@@ -39,6 +43,7 @@ export function render({ model, el }) {
     send(cell.row, next, false);
   };
   const show = (cell, text) => {
+    cell.typed = false;
     cell.box.value = text;
     if (cell.slider) {
       cell.slider.value = text;
@@ -92,7 +97,8 @@ export function render({ model, el }) {
         cell.box.setAttribute("list", "glasses");
         cell.box.oninput = () => model.send_msg({ search: cell.box.value });
       }
-      cell.box.onchange = () => { gesture += 1; send(cell.row, cell.box.value, true); };
+      cell.box.addEventListener("input", () => { cell.typed = true; });
+      cell.box.onchange = () => { gesture += 1; cell.typed = false; send(cell.row, cell.box.value, true); };
       cell.box.onkeydown = (event) => {
         if (event.key === "Escape") { show(cell, cell.row.text); cell.box.blur(); }
         else stepped(cell, event);
@@ -113,7 +119,8 @@ export function render({ model, el }) {
       cell.row = row;
       if (cell.slider) { cell.slider.min = row.low; cell.slider.max = row.high; cell.slider.step = row.step; }
       // What is being changed here is ahead of what the server says.
-      const busy = (active === cell.slider || active === cell.box) && waiting !== null;
+      const here = active === cell.slider || active === cell.box;
+      const busy = here && (cell.typed || performance.now() - touched < 400);
       if (!busy && !(row.key in model.refused)) show(cell, row.text);
     }
     for (const [key, cell] of rows) {
