@@ -31,8 +31,12 @@ SETTINGS: dict[Budget, dict[str, Any]] = {
     "quick": {"size": 1 / 32, "iterations": 100},
     "full": {"size": 1, "iterations": 320},
 }
-FRAMES = {"three exposures": (len(BRACKET), 1.0), "one exposure, the paper's": (1, 0.5)}
-"""How many of each plane are read, and the share of the iterations that they are worth."""
+FRAMES = {
+    "three exposures, first iterations": (len(BRACKET), 1 / 32),
+    "three exposures": (len(BRACKET), 1.0),
+    "one exposure, the paper's": (1, 0.5),
+}
+"""How many of each plane are read, and the share of the iterations that are made."""
 
 
 def full_size(work: Work) -> Made:
@@ -50,11 +54,12 @@ def full_size(work: Work) -> Made:
     taken = _taken(work, lens, how)
     found, numbers = {}, list[Number]()
     for said, (exposures, share) in FRAMES.items():
-        folder = work.folder / f"retrieved_{exposures}"
+        count = max(1, round(share * iterations))
+        folder = work.folder / f"retrieved_{exposures}_{count}"
         folder.mkdir(exist_ok=True)
 
-        def tell(what: str, done: int, count: int, said: str = said) -> None:
-            work.tell(f"{said}: {what} ({done} of {count})")
+        def tell(what: str, done: int, steps: int, said: str = said) -> None:
+            work.tell(f"{said}: {what} ({done} of {steps})")
 
         frames = read_frames(_files(taken, lens, exposures), lens=lens)
         found[said] = reconstruct_frames(
@@ -64,7 +69,7 @@ def full_size(work: Work) -> Made:
             truth=taken,
             folder=folder,
             progress=tell,
-            iterations=round(share * iterations),
+            iterations=count,
         )
         numbers += _numbers(said, found[said])
     picture = work.picture(
@@ -124,8 +129,8 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
 
 def _fine_groups(found: dict[str, FoundObject]) -> Figure:
     """The chart in the middle, and its finest elements."""
-    figure = styled_figure(9.0, 6.6)
-    for row, (said, one) in zip(figure.subplots(2, 2), found.items(), strict=True):
+    figure = styled_figure(9.0, 9.6)
+    for row, (said, one) in zip(figure.subplots(len(found), 2), found.items(), strict=True):
         elements = one.charts[0]
         fine = tuple(element for element in elements if element.line_width_um <= FINE_UM) or elements
         inside = tuple(e for e in elements if holds(one.transmission.grid, e.outline))
@@ -140,9 +145,13 @@ def _fine_groups(found: dict[str, FoundObject]) -> Figure:
 
 DIFFERENCE = (
     "The paper's own steps on the paper's own lens, whole field, sensor and noise: frames of 12 bits on "
-    "planes at 2 and 22 mm, Appendix A from the forward model's field, and the eikonal engine back. On small "
-    "twins two planes leave Appendix A other fields; here they stand 20 mm apart, and their diversity is as "
-    "many times as large as the lens."
+    "planes at 2 and 22 mm, Appendix A from the forward model's field, and the whole-field engine back. From "
+    "brackets the object is near, and its finest lines are there after the first iterations and go again in "
+    "those that follow: A2 puts a pixel's mean in the place of its middle, and to meet that the field gives "
+    "up what it knew of the model. From the paper's one exposure most of the light of fine lines lies below "
+    "the read noise, and little more comes back than without a lens (Fig. 5e). Reconstructed in the object "
+    "domain from the same brackets, lines of 0.775 µm come back, with a correlation of 0.999; from the one "
+    "exposure lines of 1.38 µm, with 0.916 (the page on reconstruction has the commands)."
 )
 
 COMMANDS = ("python -m paper --only figure-5-at-size",)
