@@ -20,6 +20,7 @@ SCRIPTS = (
     "field_scaling",
     "gpu_field",
     "full_plane_slices",
+    "rim",
     "chooser",
     "reconstruction",
     "phase_retrieval",
