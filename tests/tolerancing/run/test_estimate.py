@@ -6,7 +6,7 @@ from tolerancing.run import estimate
 from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.tasks import Task
 from tolerancing.study.files import load_study
-from wavesim.engines.slices import engine as slices_engine
+from wavesim.engines.slices import cost as slices_cost
 from wavesim.evaluation import resolving
 
 
@@ -47,13 +47,13 @@ line_widths_um = [1.0]
 
 
 def test_a_step_of_many_slices_takes_longer_than_a_trial(ticking, monkeypatch, write_study, ray_study):
-    monkeypatch.setattr(slices_engine, "fft_seconds", lambda *_: 0.1)
+    monkeypatch.setattr(slices_cost, "fft_seconds", lambda *_: 0.1)
     for name in ("pass_seconds", "exponential_seconds"):
-        monkeypatch.setattr(slices_engine, name, lambda *_: 0.0)
+        monkeypatch.setattr(slices_cost, name, lambda *_: 0.0)
     monkeypatch.setattr(resolving, "_registering_seconds", lambda _: 0.0)
     loaded = load_study(write_study(ray_study + SLICES))
     counts = [type(part).__name__ for part in loaded.study.series].index("SliceCounts")
     lacking = {"trials": 0, "dear": 0}
     few, many = (estimate_run(loaded, lacking, [Task(series=counts, step=k)], 1, 16).seconds for k in (0, 1))
-    # 390 slices more of both surfaces, there and back, each with two transforms.
-    assert many - few == pytest.approx(390 * 2 * 2 * 2 * 0.1)
+    # 390 slices more of both surfaces, there and back; both transforms of a slice are told as one.
+    assert many - few == pytest.approx(390 * 2 * 2 * 0.1)
