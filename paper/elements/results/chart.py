@@ -37,7 +37,7 @@ FINE_UM = 2.0
 
 SETTINGS: dict[Budget, dict[str, float]] = {
     "small": {"twin": 1 / 48, "iterations": 40, "lensless": 1 / 9},
-    "quick": {"twin": 1 / 12, "iterations": 200, "lensless": 1 / 9},
+    "quick": {"twin": 1 / 16, "iterations": 200, "lensless": 1 / 9},
     "full": {"twin": 1 / 8, "iterations": 500, "lensless": 1 / 8},
 }
 
@@ -181,19 +181,18 @@ def _resolves(what: str, found: Field, elements: tuple[UsafElement, ...], paper:
 
 
 REMARKS = {
-    "with the lens, Appendix A": "two planes do not tell it all of the field; see the next element",
+    "with the lens, Appendix A": "lines show, and the object is not whole: two planes do not tell all of it",
     "with the lens, in the object domain": "finer: the finest lines that the samples of the object show",
     "without the lens": "as far as the pixels' 156 lp/mm go",
 }
 DIFFERENCE = (
     "The same lens, so many times as small, with the paper's pixels and angles. Frames are brackets of three "
-    "exposures of 12 bits on two planes. Appendix A, with integrating pixels, does not reach 9-2 from them; "
-    "the next element says what it takes. The object domain does, and finer. SVFG of what Appendix A finds "
-    "has one peak, 2 % high, and finds the object within half a depth of focus, 1 µm. Without the lens, the "
-    "sensor stands where the steepest light that its pixels resolve falls on it from the whole field; the "
-    "pixels' 156 lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that "
-    "belongs to the object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser "
-    "ones stay here."
+    "exposures of 12 bits on two planes. From them Appendix A brings lines and not the whole object; the next "
+    "elements say what it takes. The object domain brings it, and finer. SVFG of what Appendix A finds has "
+    "one peak, and finds the object within a depth of focus, 2.1 µm. Without the lens, the sensor stands "
+    "where the steepest light that its pixels resolve falls on it from the whole field; the pixels' 156 "
+    "lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that belongs to the "
+    "object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser ones stay here."
 )
 
 

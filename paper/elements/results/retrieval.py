@@ -25,7 +25,7 @@ SETTINGS: dict[Budget, dict[str, float]] = {
     "quick": {"twin": 1 / 16, "iterations": PAPER_ITERATIONS},
     "full": {"twin": 1 / 8, "iterations": PAPER_ITERATIONS},
 }
-ON_FRAMES: dict[Budget, int] = {"small": 30, "quick": 100, "full": PAPER_ITERATIONS}
+ON_FRAMES: dict[Budget, int] = {"small": 30, "quick": 60, "full": PAPER_ITERATIONS}
 WITH_FRAMES = {budget: {**own, "on frames": ON_FRAMES[budget]} for budget, own in SETTINGS.items()}
 START_OF_FRAMES: dict[Start, str] = {
     "forward model": "model",
