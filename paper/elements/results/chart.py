@@ -186,13 +186,14 @@ REMARKS = {
     "without the lens": "as far as the pixels' 156 lp/mm go",
 }
 DIFFERENCE = (
-    "The same lens, so many times as small, with the paper's pixels and angles. Frames are brackets of three "
-    "exposures of 12 bits on two planes. From them Appendix A brings lines and not the whole object; the "
-    "next elements say what it takes. The object domain brings it, and finer. SVFG of what Appendix A finds has "
-    "one peak, and finds the object within a depth of focus, 2.1 µm. Without the lens, the sensor stands "
-    "where the steepest light that its pixels resolve falls on it from the whole field; the pixels' 156 "
-    "lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that belongs to the "
-    "object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser ones stay here."
+    "The same lens, so many times as small, with the paper's pixels and angles. Frames are brackets of "
+    "three exposures of 12 bits on two planes. From them Appendix A brings lines and not the whole object; "
+    "the next elements say what it takes. The object domain brings it, and finer. SVFG of what Appendix A "
+    "finds has one peak, and finds the object within a depth of focus, 2.1 µm. Without the lens, the sensor "
+    "stands where the steepest light that its pixels resolve falls on it from the whole field; the pixels' "
+    "156 lp/mm lie between elements 2 and 3 of group 7. The thin lens is given the light that belongs to "
+    "the object-domain result: fine lines go. Aberrations shrink with the twin, so that coarser ones stay "
+    "here."
 )
 
 
