@@ -77,6 +77,9 @@ SHORTER = {
     r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
     "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
     r"^(lensdesign explore .*)": r"\1 --lenses 2",
+    # Frames at three wavelengths, half a minute each.
+    r"^wavesim image designs/phone_lens.toml (.*)--patch-mm 0.05": r"wavesim image designs/tiny_twin.toml \1"
+    "--patch-mm 0.024",
     # It serves until it is stopped, and its own tests run it in a browser: what it takes, here.
     r"^lensdesign studio .*": "lensdesign studio --help",
     r"^(tolerancing indices .*--base) 32": r"\1 16",

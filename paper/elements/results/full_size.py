@@ -129,7 +129,7 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
 
 def _fine_groups(found: dict[str, FoundObject]) -> Figure:
     """The chart in the middle, and its finest elements."""
-    figure = styled_figure(9.0, 9.6)
+    figure = styled_figure(7.4, 8.2)
     for row, (said, one) in zip(figure.subplots(len(found), 2), found.items(), strict=True):
         elements = one.charts[0]
         fine = tuple(element for element in elements if element.line_width_um <= FINE_UM) or elements
