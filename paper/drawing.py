@@ -11,10 +11,14 @@ import numpy as np
 from lensdesign import Lens
 from lensdesign.lens.solid import glass_elements
 from lensdesign.tracing import pupil_fan, ray_paths
-from paper.style import BLUE, GLASS, GREY, INK
+from paper.style import BLUE, GLASS, GREY, INK, panel
+from wavesim import Field
+from wavesim.objects.region import around, cut_field
+from wavesim.objects.usaf import UsafElement, chart_outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def bare(axes: Axes) -> None:
@@ -39,6 +43,15 @@ def draw_rays(axes: Axes, lens: Lens, fields: Sequence[tuple[float, str]], count
         paths = ray_paths(lens, (0.0, height_mm), pupil_fan(count).points)
         for path in paths:
             axes.plot(path[:, 2], path[:, 1], color=colour, lw=0.7, alpha=0.9, zorder=1.5)
+
+
+def draw_chart(
+    figure: Figure, axes: Axes, field: Field, elements: Sequence[UsafElement], most: float = 1.4
+) -> None:
+    """Amplitude of the part of an object in which elements of a chart lie, up to `most`."""
+    cut = cut_field(field, around(chart_outline(elements), field.grid))
+    width_um = 1e3 * cut.grid.pitch_mm * cut.grid.shape[1]
+    panel(figure, axes, np.abs(cut.values), width_um, "µm", "amplitude", vmin=0.0, vmax=most)
 
 
 def plane_line(axes: Axes, z_mm: float, half_mm: float, **more: Any) -> None:

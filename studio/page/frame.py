@@ -8,13 +8,12 @@ from typing import Any
 
 import panel as pn
 import param
-from panel.custom import JSComponent
 
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 from studio import panes
 from studio.model.bench import Workbench
-from studio.panes.common import follow, text
+from studio.panes.common import Talking, follow, text
 from studio.panes.rays import field_heights
 from studio.panes.themes import Dresser, dressed
 
@@ -22,7 +21,7 @@ HERE = Path(__file__).parent
 PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
 
 
-class Bar(JSComponent):
+class Bar(Talking):
     """The bar on top."""
 
     title = param.String(default="", doc="Of the design.")
@@ -37,14 +36,6 @@ class Bar(JSComponent):
     _esm = HERE / "bar.js"
     _stylesheets = [HERE / "bar.css"]  # noqa: RUF012 - as Panel has it
 
-    def __init__(self, received: Any, **params: Any) -> None:
-        super().__init__(**params)
-        self._received = received
-
-    def _handle_msg(self, data: Any) -> None:
-        if isinstance(data, dict):
-            self._received(data)
-
 
 def page(bench: Workbench) -> pn.Template:
     """The whole page, for one tab of a browser."""
@@ -54,9 +45,7 @@ def page(bench: Workbench) -> pn.Template:
     template.add_panel("bar", _bar(bench, dressers))
     template.add_panel("side", _side(bench))
     template.add_panel("main", _main(bench, dressers))
-    template.add_panel(
-        "told", _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
-    )
+    template.add_panel("told", _told(bench))
     dressed(dressers, "light")
     return template
 

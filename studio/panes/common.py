@@ -8,11 +8,25 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from panel.custom import JSComponent
+
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 
 HERE = Path(__file__).parent
+
+
+class Talking(JSComponent):
+    """A part of the page with its own script, whose messages a function receives."""
+
+    def __init__(self, received: Callable[[dict[str, Any]], None], **params: Any) -> None:
+        super().__init__(**params)
+        self._received = received
+
+    def _handle_msg(self, data: Any) -> None:
+        if isinstance(data, dict):
+            self._received(data)
 
 
 def bench_of(given: Workbench | Lens) -> Workbench:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import param
-from panel.custom import JSComponent
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
@@ -13,12 +12,12 @@ from studio.model.bench import Workbench
 from studio.model.editing import with_stop, with_surface_after, without_surface
 from studio.model.values import Value, glasses_like, parsed, values_of
 from studio.model.whatif import MOVES, Amount, WhatIf, amounts_of
-from studio.panes.common import HERE, bench_of, follow
+from studio.panes.common import HERE, Talking, bench_of, follow
 
 MOVED = {move[0] for move in MOVES}
 
 
-class Values(JSComponent):
+class Values(Talking):
     """Rows of values with sliders."""
 
     rows = param.List(default=[], doc="One mapping a row.")
@@ -27,14 +26,6 @@ class Values(JSComponent):
 
     _esm = HERE / "values.js"
     _stylesheets = [HERE / "values.css"]  # noqa: RUF012 - as Panel has it
-
-    def __init__(self, received: Any, **params: Any) -> None:
-        super().__init__(**params)
-        self._received = received
-
-    def _handle_msg(self, data: Any) -> None:
-        if isinstance(data, dict):
-            self._received(data)
 
 
 def surfaces(lens: Workbench | Lens) -> Values:

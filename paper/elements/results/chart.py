@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.focus import focused
 from paper.lensless import lensless
 from paper.shots import BRACKET, Shot, finest, retrieved_of, shot, told
-from paper.style import BLUE, RED, faint_panel, panel, styled_figure
+from paper.style import BLUE, RED, faint_panel, styled_figure
 from paper.twin import twin
 from wavesim import (
     Field,
@@ -20,7 +21,7 @@ from wavesim import (
     propagate,
     reconstruct_frames,
 )
-from wavesim.objects.region import around, cut_field
+from wavesim.objects.region import around
 from wavesim.objects.usaf import UsafElement, chart_outline, usaf_line_width_um
 from wavesim.reconstruction.refocusing import Refocusing
 
@@ -239,9 +240,7 @@ def _objects(panels: _Panels) -> Figure:
     for column, (name, field, elements, fine_um) in zip(figure.subplots(2, 4).T, shown, strict=True):
         few = tuple(e for e in elements if e.line_width_um <= fine_um) or elements
         for axes, part in zip(column, (elements, few), strict=True):
-            cut = cut_field(field, around(chart_outline(part), field.grid))
-            width_um = 1e3 * cut.grid.pitch_mm * cut.grid.shape[1]
-            panel(figure, axes, np.abs(cut.values), width_um, "µm", "amplitude", vmin=0.0, vmax=1.4)
+            draw_chart(figure, axes, field, part)
         _group_labels(column[1], few, field)
         column[0].set_title(name)
     return figure

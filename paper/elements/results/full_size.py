@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lensdesign import Lens, scaled
+from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.shots import BRACKET
-from paper.style import panel, styled_figure
+from paper.style import styled_figure
 from wavesim import FoundObject, ReconstructionSettings, image, read_frames, reconstruct_frames
 from wavesim.camera.frames import write_frame
 from wavesim.fields.files import write_field
-from wavesim.objects.region import around, cut_field, holds
-from wavesim.objects.usaf import chart_outline, usaf_line_width_um
+from wavesim.objects.region import holds
+from wavesim.objects.usaf import usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,9 +134,7 @@ def _fine_groups(found: dict[str, FoundObject]) -> Figure:
         fine = tuple(element for element in elements if element.line_width_um <= FINE_UM) or elements
         inside = tuple(e for e in elements if holds(one.transmission.grid, e.outline))
         for axes, part in zip(row, (inside, fine), strict=True):
-            cut = cut_field(one.transmission, around(chart_outline(part), one.transmission.grid))
-            width_um = 1e3 * cut.grid.pitch_mm * cut.grid.shape[1]
-            panel(figure, axes, np.abs(cut.values), width_um, "µm", "amplitude", vmin=0.0, vmax=1.4)
+            draw_chart(figure, axes, one.transmission, part)
         row[0].set_title(said)
         row[1].set_title(f"lines of {max(e.line_width_um for e in fine):.3g} µm and less")
     return figure

@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lensdesign import Pose
+from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.focus import focused
 from paper.shots import finest, told
-from paper.style import BLUE, GREY, ORANGE, panel, styled_figure
+from paper.style import BLUE, GREY, ORANGE, styled_figure
 from paper.twin import Twin, twin
 from wavesim import (
     Field,
@@ -24,8 +23,6 @@ from wavesim import (
     refocus,
     resolve,
 )
-from wavesim.objects.region import around, cut_field
-from wavesim.objects.usaf import chart_outline
 from wavesim.pupil import line_pair_image
 
 if TYPE_CHECKING:
@@ -131,9 +128,7 @@ def _on_chart(work: Work) -> tuple[Twin, dict[str, Field]]:
 def _plates_of_chart(case: Twin, objects: Mapping[str, Field]) -> Figure:
     figure = styled_figure(10.4, 3.0)
     for axes, (name, one) in zip(figure.subplots(1, len(objects)), objects.items(), strict=True):
-        cut = cut_field(one, around(chart_outline(case.elements), one.grid))
-        width_um = 1e3 * cut.grid.pitch_mm * cut.grid.shape[1]
-        panel(figure, axes, np.abs(cut.values), width_um, "µm", "amplitude", vmin=0.0, vmax=1.4)
+        draw_chart(figure, axes, one, case.elements)
         axes.set_title(name)
     return figure
 

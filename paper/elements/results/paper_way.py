@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.shots import BRACKET, ONE, Shot, finest, shot, told
-from paper.style import panel, styled_figure
+from paper.style import styled_figure
 from wavesim import Engine, Field, Recorded, engine_for, propagate
 from wavesim.camera.sensor import light_on_pixels
-from wavesim.objects.region import around, cut_field
-from wavesim.objects.usaf import chart_outline, usaf_line_width_um
+from wavesim.objects.usaf import usaf_line_width_um
 from wavesim.reconstruction.resumable import retrieve_resumably
 
 if TYPE_CHECKING:
@@ -150,9 +150,7 @@ def _objects(drawn: dict[str, tuple[Shot, Field]]) -> Figure:
     figure = styled_figure(11.6, 5.0)
     all_axes = list(figure.subplots(2, 5).flat)
     for axes, (said, (one, found)) in zip(all_axes, drawn.items(), strict=False):
-        cut = cut_field(found, around(chart_outline(one.elements), found.grid))
-        width_um = 1e3 * cut.grid.pitch_mm * cut.grid.shape[1]
-        panel(figure, axes, np.abs(cut.values), width_um, "µm", "amplitude", vmin=0.0, vmax=1.4)
+        draw_chart(figure, axes, found, one.elements)
         axes.set_title(fill(said, 24), fontsize=8)
     for axes in all_axes[len(drawn) :]:
         axes.set_visible(False)

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import SamplingError
 from wavesim.engines.slices.compensation import Compensation, slice_of
-from wavesim.engines.surfaces.samples import rim_share
+from wavesim.engines.surfaces.samples import rim_weight
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import wave_factor
 from wavesim.rays.interfaces import surface_map
@@ -74,7 +74,7 @@ class Reached:
         found = surface_map(self.scene.system, self.surface, *np.broadcast_arrays(x, y[:, None]))
         middle = self.grid.centre_mm
         away = np.hypot(x - middle[0], y[:, None] - middle[1])
-        lit = rim_share(np.minimum(found.inwards_mm, self.reach_mm - away), self.grid.pitch_mm)
+        lit = rim_weight(np.minimum(found.inwards_mm, self.reach_mm - away), self.grid.pitch_mm)
         return found.z_mm, np.where(np.isfinite(found.z_mm), lit, 0.0)
 
     def span_mm(self) -> tuple[float, float]:

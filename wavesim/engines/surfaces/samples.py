@@ -65,7 +65,7 @@ def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: C
     away = np.hypot(x - grid.centre_mm[0], y - grid.centre_mm[1])
     near = np.flatnonzero(away <= reach_mm + grid.pitch_mm)
     found = surface_map(scene.system, surface, x[near], y[near])
-    lit = rim_share(np.minimum(found.inwards_mm, reach_mm - away[near]), grid.pitch_mm)
+    lit = rim_weight(np.minimum(found.inwards_mm, reach_mm - away[near]), grid.pitch_mm)
     there = np.isfinite(found.z_mm) & (lit > 0.0)
     pixels, z, lit, away = near[there], found.z_mm[there], lit[there], away[near[there]]
     if not len(pixels):
@@ -81,7 +81,7 @@ def _sample(scene: Scene, grid: Grid, reach_mm: float, surface: int, crossing: C
     return SurfaceSamples(pixels, z, slopes[:1] if grid.is_line else slopes, passed, rim)
 
 
-def rim_share(inwards_mm: Array, pitch_mm: float) -> Array:
+def rim_weight(inwards_mm: Array, pitch_mm: float) -> Array:
     """What samples next to a rim count for the light within it, so that the rim lies between samples.
 
     Their weights integrate what is linear from sample to sample up to the rim, and keep it in its place.
