@@ -30,7 +30,9 @@ def row_blocks(count: int) -> Iterator[slice]:
     return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
 
 
-def for_blocks(work: Callable[[int, int], Part], count: int, block: int) -> list[Part]:
+def for_blocks(
+    work: Callable[[int, int], Part], count: int, block: int, most_threads: int = THREADS
+) -> list[Part]:
     """What work gives for every block from a start to a stop, in order.
 
     Parameters
@@ -41,13 +43,15 @@ def for_blocks(work: Callable[[int, int], Part], count: int, block: int) -> list
         Where the last block stops.
     block
         Most between start and stop.
+    most_threads
+        That share the work.
     """
     starts = range(0, count, block)
 
     def one_thread(first: int) -> list[Part]:
         return [work(start, min(start + block, count)) for start in starts[first::threads]]
 
-    threads = max(1, min(THREADS, len(starts)))
+    threads = max(1, min(most_threads, len(starts)))
     found = _each(one_thread, threads)
     return [found[number % threads][number // threads] for number in range(len(starts))]
 

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.whole_field.kernel import collector, expander
+from wavesim.engines.whole_field.kernel import BLOCK, collector, expander
 from wavesim.fields.resampling import Kernel, Weights, interpolation
-from wavesim.fields.resampling_kernel import collect_along_y
-from wavesim.runtime.threads import share
+from wavesim.runtime.threads import for_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +24,15 @@ class Ways:
         Along y and x, in float32.
     first, share : two ndarrays each
         First of four samples and their shares, along y and x, on the grid of what is smooth.
+    back : tuple of ndarray
+        Transpose along x: for each coarse sample the first fine one that counts, one past the last, and
+        weights from the first on, shape (coarse, most).
     """
 
     field: tuple[Weights, Weights]
     first: tuple[NDArray[np.int64], NDArray[np.int64]]
     share: tuple[Array, Array]
+    back: tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
 
 
 def ways_between(
@@ -38,7 +41,19 @@ def ways_between(
     """Weights from axes (y, x) of two coarse grids to those of a fine one."""
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
-    return Ways((field[0], field[1]), (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1]))
+    first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
+    return Ways((field[0], field[1]), first, share, _transposed(field[1]))
+
+
+def _transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
+    """First fine sample that counts for each coarse one, one past the last, and weights from the first on."""
+    taps, coarse = along.weight.shape[1], np.arange(along.coarse)
+    first = np.searchsorted(along.first, coarse - taps + 1)
+    last = np.searchsorted(along.first, coarse, side="right")
+    fine = first[:, None] + np.arange(int(np.max(last - first)))
+    inside = np.minimum(fine, len(along.first) - 1)
+    tap = np.where(fine < last[:, None], coarse[:, None] - along.first[inside], 0)
+    return first, last, np.where(fine < last[:, None], along.weight[inside, tap], 0).astype(along.weight.dtype)
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
@@ -71,27 +86,32 @@ class Carried:
     window: tuple[slice, slice]
 
     def add(self, coarse: NDArray, fine: NDArray, first_row: int = 0, threads: int = 1) -> None:
-        """Add a coarse field to a fine one, or to its rows from `first_row` on."""
+        """Add a coarse field to a fine one, or to its rows from `first_row` on; fine is C-contiguous."""
         inside, across = self.window
         start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
         if start >= stop:
             return
-        part, ways = fine[start - first_row : stop - first_row, across], self._ways_of(start, stop)
-        y, x = ways.field
-        fixed = (coarse, (y.first, y.weight), (x.first, x.weight), self._carrier(ways), part)
+        ways = self._ways_of(start, stop)
+        (y, x), place = ways.field, (start - first_row, across.start)
+        carrier = self._carrier(ways)
+        fixed = ((y.first, y.weight), (x.first, x.weight), carrier, fine.view(np.float32), place)
         expand = expander(y.weight.shape[1])
-        share(lambda begin, end: expand(*fixed, begin, end), len(part), threads)
+        for_blocks(lambda begin, end: expand(coarse, *fixed, begin, end), len(x.first), BLOCK, threads)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
-        """Conjugate transpose: the coarse field of a fine one."""
-        along_y, along_x = self.ways.field
-        middle = np.zeros((len(along_y.first), along_x.coarse), np.complex64)
-        across = (fine[self.window], (along_x.first, along_x.weight), self._carrier(self.ways), middle)
-        collect = collector(along_x.weight.shape[1])
-        share(lambda begin, end: collect(*across, begin, end), len(middle), threads)
-        coarse = np.zeros((along_y.coarse, along_x.coarse), np.complex64)
-        down = (middle, along_y.first, along_y.weight, coarse)
-        share(lambda begin, end: collect_along_y(*down, begin, end), along_x.coarse, threads)
+        """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
+        y, x = self.ways.field
+        place = self.window[0].start, self.window[1].start
+        ways = ((y.first, y.weight), (x.first, x.weight), self.ways.back, self._carrier(self.ways))
+        collect = collector(y.weight.shape[1])
+
+        def columns(begin: int, end: int) -> NDArray[np.complex64]:
+            return np.asarray(collect(fine.view(np.float32), place, *ways, y.coarse, begin, end))
+
+        strips = for_blocks(columns, len(x.first), BLOCK, threads)
+        coarse = np.zeros((y.coarse, x.coarse), np.complex64)
+        for left, strip in zip(x.first[::BLOCK], strips, strict=True):
+            coarse[:, left : left + strip.shape[1]] += strip
         return coarse
 
     def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
@@ -103,4 +123,4 @@ class Carried:
         w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
         along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
         first, part = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
-        return Ways((along_y, w.field[1]), first, part)
+        return Ways((along_y, w.field[1]), first, part, w.back)

@@ -2,7 +2,11 @@
 
 Carriers exp(2 pi i phase) of a whole field are too large to be kept. Their phase, in turns, and the edge of
 the aperture are smooth: they come on coarse grids of their own, where four samples along each axis tell what
-is in between. Loops over a row come one after the other, each of a kind that vector instructions take.
+is in between.
+
+All goes by blocks of the fine plane's columns, so narrow that what is in work stays in a core's cache. Of a
+coarse row that a fine one needs the block's columns are made first, once; what is left for each fine sample
+are sums down the rows, which lie beside each other: every loop is of a kind that vector instructions take.
 """
 
 # mypy: disable-error-code="misc"
@@ -16,13 +20,22 @@ from typing import Any
 
 from numba import njit
 from numpy import abs as magnitude
-from numpy import complex64, copysign, empty, float32, float64, floor, zeros
+from numpy import bool_, complex64, copysign, empty, float32, float64, floor, zeros
 from numpy.typing import NDArray
 
 from lensdesign.tracing.kept_kernels import kept_njit
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+
+BLOCK = 256
+"""Columns of the fine plane at a time."""
+
+_BATCH, _KEPT = 16, 40
+"""Coarse rows whose columns are made at a time, and for which there is room."""
+
+_SMOOTH = 4
+"""Rows, and columns, between which phase and edge are cubic."""
 
 _QUARTER, _ZERO, _ONE = float32(0.25), float32(0.0), float32(1.0)
 _S1, _S3, _S5, _S7, _S9, _S11 = (
@@ -38,94 +51,65 @@ def _sine(turns: Any) -> Any:
 
 
 @_jit
-def _waves(turns: NDArray, edge: NDArray, real: NDArray, imaginary: NDArray, begin: int, end: int) -> None:
-    """exp(2 pi i turns), times 3 e^2 - 2 e^3 of an edge e held between 0 (dark) and 1."""
-    for j in range(begin, end):
-        part = float32(turns[j] - floor(turns[j] + 0.5))
+def _smooth_rows(
+    carrier: tuple[NDArray, ...],
+    low: int,
+    high: int,
+    begin: int,
+    turns: NDArray,
+    rim: NDArray,
+    lit: NDArray,
+) -> None:
+    """Phase and edge of rows of their grid, in the block's columns; every row stands twice, `_SMOOTH` apart."""
+    phase, edge, _, _, first, share = carrier
+    for k in range(low, high):
+        at, most = k % _SMOOTH, _ZERO
+        for j in range(turns.shape[1]):
+            c = first[begin + j]
+            a, b = share[begin + j, 0], share[begin + j, 1]
+            g, d = share[begin + j, 2], share[begin + j, 3]
+            turns[at, j] = a * phase[k, c] + b * phase[k, c + 1] + g * phase[k, c + 2] + d * phase[k, c + 3]
+            e = float32(a * edge[k, c] + b * edge[k, c + 1] + g * edge[k, c + 2] + d * edge[k, c + 3])
+            rim[at, j] = e
+            most = max(most, e)
+        turns[at + _SMOOTH] = turns[at]
+        rim[at + _SMOOTH] = rim[at]
+        lit[at] = most > _ZERO
+
+
+@_jit
+def _waves(at: int, share: NDArray, turns: NDArray, rim: NDArray, real: NDArray, imaginary: NDArray) -> None:
+    """exp(2 pi i turns), times 3 e^2 - 2 e^3 of an edge e held between 0 (dark) and 1, of one fine row."""
+    a, b, c, d = share[0], share[1], share[2], share[3]
+    p, q, r, s = float32(a), float32(b), float32(c), float32(d)
+    for j in range(real.shape[0]):
+        turn = a * turns[at, j] + b * turns[at + 1, j] + c * turns[at + 2, j] + d * turns[at + 3, j]
+        edge = p * rim[at, j] + q * rim[at + 1, j] + r * rim[at + 2, j] + s * rim[at + 3, j]
+        part = float32(turn - floor(turn + 0.5))
         size = magnitude(part)
-        e = min(max(edge[j], _ZERO), _ONE)
+        e = min(max(edge, _ZERO), _ONE)
         passed = e * e * (float32(3.0) - float32(2.0) * e)
         real[j] = passed * _sine(_QUARTER - size)
         imaginary[j] = passed * _sine(copysign(_QUARTER - magnitude(size - _QUARTER), part))
 
 
 @_jit
-def _row(phase: NDArray, edge: NDArray, first: int, share: NDArray, turns: NDArray, rim: NDArray) -> None:
-    """Phase and edge between four rows of their grid."""
-    a, b, c, d = share[0], share[1], share[2], share[3]
-    for k in range(turns.shape[0]):
-        turns[k] = (
-            a * phase[first, k] + b * phase[first + 1, k] + c * phase[first + 2, k] + d * phase[first + 3, k]
-        )
-        rim[k] = float32(
-            a * edge[first, k] + b * edge[first + 1, k] + c * edge[first + 2, k] + d * edge[first + 3, k]
-        )
+def _room(width: int) -> tuple[Any, ...]:
+    """Work space for the carrier of a row of a block: rows of phase and edge, which of them have light."""
+    smooth = empty((2 * _SMOOTH, width), float64), empty((2 * _SMOOTH, width), float32)
+    return smooth[0], smooth[1], zeros(_SMOOTH, bool_), empty(width, float32), empty(width, float32)
 
 
 @_jit
-def _lit(rim: NDArray, first: NDArray) -> tuple[int, int]:
-    """From where to where a row has light."""
-    low, high = 0, rim.shape[0]
-    while low < high and rim[low] <= 0.0:
-        low += 1
-    while high > low and rim[high - 1] <= 0.0:
-        high -= 1
-    begin, end = 0, first.shape[0]
-    if low == high:
-        return 0, 0
-    while begin < end and first[begin] + 3 < low:
-        begin += 1
-    while end > begin and first[end - 1] >= high:
-        end -= 1
-    return begin, end
-
-
-@_jit
-def _across(
-    values: NDArray,
-    first: NDArray,
-    share: NDArray,
-    result: NDArray,
-    rim: NDArray,
-    edge: NDArray,
-    begin: int,
-    end: int,
-) -> None:
-    """Phase and edge between four columns of their grid, for a part of a row."""
-    for j in range(begin, end):
-        k = first[j]
-        a, b, c, d = share[j, 0], share[j, 1], share[j, 2], share[j, 3]
-        result[j] = a * values[k] + b * values[k + 1] + c * values[k + 2] + d * values[k + 3]
-        edge[j] = float32(a * rim[k] + b * rim[k + 1] + c * rim[k + 2] + d * rim[k + 3])
-
-
-@_jit
-def _carrier_row(
-    carrier: tuple[NDArray, ...],
-    row: int,
-    smooth: tuple[NDArray, NDArray],
-    fine: tuple[NDArray, NDArray],
-    cosine: NDArray,
-    sine: NDArray,
-) -> tuple[int, int]:
-    """Carrier of one row, and from where to where it has light; `smooth` and `fine` are work space."""
-    phase, edge, smooth_y, share_y, smooth_x, share_x = carrier
-    turns, rim = smooth
-    phases, edges = fine
-    _row(phase, edge, smooth_y[row], share_y[row], turns, rim)
-    begin, end = _lit(rim, smooth_x)
-    _across(turns, smooth_x, share_x, phases, rim, edges, begin, end)
-    _waves(phases, edges, cosine, sine, begin, end)
-    return begin, end
-
-
-@_jit
-def _room(carrier: tuple[NDArray, ...], count: int) -> tuple[Any, Any, NDArray, NDArray]:
-    """Work space for the carrier of a row of so many samples."""
-    smooth = carrier[0].shape[1]
-    between = empty(smooth, float64), empty(smooth, float32)
-    along = empty(count, float64), empty(count, float32)
-    return between, along, empty(count, float32), empty(count, float32)
+def _carrier_row(carrier: tuple[NDArray, ...], row: int, made: int, begin: int, room: tuple[Any, ...]) -> bool:
+    """Carrier of one row of a block, if it has light; of its grid's rows those before `made` are made."""
+    turns, rim, lit, cosine, sine = room
+    first = carrier[2][row]
+    _smooth_rows(carrier, max(made, first), first + _SMOOTH, begin, turns, rim, lit)
+    if not (lit[0] or lit[1] or lit[2] or lit[3]):
+        return False
+    _waves(first % _SMOOTH, carrier[3][row], turns, rim, cosine, sine)
+    return True
 
 
 @cache
@@ -133,9 +117,47 @@ def expander(taps: int) -> Callable[..., None]:
     """The loop that adds a coarse field, interpolated with so many taps and times its carrier, to a fine one.
 
     It takes the coarse field; first coarse row and its weights for each fine row, and the same for columns;
-    of the carrier phase and edge on their grid, first row and shares, first column and shares; the fine
-    field; rows to do.
+    of the carrier phase and edge on their grid, first row and shares, first column and shares; the plane, of
+    which real and imaginary parts lie beside each other along its rows; row and column where the fine field
+    begins there; columns of the fine field to do.
     """
+
+    @_jit
+    def make_rows(
+        coarse: NDArray, low: int, along_x: tuple[NDArray, NDArray], begin: int, room: tuple[Any, ...], at: int
+    ) -> None:
+        """Some coarse rows, from `low` on, in the block's columns."""
+        first_x, weight_x = along_x
+        real, imaginary, one, re, im = room
+        left = first_x[begin]
+        for q in range(min(_BATCH, coarse.shape[0] - low)):
+            for c in range(real.shape[0]):
+                real[c, q] = coarse[low + q, left + c].real
+                imaginary[c, q] = coarse[low + q, left + c].imag
+        for j in range(re.shape[1]):
+            first = first_x[begin + j] - left
+            for q in range(one.shape[1]):
+                x, y = _ZERO, _ZERO
+                for t in range(taps):
+                    x += weight_x[begin + j, t] * real[first + t, q]
+                    y += weight_x[begin + j, t] * imaginary[first + t, q]
+                one[0, q] = x
+                one[1, q] = y
+            for q in range(one.shape[1]):
+                re[at + q, j] = one[0, q]
+                im[at + q, j] = one[1, q]
+
+    @_jit
+    def add_row(
+        at: int, weight: NDArray, re: NDArray, im: NDArray, cosine: NDArray, sine: NDArray, row: NDArray
+    ) -> None:
+        for j in range(cosine.shape[0]):
+            x, y = _ZERO, _ZERO
+            for t in range(taps):
+                x += weight[t] * re[at + t, j]
+                y += weight[t] * im[at + t, j]
+            row[2 * j] += cosine[j] * x - sine[j] * y
+            row[2 * j + 1] += cosine[j] * y + sine[j] * x
 
     @_jit
     def expand(
@@ -143,69 +165,119 @@ def expander(taps: int) -> Callable[..., None]:
         along_y: tuple[NDArray, NDArray],
         along_x: tuple[NDArray, NDArray],
         carrier: tuple[NDArray, ...],
-        result: NDArray,
-        start: int,
-        stop: int,
+        plane: NDArray,
+        place: tuple[int, int],
+        begin: int,
+        end: int,
     ) -> None:
-        (first_y, weight_y), (first_x, weight_x) = along_y, along_x
-        width = coarse.shape[1]
-        real, imaginary = zeros(width, float32), zeros(width, float32)
-        between, along, cosine, sine = _room(carrier, result.shape[1])
-        for i in range(start, stop):
-            begin, end = _carrier_row(carrier, i, between, along, cosine, sine)
-            if begin == end:
+        (first_y, weight_y), (first_x, _) = along_y, along_x
+        columns = first_x[end - 1] + taps - first_x[begin]
+        re, im = empty((_KEPT, end - begin), float32), empty((_KEPT, end - begin), float32)
+        batch = zeros((columns, _BATCH), float32), zeros((columns, _BATCH), float32)
+        room = (batch[0], batch[1], empty((2, _BATCH), float32), re, im)
+        waves = _room(end - begin)
+        top = made = smooth = 0
+        for i in range(first_y.shape[0]):
+            lit = _carrier_row(carrier, i, smooth, begin, waves)
+            smooth = carrier[2][i] + _SMOOTH
+            if not lit:
                 continue
-            real[:] = 0.0
-            imaginary[:] = 0.0
-            for t in range(taps):
-                weight, row = weight_y[i, t], first_y[i] + t
-                for c in range(width):
-                    real[c] += weight * coarse[row, c].real
-                    imaginary[c] += weight * coarse[row, c].imag
-            for j in range(begin, end):
-                first = first_x[j]
-                x, y = _ZERO, _ZERO
-                for t in range(taps):
-                    x += weight_x[j, t] * real[first + t]
-                    y += weight_x[j, t] * imaginary[first + t]
-                result[i, j] += complex64(complex(cosine[j] * x - sine[j] * y, cosine[j] * y + sine[j] * x))
+            first = first_y[i]
+            if made < first:
+                top = made = first
+            while made < first + taps:
+                if made - top + _BATCH > _KEPT:
+                    for r in range(first, made):
+                        re[r - first] = re[r - top]
+                        im[r - first] = im[r - top]
+                    top = first
+                make_rows(coarse, made, along_x, begin, room, made - top)
+                made += _BATCH
+            row = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
+            add_row(first - top, weight_y[i], re, im, waves[3], waves[4], row)
 
     return expand
 
 
 @cache
-def collector(taps: int) -> Callable[..., None]:
-    """The loop that takes rows of a fine field onto coarse columns: half of the transpose of `expander`'s.
+def collector(taps: int) -> Callable[..., NDArray]:
+    """The loop that takes columns of a fine field onto a coarse one: the transpose of `expander`'s.
 
-    It takes the fine field, `along_x` and `carrier` as there, the result of shape (fine rows, coarse
-    columns), and rows to do.
+    It takes the plane, where the fine field begins on it, `along_y` and `along_x` as there; of the latter's
+    transpose the first fine column and weights for each coarse one, and one past the last; `carrier` as
+    there; the number of coarse rows; columns to do. It gives what these add to coarse columns from the first
+    that they reach.
     """
 
     @_jit
-    def collect(
-        field: NDArray,
-        along_x: tuple[NDArray, NDArray],
-        carrier: tuple[NDArray, ...],
-        middle: NDArray,
-        start: int,
-        stop: int,
+    def finish(
+        low: int,
+        high: int,
+        back: tuple[NDArray, NDArray, NDArray],
+        left: int,
+        begin: int,
+        re: NDArray,
+        im: NDArray,
+        strip: NDArray,
     ) -> None:
-        first_x, weight_x = along_x
-        width = middle.shape[1]
-        real, imaginary = zeros(width, float32), zeros(width, float32)
-        between, along, cosine, sine = _room(carrier, field.shape[1])
-        for i in range(start, stop):
-            begin, end = _carrier_row(carrier, i, between, along, cosine, sine)
-            real[:] = 0.0
-            imaginary[:] = 0.0
-            for j in range(begin, end):
-                first, value = first_x[j], field[i, j]
-                x = cosine[j] * value.real + sine[j] * value.imag
-                y = cosine[j] * value.imag - sine[j] * value.real
-                for t in range(taps):
-                    real[first + t] += weight_x[j, t] * x
-                    imaginary[first + t] += weight_x[j, t] * y
-            for c in range(width):
-                middle[i, c] = complex64(complex(real[c], imaginary[c]))
+        """Coarse rows to which no more fine rows add, from the block's columns onto coarse ones."""
+        first, last, weight = back
+        for r in range(low, high):
+            at = r % taps
+            for c in range(strip.shape[1]):
+                start, stop = max(first[left + c], begin), min(last[left + c], begin + re.shape[1])
+                x, y, skipped = _ZERO, _ZERO, start - first[left + c]
+                for n in range(stop - start):
+                    x += weight[left + c, skipped + n] * re[at, start - begin + n]
+                    y += weight[left + c, skipped + n] * im[at, start - begin + n]
+                strip[r, c] = complex64(complex(x, y))
+            re[at] = 0.0
+            im[at] = 0.0
+
+    @_jit
+    def take_row(
+        first: int, weight: NDArray, re: NDArray, im: NDArray, waves: tuple[Any, ...], row: NDArray, own: NDArray
+    ) -> None:
+        cosine, sine = waves[3], waves[4]
+        for j in range(cosine.shape[0]):
+            x, y = row[2 * j], row[2 * j + 1]
+            own[0, j] = cosine[j] * x + sine[j] * y
+            own[1, j] = cosine[j] * y - sine[j] * x
+        for t in range(taps):
+            at, w = (first + t) % taps, weight[t]
+            for j in range(cosine.shape[0]):
+                re[at, j] += w * own[0, j]
+                im[at, j] += w * own[1, j]
+
+    @_jit
+    def collect(
+        plane: NDArray,
+        place: tuple[int, int],
+        along_y: tuple[NDArray, NDArray],
+        along_x: tuple[NDArray, NDArray],
+        back: tuple[NDArray, NDArray, NDArray],
+        carrier: tuple[NDArray, ...],
+        rows: int,
+        begin: int,
+        end: int,
+    ) -> NDArray:
+        (first_y, weight_y), (first_x, _) = along_y, along_x
+        left = first_x[begin]
+        strip = zeros((rows, first_x[end - 1] + taps - left), complex64)
+        re, im = zeros((taps, end - begin), float32), zeros((taps, end - begin), float32)
+        waves, own = _room(end - begin), empty((2, end - begin), float32)
+        low = high = smooth = 0
+        for i in range(first_y.shape[0]):
+            lit = _carrier_row(carrier, i, smooth, begin, waves)
+            smooth = carrier[2][i] + _SMOOTH
+            if not lit:
+                continue
+            first = first_y[i]
+            finish(low, min(first, high), back, left, begin, re, im, strip)
+            low, high = first, first + taps
+            row = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
+            take_row(first, weight_y[i], re, im, waves, row, own)
+        finish(low, high, back, left, begin, re, im, strip)
+        return strip
 
     return collect
