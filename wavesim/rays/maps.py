@@ -98,7 +98,7 @@ class MapOnAxes:
     """
 
     coefficients: NDArray
-    terms: tuple[Array, ...]
+    terms: tuple[NDArray, ...]
 
     def each(self, place: Callable[[NDArray], Any] = np.asarray) -> Iterator[Any]:
         """One function after the other, where all at once would be too much.
@@ -111,6 +111,11 @@ class MapOnAxes:
         y, *x = (place(terms) for terms in self.terms)
         for c in place(self.coefficients):
             yield y @ c @ x[0].T if x else y @ c
+
+    def single(self) -> MapOnAxes:
+        """The same in float32."""
+        terms = tuple(one.astype(np.float32) for one in self.terms)
+        return MapOnAxes(self.coefficients.astype(np.float32), terms)
 
 
 def fit_map(points: Array, values: NDArray, order: int) -> SmoothMap:

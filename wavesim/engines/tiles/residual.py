@@ -69,12 +69,19 @@ class Separable:
 
     def tile_factors(self, offsets_mm: list[Array]) -> ComplexArray:
         """v_r(d) on the grid of offsets (y, or y and x), shape (rank, ny[, nx])."""
+        return np.asarray(np.exp(self.shared_logarithm(offsets_mm)) * self.own_tile_factors(offsets_mm))
+
+    def shared_logarithm(self, offsets_mm: list[Array]) -> ComplexArray:
+        """Logarithm of the factor that all v_r(d) share, on the grid of offsets, shape (ny[, nx])."""
+        return self._at(self.logarithm[None], offsets_mm)[0]
+
+    def own_tile_factors(self, offsets_mm: list[Array]) -> ComplexArray:
+        """The rest of v_r(d) on the grid of offsets, shape (rank, ny[, nx])."""
+        return self._at(self.tile_nodes, offsets_mm)
+
+    def _at(self, values: ComplexArray, offsets_mm: list[Array]) -> ComplexArray:
         places = [_scaled(o, span) for o, span in zip(offsets_mm, self.spans_mm, strict=True)]
-        shared, own = (
-            _along_axes([_interpolation(values.shape[1], p) for p in places], values)
-            for values in (self.logarithm[None], self.tile_nodes)
-        )
-        return np.asarray(np.exp(shared) * own)
+        return _along_axes([_interpolation(values.shape[1], p) for p in places], values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,11 @@ def _transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], N
     fine = first[:, None] + np.arange(int(np.max(last - first)))
     inside = np.minimum(fine, len(along.first) - 1)
     tap = np.where(fine < last[:, None], coarse[:, None] - along.first[inside], 0)
-    return first, last, np.where(fine < last[:, None], along.weight[inside, tap], 0).astype(along.weight.dtype)
+    return (
+        first,
+        last,
+        np.where(fine < last[:, None], along.weight[inside, tap], 0).astype(along.weight.dtype),
+    )
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:

@@ -60,7 +60,7 @@ def _smooth_rows(
     rim: NDArray,
     lit: NDArray,
 ) -> None:
-    """Phase and edge of rows of their grid, in the block's columns; every row stands twice, `_SMOOTH` apart."""
+    """Phase and edge of rows of their grid, in a block's columns; every row stands twice."""
     phase, edge, _, _, first, share = carrier
     for k in range(low, high):
         at, most = k % _SMOOTH, _ZERO
@@ -101,7 +101,9 @@ def _room(width: int) -> tuple[Any, ...]:
 
 
 @_jit
-def _carrier_row(carrier: tuple[NDArray, ...], row: int, made: int, begin: int, room: tuple[Any, ...]) -> bool:
+def _carrier_row(
+    carrier: tuple[NDArray, ...], row: int, made: int, begin: int, room: tuple[Any, ...]
+) -> bool:
     """Carrier of one row of a block, if it has light; of its grid's rows those before `made` are made."""
     turns, rim, lit, cosine, sine = room
     first = carrier[2][row]
@@ -124,7 +126,12 @@ def expander(taps: int) -> Callable[..., None]:
 
     @_jit
     def make_rows(
-        coarse: NDArray, low: int, along_x: tuple[NDArray, NDArray], begin: int, room: tuple[Any, ...], at: int
+        coarse: NDArray,
+        low: int,
+        along_x: tuple[NDArray, NDArray],
+        begin: int,
+        room: tuple[Any, ...],
+        at: int,
     ) -> None:
         """Some coarse rows, from `low` on, in the block's columns."""
         first_x, weight_x = along_x
@@ -236,7 +243,13 @@ def collector(taps: int) -> Callable[..., NDArray]:
 
     @_jit
     def take_row(
-        first: int, weight: NDArray, re: NDArray, im: NDArray, waves: tuple[Any, ...], row: NDArray, own: NDArray
+        first: int,
+        weight: NDArray,
+        re: NDArray,
+        im: NDArray,
+        waves: tuple[Any, ...],
+        row: NDArray,
+        own: NDArray,
     ) -> None:
         cosine, sine = waves[3], waves[4]
         for j in range(cosine.shape[0]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,8 @@ class OnCpu:
         def one_thread(thread: int) -> NDArray[np.complex64]:
             # Forward, the fields of tiles overlap; back, each has a part of its own.
             result = np.zeros(shape, np.complex64) if way == "forward" else back
-            frames = (tile_frame(group, tile) for tile in group.tiles[thread::THREADS])
+            alike: dict[Any, Any] = {}
+            frames = (tile_frame(group, tile, alike) for tile in group.tiles[thread::THREADS])
             carry_tiles(self.device, lambda carried: carried, way, frames, values, result)
             return result
 

@@ -75,10 +75,11 @@ class OnDevice:
 def _frames(group: SuperTile) -> Iterator[TileFrame]:
     """Tiles in their order, made ready by threads ahead of their use."""
     waiting, ready = iter(group.tiles), deque[Future[TileFrame]]()
+    alike: dict[Any, Any] = {}
     with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
         while True:
             room = AHEAD * THREADS - len(ready)
-            ready.extend(pool.submit(tile_frame, group, tile) for tile in islice(waiting, room))
+            ready.extend(pool.submit(tile_frame, group, tile, alike) for tile in islice(waiting, room))
             if not ready:
                 return
             yield ready.popleft().result()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from wavesim.engines.whole_field.factors import FactorsOverObject
 from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
-from wavesim.runtime.device import Device, Precision, folded
+from wavesim.runtime.device import Device, Precision
 from wavesim.scene.engine import Way
 from wavesim.scene.scene import Scene
 
@@ -176,8 +176,10 @@ class TileFrame:
         Of the super-tile's grid.
     ways : Ways
         From the tile's own grid.
-    carrier, shared, factors : MapOnAxes
-        On its own grid: the tile's carrier, the super-tile's, and sensor factors.
+    rays, shared : MapOnAxes
+        On its own grid: path and cosines p along y and x; the path of the super-tile's carrier.
+    light, factors : MapOnAxes
+        The same in float32: amplitude and edge; of each sensor factor real and imaginary part.
     tile_factors : ndarray of complex64
     rise : float
         Over which the edge's square of a share rises.
@@ -189,16 +191,27 @@ class TileFrame:
     tile: Tile
     window: tuple[slice, slice]
     ways: Ways
-    carrier: MapOnAxes
+    rays: MapOnAxes
     shared: MapOnAxes
+    light: MapOnAxes
     factors: MapOnAxes
     tile_factors: NDArray[np.complex64]
     rise: float
     reach: float
 
 
-def tile_frame(group: SuperTile, tile: Tile) -> TileFrame:
-    """Make a tile ready."""
+def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame:
+    """Make a tile ready.
+
+    Parameters
+    ----------
+    group
+        The super-tile.
+    tile
+        One of its tiles.
+    alike
+        What the super-tile's tiles of the same size have in common, for use again; added to.
+    """
     settings = group.settings
     centre, half_mm = (tile.centre_mm[1], tile.centre_mm[0]), settings.half_width_mm
     carrier = settings.maps.carriers.at(centre)
@@ -206,19 +219,31 @@ def tile_frame(group: SuperTile, tile: Tile) -> TileFrame:
     fine = group.axes[0][window[0]], group.axes[1][window[1]]
     steps = settings.tile_steps_mm
     y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
-    expansion = settings.factors.at(centre)
+    # Coarse axes are centred on fine ones: how both lie to each other follows from the number of samples.
+    lengths = len(fine[0]), len(fine[1])
+    if lengths not in alike:
+        alike[lengths] = ways_between((y, x), (y, x), fine, settings.kernel)
+    expansion, offsets = settings.factors.at(centre), list(tile.offsets_mm)
+    size = tuple((len(o), round(1e9 * float(o[0]))) for o in offsets)
+    if size not in alike:
+        alike[size] = expansion.own_tile_factors(offsets).astype(np.complex64)
     assert expansion.sensor_factors is not None
+    path, amplitude, *cosines, edge = carrier.coefficients
+    factors = expansion.sensor_factors.coefficients
+    parts = np.stack([factors.real, factors.imag], axis=1).reshape(-1, *factors.shape[1:])
+    own = carrier.along((y, x)).terms
     # The edge's square of a share falls by 2 over half a footprint.
     per_mm = 2.0 / float(np.max(half_mm))
     return TileFrame(
         group,
         tile,
         window,
-        ways_between((y, x), (y, x), fine, settings.kernel),
-        carrier.along((y, x)),
-        group.carrier.along((y, x)),
-        expansion.sensor_factors.along((y, x)),
-        expansion.tile_factors(list(tile.offsets_mm)).astype(np.complex64),
+        alike[lengths],
+        MapOnAxes(np.stack([path, *cosines]), own),
+        replace(group.carrier, coefficients=group.carrier.coefficients[:1]).along((y, x)),
+        MapOnAxes(np.stack([amplitude, edge]), own).single(),
+        MapOnAxes(parts, expansion.sensor_factors.along((y, x)).terms).single(),
+        np.exp(expansion.shared_logarithm(offsets).astype(np.complex64)) * alike[size],
         per_mm * TAPER * float(np.max(group.steps_mm)),
         per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
     )
@@ -258,26 +283,30 @@ class ObjectTile:
     ) -> None:
         self._device, self._plans = device, plans
         settings, scene = frame.group.settings, frame.group.settings.scene
-        wavelength_mm = 1e-3 * scene.wavelength_um
-        path, amplitude, py, px, edge = frame.carrier.each(device.to_device)
+        xp, wavelength_mm = device.xp, 1e-3 * scene.wavelength_um
+        path, py, px = frame.rays.each(device.to_device)
         turns = (path - next(frame.shared.each(device.to_device))) / wavelength_mm
         turns += -0.25 - 0.25 * settings.maps.caustics
-        opening = (0.5 + (1.0 - edge) / frame.rise).astype(np.float32)
-        self._step = step(Carried(frame.ways, turns, opening, frame.window))
-        per_turn = scene.wavenumber_per_mm * frame.tile.pitch_mm
+        amplitude, edge = frame.light.each(device.to_device)
+        self._step = step(Carried(frame.ways, turns, 0.5 + (1.0 - edge) / frame.rise, frame.window))
+        most = 0.5 * wavelength_mm / frame.tile.pitch_mm
         needed = edge < 1.0 + 0.5 * frame.rise + frame.reach
-        needed &= (abs(py) <= math.pi / per_turn) & (abs(px) <= math.pi / per_turn)
-        self._shape, self._places = needed.shape, device.xp.flatnonzero(needed)
+        needed &= (abs(py) <= most) & (abs(px) <= most)
+        self._shape, self._places = needed.shape, xp.flatnonzero(needed)
         self._tile_factors = device.to_device(frame.tile_factors)
-        scale = (self._needed(amplitude) / wavelength_mm).astype(np.float32)
-        self._weights = device.xp.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
-        for number, factor in enumerate(frame.factors.each(device.to_device)):
-            self._weights[number] = scale * self._needed(factor)
+        scale = self._needed(amplitude) * np.float32(1.0 / wavelength_mm)
+        self._weights = xp.empty((len(frame.tile_factors), len(scale)), dtype=np.complex64)
+        parts = frame.factors.each(device.to_device)
+        for weight in self._weights:
+            weight.real = scale * self._needed(next(parts))
+            weight.imag = scale * self._needed(next(parts))
         self._precision = settings.precision
-        self._angles = [folded(per_turn * self._needed(p), self._precision.dtype) for p in (py, px)]
+        per_mm, half = scene.wavenumber_per_mm * frame.tile.pitch_mm, np.float32(math.pi)
+        angles = [(per_mm * self._needed(p)).astype(np.float32) for p in (py, px)]
+        self._angles = [xp.clip(angle, -half, half) for angle in angles]  # rounding may lead beyond
 
     def _needed(self, values: Any) -> Any:
-        return values.ravel()[self._places]
+        return values.ravel().take(self._places)
 
     def _plan(self, kind: int) -> Any:
         key = (kind, *self._tile_factors.shape)
