@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
+from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import Prediction, choose, engine_for
 from wavesim.evaluation.comparison import random_field, reference_for
-from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import Field, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.scene.engine import Engine

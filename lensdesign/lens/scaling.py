@@ -1,4 +1,4 @@
-"""The same lens at another size: a small twin, on which wave optics is cheap."""
+"""The same lens at another size, a small twin on which wave optics is cheap, or with another stop."""
 
 from __future__ import annotations
 
@@ -44,6 +44,29 @@ def scaled(lens: Lens, factor: float) -> Lens:
             pixels=tuple(max(1, round(factor * count)) for count in lens.sensor.pixels),
         ),
         edges=tuple(scaled_edge(edge, factor) for edge in lens.edges),
+    )
+
+
+def stopped_down(lens: Lens, numerical_aperture: float) -> Lens:
+    """The lens with its stop closed to a numerical aperture, in proportion to the tangents.
+
+    Raises
+    ------
+    DesignError
+        If the aperture is larger than the lens's.
+    """
+    before = lens.object.numerical_aperture
+    if not 0.0 < numerical_aperture <= before:
+        raise DesignError(
+            f"numerical_aperture = {numerical_aperture!r}: must be above 0 and at most {before:g}"
+        )
+    tangents = [math.tan(math.asin(na)) for na in (numerical_aperture, before)]
+    share = tangents[0] / tangents[1]
+    stop = lens.stop_semi_diameter_mm * share
+    surfaces = list(lens.surfaces)
+    surfaces[lens.stop_index] = surfaces[lens.stop_index].replaced(semi_diameter_mm=stop)
+    return lens.replaced(
+        surfaces=tuple(surfaces), object=lens.object.replaced(numerical_aperture=numerical_aperture)
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import Lens
+from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.comparison import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
@@ -107,29 +108,6 @@ def slice_maps(lens: Lens, patch_mm: float) -> Iterator[FailureMap]:
 
         labels = ("slices of each surface", "numerical aperture")
         yield _map(f"slices_{kind}", f"annular slices, {kind} compensation", labels, SLICES, APERTURES, cell)
-
-
-def stopped_down(lens: Lens, numerical_aperture: float) -> Lens:
-    """The lens with its stop closed to a numerical aperture, in proportion to the tangents.
-
-    Raises
-    ------
-    InputError
-        If the aperture is larger than the lens's.
-    """
-    before = lens.object.numerical_aperture
-    if not 0.0 < numerical_aperture <= before:
-        raise InputError(
-            f"numerical_aperture = {numerical_aperture!r}: must be above 0 and at most {before:g}"
-        )
-    tangents = [np.tan(np.arcsin(na)) for na in (numerical_aperture, before)]
-    share = float(tangents[0] / tangents[1])
-    stop = lens.stop_semi_diameter_mm * share
-    surfaces = list(lens.surfaces)
-    surfaces[lens.stop_index] = surfaces[lens.stop_index].replaced(semi_diameter_mm=stop)
-    return lens.replaced(
-        surfaces=tuple(surfaces), object=lens.object.replaced(numerical_aperture=numerical_aperture)
-    )
 
 
 def tile_map(lens: Lens) -> FailureMap:

@@ -186,25 +186,37 @@ class RayMap:
         )
 
     def row_spans(self, axes: Sequence[Array]) -> NDArray[np.intp]:
-        """Samples of a grid inside the border: first and end per row, shape (rows, 2); one row on a line.
+        """Samples of a grid inside the border, as :func:`row_spans`."""
+        return row_spans(self.border_mm, axes)
 
-        Rows outside have an end that is their first. A row that leaves it and comes back into it is
-        taken as inside in between.
-        """
-        if len(axes) == 1:
-            low, high = self.border_mm.min(), self.border_mm.max()
-            return np.array([[np.searchsorted(axes[0], low), np.searchsorted(axes[0], high, side="right")]])
-        y, x = axes
-        low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
-        ends = np.roll(self.border_mm, -1, axis=0)
-        for a, b in zip(self.border_mm, ends, strict=True):
-            rows = slice(*np.searchsorted(y, [min(a[0], b[0]), max(a[0], b[0])]))
-            if rows.start < rows.stop:
-                cut = a[1] + (b[1] - a[1]) * (y[rows] - a[0]) / (b[0] - a[0])
-                np.minimum(low[rows], cut, out=low[rows])
-                np.maximum(high[rows], cut, out=high[rows])
-        first, end = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
-        return np.column_stack([first, np.maximum(end, first)])
+
+def row_spans(border_mm: Array, axes: Sequence[Array]) -> NDArray[np.intp]:
+    """Samples of a grid inside a border: first and end per row, shape (rows, 2); one row on a line.
+
+    Rows outside have an end that is their first. A row that leaves it and comes back into it is
+    taken as inside in between.
+
+    Parameters
+    ----------
+    border_mm
+        Points (y) or (y, x) along it, shape (arms, d).
+    axes
+        Of the grid, y (and x), in mm.
+    """
+    if len(axes) == 1:
+        low, high = border_mm.min(), border_mm.max()
+        return np.array([[np.searchsorted(axes[0], low), np.searchsorted(axes[0], high, side="right")]])
+    y, x = axes
+    low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
+    ends = np.roll(border_mm, -1, axis=0)
+    for a, b in zip(border_mm, ends, strict=True):
+        rows = slice(*np.searchsorted(y, [min(a[0], b[0]), max(a[0], b[0])]))
+        if rows.start < rows.stop:
+            cut = a[1] + (b[1] - a[1]) * (y[rows] - a[0]) / (b[0] - a[0])
+            np.minimum(low[rows], cut, out=low[rows])
+            np.maximum(high[rows], cut, out=high[rows])
+    first, end = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
+    return np.column_stack([first, np.maximum(end, first)])
 
 
 def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
@@ -272,7 +284,7 @@ def ray_map(
             ]
         )
         if np.all(errors < [PATH_TOLERANCE_WAVES, AMPLITUDE_TOLERANCE, PATH_TOLERANCE_WAVES]):
-            borders = [_border_mm(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
+            borders = [border_of(scene, point_mm, part, plane_z_mm) for part in (pupil, traced)]
             stop = None if drawn is None else replace(both, coefficients=both.coefficients[len(told) :])
             return RayMap(
                 plane_z_mm, pupil, maps, borders[0], caustics, bundle, traced, borders[1], drawn, stop
@@ -303,7 +315,8 @@ def _with_shadow(scene: Scene, point_mm: tuple[float, float], edge: Edge, plane_
     return edge.pupil
 
 
-def _border_mm(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Array:
+def border_of(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, plane_z_mm: float) -> Array:
+    """Where the rim of a pupil lands on a plane for one object point (x, y), shape (arms, d)."""
     points = np.broadcast_to(np.asarray(point_mm, float), pupil.rim.shape)
     ends = shoot(scene, points, pupil.rim, plane_z_mm, clip=False).position
     return ends[:, [1] if pupil.is_line else [1, 0]]

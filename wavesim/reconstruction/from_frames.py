@@ -12,6 +12,7 @@ from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
 from wavesim.camera.recording import Progress
+from wavesim.camera.windows import imaging_engine
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_metrics
 from wavesim.evaluation.verdicts import FEW, LIMIT, PlaneResidual, Verdict, verdict
@@ -23,13 +24,15 @@ from wavesim.reconstruction.doubts.starts import agreement_of_starts
 from wavesim.reconstruction.doubts.trials import Doubts
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.from_object import Progressed, reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
+from wavesim.reconstruction.stopped_down import ITERATIONS, on_all_samples, stopped_down_problem
 from wavesim.runtime.memory import Memory
 from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
@@ -126,6 +129,10 @@ class _Told:
         self.iterations = number + 1
         self._show(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
 
+    def on_half(self, number: int, figure: float) -> None:
+        """An iteration on half of the samples."""
+        self._show(f"{self._method}, half of the samples: {self._figure} {figure:.5f}", 0, self._most)
+
     def step(self, what: str) -> None:
         """Something after the iterations."""
         self._show(what, 0, 0)
@@ -183,7 +190,11 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
     if settings.method == "paper":
         found = _paper(case, settings, engine_on, told)
     else:
-        found = _object(case, settings, engine_on, told, start)
+        # Given away without a name for it: its arrays would else be held to the end.
+        begun = [progress_kept(case.checkpoint, case.scratch)]
+        if begun == [None] and start is None:
+            begun = [_begun_on_half(case, settings, take, told)]
+        found = _object(case, settings, engine_on, told, start, begun)
     transmission, behind, maps, curve, of_method, agreement = found
     del found
     judged = _verdict(case, settings, engine_on, maps, curve, agreement, told)
@@ -258,12 +269,43 @@ def _verdict(
         return verdict(planes, doubts.trials(), curve, agreement)
 
 
+def _begun_on_half(
+    case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told
+) -> Progressed | None:
+    """What the first iterations of a whole field find on half of its samples; None where they win little."""
+    if not isinstance(case.engine, Tiled) or len(case.modes) > 1:
+        return None
+    small = stopped_down_problem(case.engine.scene, case.light, case.given)
+    if small is None:
+        return None
+    kind = "amplitude" if settings.first == "amplitude" else settings.kind
+    engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS, light=Light(small.light))
+    with _ready(engine, take, told) as ready:
+        found = reconstruct(
+            ready,
+            small.light,
+            small.recorded,
+            kind=kind,
+            tv_weight=settings.tv_weight,
+            iterations=min(ITERATIONS, settings.most_iterations),
+            until_noise=True,
+            scale=settings.scale,
+            active_width=settings.active_width,
+            progress=told.on_half,
+        )
+    values = found.transmission.values
+    values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)
+    values = case.scratch.held(values, "a step")
+    return Progressed(values, values, 0.0, (), None, 0, 0)
+
+
 def _object(
     case: FramesCase,
     settings: ReconstructionSettings,
     engine_on: EngineOn,
     told: _Told,
     start: Field | None,
+    begun: list[Progressed | None],
 ) -> _Found:
     with engine_on(case.light.grid) as engine:
         found = reconstruct(
@@ -278,7 +320,7 @@ def _object(
             start="amplitude" if settings.first == "amplitude" else start,
             active_width=settings.active_width,
             progress=told.iteration,
-            resume=progress_kept(case.checkpoint, case.scratch),
+            resume=begun.pop(),
             keep=keeper(case.checkpoint),
             scratch=case.scratch,
             modes=case.modes,

@@ -73,8 +73,8 @@ AT_NOISE = 1.01
 """Misfit over that of noise alone, down to which two iterations in a row have reached the noise: the first
 has yet to bring back to the object what it found."""
 
-EARLY, EARLY_GAIN = 5, 1e-3
-"""At rest: over so many iterations the misfit changes by less than this share."""
+EARLY, NEAR_EARLY, EARLY_GAIN = 5, 2, 1e-3
+"""At rest: over so many iterations, or so many near the noise, the misfit changes by less than this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +129,8 @@ class Progressed:
         Steps since it began to grow.
     misfit : tuple of float
         Of every iteration so far.
-    scale : float
-        Recorded amplitude for a unit of the model's.
+    scale : float or None
+        Recorded amplitude for a unit of the model's; None where nothing is known of it yet.
     stage, began : int
         Kind of object that is being sought, of those that follow each other; iterations before it.
     """
@@ -139,7 +139,7 @@ class Progressed:
     ahead: Array
     momentum: float
     misfit: tuple[float, ...]
-    scale: float
+    scale: float | None
     stage: int
     began: int
 
@@ -293,7 +293,8 @@ class _Descent:
 
     def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
         """Where it stands after all stages: kinds of object, and iterations at which they end."""
-        self.model.scale = state.scale
+        if state.scale is not None:
+            self.model.scale = state.scale
         for stage, (kind, until) in enumerate(stages):
             if stage < state.stage:
                 continue
@@ -363,9 +364,11 @@ class _Descent:
         noise = self.misfit_of_noise
         if self.until_noise and noise is not None and max(state.misfit[-2:]) <= AT_NOISE * noise:
             return "noise"
+        near = self.until_noise and noise is not None and misfit <= FAR * noise
+        over = NEAR_EARLY if near else EARLY
         if len(state.misfit) - state.began <= EARLY:
             return None
-        return "rest" if abs(state.misfit[-1 - EARLY] - misfit) < EARLY_GAIN * misfit else None
+        return "rest" if abs(state.misfit[-1 - over] - misfit) < EARLY_GAIN * misfit else None
 
 
 def _uphill(now: Array, ahead: Array, after: Array) -> bool:

@@ -9,7 +9,7 @@ from lensdesign import load_design, trace
 from lensdesign.analysis.spread import largest_spread
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.scaling import scaled
+from lensdesign.lens.scaling import scaled, stopped_down
 from lensdesign.tracing.bundles import launch, pupil_hexapolar
 
 PAPER = load_design("designs/paper_singlet.toml")
@@ -45,3 +45,14 @@ def test_there_and_back() -> None:
 def test_refused(factor: float) -> None:
     with pytest.raises(DesignError):
         scaled(PAPER, factor)
+
+
+def test_stopped_down() -> None:
+    lens = stopped_down(PAPER, 0.25)
+    tangents = [np.tan(np.arcsin(na)) for na in (0.25, 0.5)]
+    assert lens.stop_semi_diameter_mm / PAPER.stop_semi_diameter_mm == pytest.approx(
+        tangents[0] / tangents[1]
+    )
+    for wrong in (0.0, 0.6, np.nan):
+        with pytest.raises(DesignError):
+            stopped_down(PAPER, wrong)

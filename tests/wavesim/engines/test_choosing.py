@@ -10,10 +10,10 @@ import pytest
 from benchmarks.chooser import object_field
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError, SamplingError
+from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.choosing import choose, engine_for, predict, predictions
 from wavesim.engines.registry import ENGINES
 from wavesim.evaluation.comparison import compare, lens_case, reference_for, variants
-from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.objects.patch import object_patch

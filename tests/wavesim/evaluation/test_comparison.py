@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from lensdesign import load_design, save_design, scaled
-from lensdesign.errors import InputError
 from wavesim.cli.commands import main
 from wavesim.engines.registry import engine_class
 from wavesim.evaluation import failures
@@ -32,7 +31,6 @@ from wavesim.evaluation.failures import (
     map_rows,
     slice_maps,
     step_maps,
-    stopped_down,
     tile_map,
 )
 from wavesim.fields.field import Grid
@@ -95,15 +93,6 @@ def test_every_engine_is_compared() -> None:
     assert {engine for _, engine, _ in variants()} == {"eikonal", "slices", "wpm", "thin-lens", "no-lens"}
     for _, engine, _ in variants():
         engine_class(engine)
-
-
-def test_stopped_down() -> None:
-    lens = stopped_down(TWIN, 0.25)
-    tangents = [np.tan(np.arcsin(na)) for na in (0.25, 0.5)]
-    assert lens.stop_semi_diameter_mm / TWIN.stop_semi_diameter_mm == pytest.approx(tangents[0] / tangents[1])
-    for wrong in (0.0, 0.6, np.nan):
-        with pytest.raises(InputError):
-            stopped_down(TWIN, wrong)
 
 
 def assert_speaks_first(found: FailureMap, largest_silent: float) -> None:

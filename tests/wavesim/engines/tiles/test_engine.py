@@ -15,12 +15,12 @@ from lensdesign import Lens, Pose, scaled
 from lensdesign.errors import InputError, SamplingError
 from lensdesign.lens.lens import ObjectSpace, Sensor
 from lensdesign.lens.poses import SurfacePerturbation
+from lensdesign.lens.scaling import stopped_down
 from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.evaluation.accuracy import peak_bytes
 from wavesim.evaluation.comparison import lens_case
-from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.registry import oracle_case

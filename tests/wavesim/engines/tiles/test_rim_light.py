@@ -9,9 +9,9 @@ import pytest
 
 from lensdesign import Lens, scaled
 from lensdesign.errors import InputError
+from lensdesign.lens.scaling import stopped_down
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.evaluation.comparison import random_field, reference_for
-from wavesim.evaluation.failures import stopped_down
 from wavesim.fields.field import Field, relative_error
 from wavesim.scene.light import Light
 from wavesim.scene.patches import patch_scene
