@@ -113,9 +113,9 @@ MUTATIONS = (
     ),
     Mutation(
         "path in front of a surface at the index behind it",
-        "lensdesign/tracing/kernel.py",
-        "ray[OPL + i] += n1 * t if hit else 0.0",
-        "ray[OPL + i] += n1 / ratio * t if hit else 0.0",
+        "lensdesign/tracing/conic_kernel.py",
+        "after[OPL + i] = ray[OPL + i] + n1 * t",
+        "after[OPL + i] = ray[OPL + i] + n1 / ratio * t",
         "tests/lensdesign/tracing/test_rays.py",
     ),
     # Glass, poses, figures

@@ -8,17 +8,10 @@ import numpy as np
 
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
-from lensdesign.tracing import kernel
+from lensdesign.tracing import conic_kernel, kernel
+from lensdesign.tracing.conic_kernel import MISSED, NOT_CONVERGED, OK, TOTAL_REFLECTION, conic_distance
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
-from lensdesign.tracing.kernel import (
-    CONIC,
-    MISSED,
-    NOT_CONVERGED,
-    OK,
-    TOTAL_REFLECTION,
-    conic_distance,
-    newton,
-)
+from lensdesign.tracing.kernel import CONIC, newton
 
 SHAPE, THICKNESS, WORKING_DISTANCE, LAUNCH_X, LAUNCH_Y = range(5)
 
@@ -202,4 +195,7 @@ def _planes(p, d, dp, dd, last, planes, kind, where, values, derivatives, i, sur
                 derivatives[i, slot, a, j] = dp[a, j] + t * dd[a, j] + dt * d[a]
 
 
-drop_outdated(gradient_kernel, {__name__, kernel.__name__, intersection.__name__} | shapes.SOURCES)
+drop_outdated(
+    gradient_kernel,
+    {__name__, kernel.__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES,
+)

@@ -1,8 +1,8 @@
 """The Numba ray kernel: trials x rays, in blocks that the compiler can vectorize.
 
-Each block of rays lives in small local arrays, and each step is one loop without branches: a ray that
-has failed is carried along and left unchanged. No fast-math, so NaN and statuses decide as written.
-Conics are met in closed form, all other shapes by Newton's method from a conic near them.
+Each block of rays lives in small local arrays, and each step is one loop without branches. No fast-math, so
+NaN and statuses decide as written, and no ray depends on those beside it. Conics are met in closed form
+(`conic_kernel`), all other shapes by Newton's method from a conic near them.
 """
 
 from __future__ import annotations
@@ -14,14 +14,30 @@ import numpy as np
 from lensdesign.lens.shapes import compiled as shapes
 from lensdesign.lens.shapes import intersection
 from lensdesign.lens.shapes.intersection import NEWTON_STEPS, RIM_TOLERANCE
+from lensdesign.tracing import conic_kernel
+from lensdesign.tracing.conic_kernel import (
+    BLOCK,
+    CLIPPED,
+    MISSED,
+    NOT_CONVERGED,
+    OK,
+    OPL,
+    TOTAL_REFLECTION,
+    L,
+    M,
+    N,
+    X,
+    Y,
+    Z,
+    conic_distance,
+    settle_conic,
+    through_conic,
+    to_plane,
+)
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 
-BLOCK = 128
-X, Y, Z, L, M, N, OPL = range(0, 7 * BLOCK, BLOCK)
 CONIC = 0
 """The registry's first shape."""
-
-OK, MISSED, CLIPPED, TOTAL_REFLECTION, NOT_CONVERGED = range(5)
 
 _jit = kept_njit(nogil=True, error_model="numpy")
 _inline = kept_njit(nogil=True, error_model="numpy", inline="always")
@@ -53,7 +69,10 @@ def trace_kernel(
     first_ray,
     end_ray,
 ):
-    """Trace some rays of all trials; origins and directions have shape (trials or 1, rays, 3).
+    """Trace some rays of all trials; origins and directions have shape (trials or 1, 3 rays), flat.
+
+    So have `position` and `direction`: what lies 3 apart is moved in vectors, what lies a number apart that
+    the compiler does not know is not.
 
     `codes`, `starts` and `terms` are what :class:`lensdesign.tracing.compiled.CompiledSystem` packs;
     `figures` are the arrays of :class:`lensdesign.lens.figure.PackedFigures`, in which these trials begin at
@@ -62,10 +81,11 @@ def trace_kernel(
     The six arrays from `position` on are filled for the rays from `first_ray` up to `end_ray`; `hits` may
     have no rays, and is then left alone. Returns the number of directions that are not finite unit vectors.
     """
-    trials = status.shape[0]
-    ray = np.empty(7 * BLOCK)
+    trials, surfaces = status.shape[0], vertex.shape[1]
+    ray, after = np.empty(7 * BLOCK), np.empty(7 * BLOCK)
+    work = np.empty(3 * BLOCK)
     state = np.empty(2 * BLOCK, np.int64)
-    bad = 0
+    lost, bad = BLOCK, 0
     for t in range(trials):
         to = t if origins.shape[0] > 1 else 0
         td = t if directions.shape[0] > 1 else 0
@@ -74,35 +94,44 @@ def trace_kernel(
         ti = t if index.shape[0] > 1 else 0
         for start in range(first_ray, end_ray, BLOCK):
             count = min(BLOCK, end_ray - start)
-            bad += _load(ray, state, origins[to], directions[td], start, count)
-            for s in range(vertex.shape[1]):
-                if tilted[s]:
-                    _to_local(ray, rotation[tv, s], vertex[tv, s], count)
-                else:
-                    _shift(ray, vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2], count)
+            at = slice(3 * start, 3 * (start + count))
+            if lost > 0:  # in the block before
+                state[:BLOCK], state[BLOCK:] = OK, -1
+                lost = 0
+            bad += _load(ray, origins[to, at], directions[td, at], count)
+            for s in range(surfaces):
                 limit = (semi_diameter[s] * (1.0 + RIM_TOLERANCE)) ** 2 if clip else np.inf
                 n1, n2 = index[ti, s], index[ti, s + 1]
                 c, k = starts[ts, s, 0], starts[ts, s, 1]
-                if codes is None:
-                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
-                elif codes[s] == CONIC and not _has_figure(figures, s):
-                    _conic(ray, state, s, c, k, n1, n1 / n2, limit, count)
+                conic = codes is None or (codes[s] == CONIC and not _has_figure(figures, s))
+                x0, y0, z0 = vertex[tv, s, 0], vertex[tv, s, 1], vertex[tv, s, 2]
+                along = conic and not tilted[s] and x0 == 0.0 and y0 == 0.0
+                if not along:
+                    _shift(ray, -x0, -y0, -z0, count)
+                    z0 = 0.0
+                if tilted[s]:
+                    _turn(ray, rotation[tv, s].T, count)
+                if conic:
+                    unsure = through_conic(ray, after, work, z0, c, k, n1, n1 / n2, limit, count)
+                    if unsure + lost > 0:
+                        lost = settle_conic(ray, after, work, state, s, z0, c, k, n1 / n2, limit, count)
+                    ray, after = after, ray
                 else:
                     code, own, trial = codes[s], terms[ts, s], first_trial + t
                     _intersect_general(ray, state, s, code, c, k, own, n1, limit, count, figures, trial)
-                    _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
+                    lost = _refract_general(ray, state, s, code, own, n1 / n2, count, figures, trial)
                 if tilted[s]:
-                    _to_fixed(ray, rotation[tv, s], vertex[tv, s], count)
-                else:
-                    _shift(ray, -vertex[tv, s, 0], -vertex[tv, s, 1], -vertex[tv, s, 2], count)
-                if hits.shape[1] > 0:
-                    for i in range(count):
-                        hits[t, start + i, s, 0] = ray[X + i]
-                        hits[t, start + i, s, 1] = ray[Y + i]
-                        hits[t, start + i, s, 2] = ray[Z + i]
+                    _turn(ray, rotation[tv, s], count)
+                if not along:
+                    _shift(ray, x0, y0, vertex[tv, s, 2], count)
+                for i in range(count if hits.shape[1] > 0 else 0):
+                    hits[t, start + i, s, 0] = ray[X + i]
+                    hits[t, start + i, s, 1] = ray[Y + i]
+                    hits[t, start + i, s, 2] = ray[Z + i]
             if use_plane:
-                _to_plane(ray, state, vertex.shape[1], plane_z, index[ti, index.shape[1] - 1], count)
-            _store(ray, state, position[t], direction[t], opl[t], status[t], failed[t], start, count)
+                lost = to_plane(ray, state, lost, surfaces, plane_z, index[ti, surfaces], count)
+            _store(ray, position[t, at], direction[t, at], opl[t, start : start + count], count)
+            _store_state(state, lost, status[t, start : start + count], failed[t, start : start + count])
     return bad
 
 
@@ -114,114 +143,65 @@ def _has_figure(figures, surface):
 
 
 @_jit
-def _load(ray, state, origins, directions, start, count):
+def _load(ray, origins, directions, count):
+    """Rays from flat arrays; returns how many are none."""
+    for i in range(count):
+        ray[X + i], ray[Y + i], ray[Z + i] = origins[3 * i], origins[3 * i + 1], origins[3 * i + 2]
     bad = 0
     for i in range(count):
-        ray[X + i] = origins[start + i, 0]
-        ray[Y + i] = origins[start + i, 1]
-        ray[Z + i] = origins[start + i, 2]
-        ray[L + i] = directions[start + i, 0]
-        ray[M + i] = directions[start + i, 1]
-        ray[N + i] = directions[start + i, 2]
-    for i in range(count):
-        ray[OPL + i] = 0.0
-        state[i] = OK
-        state[BLOCK + i] = -1
-        norm = ray[L + i] * ray[L + i] + ray[M + i] * ray[M + i] + ray[N + i] * ray[N + i]
+        dx, dy, dz = directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]
         where = ray[X + i] + ray[Y + i] + ray[Z + i]
-        good = (abs(norm - 1.0) < 1e-6) & (where - where == 0.0)
-        bad += 0 if good else 1
+        off = abs(dx * dx + dy * dy + dz * dz - 1.0) + (where - where)
+        bad += 0 if off < 1e-6 else 1
+        ray[L + i], ray[M + i], ray[N + i] = dx, dy, dz
+        ray[OPL + i] = 0.0
     return bad
 
 
 @_jit
-def _store(ray, state, position, direction, opl, status, failed, start, count):
+def _store(ray, position, direction, opl, count):
     for i in range(count):
-        position[start + i, 0] = ray[X + i]
-        position[start + i, 1] = ray[Y + i]
-        position[start + i, 2] = ray[Z + i]
-        direction[start + i, 0] = ray[L + i]
-        direction[start + i, 1] = ray[M + i]
-        direction[start + i, 2] = ray[N + i]
+        position[3 * i], position[3 * i + 1], position[3 * i + 2] = ray[X + i], ray[Y + i], ray[Z + i]
     for i in range(count):
-        opl[start + i] = ray[OPL + i]
-        status[start + i] = state[i]
-        failed[start + i] = state[BLOCK + i]
+        direction[3 * i], direction[3 * i + 1], direction[3 * i + 2] = ray[L + i], ray[M + i], ray[N + i]
+    for i in range(count):
+        opl[i] = ray[OPL + i]
+
+
+@_jit
+def _store_state(state, lost, status, failed):
+    if lost == 0:
+        status[:], failed[:] = OK, -1
+        return
+    for i in range(len(status)):
+        status[i] = state[i]
+    for i in range(len(failed)):
+        failed[i] = state[BLOCK + i]
 
 
 @_jit
 def _shift(ray, dx, dy, dz, count):
     for i in range(count):
-        ray[X + i] -= dx
-        ray[Y + i] -= dy
-        ray[Z + i] -= dz
+        ray[X + i] += dx
+        ray[Y + i] += dy
+        ray[Z + i] += dz
 
 
 @_jit
-def _to_local(ray, r, v, count):
-    for i in range(count):
-        x, y, z = ray[X + i] - v[0], ray[Y + i] - v[1], ray[Z + i] - v[2]
-        ray[X + i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-        ray[Y + i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-        ray[Z + i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
-        x, y, z = ray[L + i], ray[M + i], ray[N + i]
-        ray[L + i] = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-        ray[M + i] = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-        ray[N + i] = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
-
-
-@_jit
-def _to_fixed(ray, r, v, count):
+def _turn(ray, r, count):
+    xx, xy, xz = r[0, 0], r[0, 1], r[0, 2]
+    yx, yy, yz = r[1, 0], r[1, 1], r[1, 2]
+    zx, zy, zz = r[2, 0], r[2, 1], r[2, 2]
     for i in range(count):
         x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
-        ray[X + i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + v[0]
-        ray[Y + i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + v[1]
-        ray[Z + i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + v[2]
-        x, y, z = ray[L + i], ray[M + i], ray[N + i]
-        ray[L + i] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
-        ray[M + i] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
-        ray[N + i] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
-
-
-@_jit
-def _conic(ray, state, surface, c, k, n1, ratio, limit, count):
-    """Intersect and refract at a plane, sphere or conic, in its own frame."""
-    q = 1.0 + k
+        ray[X + i] = xx * x + xy * y + xz * z
+        ray[Y + i] = yx * x + yy * y + yz * z
+        ray[Z + i] = zx * x + zy * y + zz * z
     for i in range(count):
-        x, y, z = ray[X + i], ray[Y + i], ray[Z + i]
-        dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
-        qa = c * (1.0 + k * dz * dz)
-        qb = dz - c * (x * dx + y * dy + q * z * dz)
-        qc = c * (x * x + y * y + q * z * z) - 2.0 * z
-        square = qb * qb - qa * qc
-        root = math.sqrt(max(square, 0.0))
-        stable = qb >= 0.0
-        denominator = qb + root if stable else qa
-        t = (qc if stable else qb - root) / (denominator if denominator != 0.0 else 1.0)
-        x += t * dx
-        y += t * dy
-        z += t * dz
-        upright = 1.0 - q * c * z
-        r2 = x * x + y * y
-        norm = 1.0 / math.sqrt(c * c * r2 + upright * upright)
-        cos_in = (dz * upright - c * (x * dx + y * dy)) * norm
-        square_out = 1.0 - ratio * ratio * (1.0 - cos_in * cos_in)
-        bend = (math.sqrt(max(square_out, 0.0)) - ratio * cos_in) * norm
-
-        alive = state[i] == OK
-        hit = alive & (square >= 0.0) & (denominator != 0.0) & (upright > 0.0)
-        inside = hit & (r2 <= limit)
-        through = inside & (square_out >= 0.0)
-        ray[X + i] = x if hit else ray[X + i]
-        ray[Y + i] = y if hit else ray[Y + i]
-        ray[Z + i] = z if hit else ray[Z + i]
-        ray[OPL + i] += n1 * t if hit else 0.0
-        ray[L + i] = ratio * dx - bend * c * x if through else dx
-        ray[M + i] = ratio * dy - bend * c * y if through else dy
-        ray[N + i] = ratio * dz + bend * upright if through else dz
-        why = OK if through else (TOTAL_REFLECTION if inside else (CLIPPED if hit else MISSED))
-        state[i] = why if alive else state[i]
-        state[BLOCK + i] = surface if alive & (why != OK) else state[BLOCK + i]
+        x, y, z = ray[L + i], ray[M + i], ray[N + i]
+        ray[L + i] = xx * x + xy * y + xz * z
+        ray[M + i] = yx * x + yy * y + yz * z
+        ray[N + i] = zx * x + zy * y + zz * z
 
 
 @_inline
@@ -283,23 +263,6 @@ def _sag_and_slopes(x, y, code, terms, surface, figures, trial):
 
 
 @_jit
-def conic_distance(x, y, z, dx, dy, dz, c, k):
-    """Distance of a ray to a conic, and whether it meets it."""
-    q = 1.0 + k
-    qa = c * (1.0 + k * dz * dz)
-    qb = dz - c * (x * dx + y * dy + q * z * dz)
-    qc = c * (x * x + y * y + q * z * z) - 2.0 * z
-    square = qb * qb - qa * qc
-    if square < 0.0:
-        return 0.0, False
-    root = math.sqrt(square)
-    stable = qb >= 0.0
-    denominator = qb + root if stable else qa
-    t = (qc if stable else qb - root) / denominator
-    return t, denominator != 0.0 and 1.0 - q * c * (z + t * dz) > 0.0
-
-
-@_jit
 def _intersect_general(ray, state, surface, code, c, k, terms, n1, limit, count, figures, trial):
     """Move rays to a surface that is no conic, or has a figure, by Newton's method."""
     for i in range(count):
@@ -345,6 +308,8 @@ def newton(x, y, z, dx, dy, dz, t, code, terms, surface=-1, figures=None, trial=
 
 @_jit
 def _refract_general(ray, state, surface, code, terms, ratio, count, figures, trial):
+    """Refract at a surface that is no conic, or has a figure; returns how many rays have failed."""
+    lost = 0
     for i in range(count):
         x, y = ray[X + i], ray[Y + i]
         dx, dy, dz = ray[L + i], ray[M + i], ray[N + i]
@@ -361,21 +326,8 @@ def _refract_general(ray, state, surface, code, terms, ratio, count, figures, tr
         ray[N + i] = ratio * dz + bend if through else dz
         state[i] = TOTAL_REFLECTION if alive & (not through) else state[i]
         state[BLOCK + i] = surface if alive & (not through) else state[BLOCK + i]
+        lost += 0 if through else 1
+    return lost
 
 
-@_jit
-def _to_plane(ray, state, surfaces, plane_z, n, count):
-    for i in range(count):
-        dz = ray[N + i]
-        alive = state[i] == OK
-        forward = alive & (dz > 0.0)
-        t = (plane_z - ray[Z + i]) / (dz if dz != 0.0 else 1.0)
-        ray[X + i] += t * ray[L + i] if forward else 0.0
-        ray[Y + i] += t * ray[M + i] if forward else 0.0
-        ray[Z + i] = plane_z if forward else ray[Z + i]
-        ray[OPL + i] += n * t if forward else 0.0
-        state[i] = MISSED if alive & (not forward) else state[i]
-        state[BLOCK + i] = surfaces if alive & (not forward) else state[BLOCK + i]
-
-
-drop_outdated(trace_kernel, {__name__, intersection.__name__} | shapes.SOURCES)
+drop_outdated(trace_kernel, {__name__, conic_kernel.__name__, intersection.__name__} | shapes.SOURCES)

@@ -170,6 +170,8 @@ def _results(shape: tuple[int, ...], surfaces: int, record_hits: bool, out: RayT
         raise InputError(f"out holds rays of shape {out.status.shape}: must be {shape}")
     if record_hits != (out.hits is not None) or (out.hits is not None and out.hits.shape[-2] != surfaces):
         raise InputError("out was made with other hits than these; trace without out once, then reuse that")
+    if not all(a.flags.c_contiguous for a in vars(out).values() if a is not None):
+        raise InputError("out holds arrays that are not contiguous; trace without out once, then reuse that")
     return out
 
 
@@ -184,17 +186,19 @@ def _run(
 ) -> None:
     from lensdesign.tracing.kernel import trace_kernel
 
-    def batched(array: NDArray) -> NDArray:
-        return array if result.status.ndim == 2 else array[None]
-
-    hits = (
-        np.empty((*result.status.shape[:-1], 0, system.surfaces, 3)) if result.hits is None else result.hits
-    )
+    trials, rays = result.status.shape if result.status.ndim == 2 else (1, len(result.status))
+    vectors, scalars = (trials, 3 * rays), (trials, rays)
     fill = [
-        batched(a)
-        for a in (result.position, result.direction, result.opl, result.status, result.failed_surface, hits)
+        result.position.reshape(vectors),
+        result.direction.reshape(vectors),
+        result.opl.reshape(scalars),
+        result.status.reshape(scalars),
+        result.failed_surface.reshape(scalars),
+        np.empty((trials, 0, system.surfaces, 3))
+        if result.hits is None
+        else result.hits.reshape(trials, rays, system.surfaces, 3),
     ]
-
+    launched, heading = (a.reshape(len(a), 3 * rays) for a in (origins, directions))
     codes, starts, terms, figures = system.for_kernel
 
     def work(part: tuple[slice, slice]) -> int:
@@ -204,8 +208,8 @@ def _run(
             return array[t] if len(array) > 1 else array
 
         return trace_kernel(
-            own(origins),
-            own(directions),
+            own(launched),
+            own(heading),
             own(system.rotation),
             own(system.vertex),
             codes,
@@ -224,7 +228,7 @@ def _run(
             r.stop,
         )
 
-    parts = _parts(fill[3].shape[0], fill[3].shape[1], threads)
+    parts = _parts(trials, rays, threads)
     if len(parts) == 1:
         bad = work(parts[0])
     else:

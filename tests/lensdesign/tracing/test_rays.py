@@ -143,6 +143,21 @@ def test_random_rays_meet_every_fate() -> None:
     assert np.array_equal(rays.status, trace_numpy(system, origins, directions, 60.0)[3])
 
 
+@pytest.mark.parametrize("front", [{}, {"asphere": (1e-5,)}])
+@pytest.mark.parametrize("pose", [Pose(), Pose(decenter_x_mm=0.1), Pose(tilt_y_deg=1.0)])
+def test_no_ray_depends_on_those_beside_it(front: dict[str, Any], pose: Pose) -> None:
+    """Failed ones among them, over several blocks: bit by bit as alone, or among others that all pass."""
+    first = {"radius_mm": 12.0, "thickness_mm": 6.0, "material": 1.9, "semi_diameter_mm": 5.0}
+    lens = make(first | front, {"radius_mm": 8.0, "conic": -0.6, "semi_diameter_mm": 4.0})
+    origins, directions = random_rays(3, 700)
+    together = trace(lens, origins, directions, 0.55, pose, 60.0, record_hits=True)
+    assert {Status.OK, Status.MISSED, Status.CLIPPED} <= {Status(s) for s in together.status}
+    for chosen in (together.ok, ~together.ok, np.arange(700) % 31 == 7, np.arange(700) == 299):
+        own = trace(lens, origins[chosen], directions[chosen], 0.55, pose, 60.0, record_hits=True)
+        for name in ("position", "direction", "opl", "status", "failed_surface", "hits"):
+            assert np.array_equal(getattr(own, name), getattr(together, name)[chosen])
+
+
 @settings(max_examples=40)
 @given(lens=lenses(), seed=SEEDS, data=st.data())
 def test_trials_at_once_equal_trials_one_by_one(lens: Lens, seed: int, data: st.DataObject) -> None:
@@ -412,6 +427,9 @@ def test_an_earlier_result_is_overwritten(paper_lens: Lens) -> None:
         trace(paper_lens, origins, directions, 0.532, out=first)
     with pytest.raises(InputError, match=r"out holds rays of shape \(500,\): must be \(499,\)"):
         trace(paper_lens, origins[1:], directions[1:], 0.532, out=first, record_hits=True)
+    apart = replace(first, opl=np.zeros((500, 2))[:, 0])
+    with pytest.raises(InputError, match="not contiguous"):
+        trace(paper_lens, origins, directions, 0.532, out=apart, record_hits=True)
 
 
 def test_input_is_left_alone(paper_lens: Lens) -> None:
