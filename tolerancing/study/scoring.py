@@ -28,7 +28,10 @@ def score_batch(
             return _score_singly(merits, context, batch)
         parts = [score_batch(merits, context, single) for single in batch.single_trials()]
         return np.concatenate([part[0] for part in parts]), tuple(part[1][0] for part in parts)
-    return scores, tuple(_missing(merits, row) for row in scores)
+    why = [""] * len(scores)
+    for trial in np.flatnonzero(np.any(np.isnan(scores), axis=1)):
+        why[trial] = _missing(merits, scores[trial])
+    return scores, tuple(why)
 
 
 def _score_singly(
