@@ -110,7 +110,7 @@ def trace(
     Raises
     ------
     InputError
-        If shapes do not match, or a direction is not a finite unit vector.
+        If shapes do not match, `out` is not contiguous, or a direction is not a finite unit vector.
     """
     system = compile_system(lens, wavelength_um, pose, surface_perturbations)
     return trace_compiled(
