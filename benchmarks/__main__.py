@@ -17,6 +17,7 @@ SCRIPTS = (
     "optimizer",
     "pupil_trial",
     "eikonal_speed",
+    "terms_transform",
     "full_field",
     "field_scaling",
     "gpu_field",

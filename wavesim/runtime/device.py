@@ -1,7 +1,8 @@
 """Where arrays lie and are worked on: this computer's memory, or that of a graphics processor (GPU).
 
 Code for a device is written against its array module alone, so that the same lines run with NumPy and with
-CuPy; nonuniform Fourier transforms come from FINUFFT or from cuFINUFFT, whose plans have the same methods.
+CuPy. Nonuniform Fourier transforms come from FINUFFT, from cuFINUFFT or, of several terms on a plane in
+single precision, from :mod:`wavesim.runtime.transform`; all have the same methods.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def device_named(name: str) -> Device:
     Parameters
     ----------
     name
-        "cpu": NumPy and FINUFFT, in this computer's memory. "gpu": CuPy and cuFINUFFT.
+        "cpu": NumPy and this computer's memory. "gpu": CuPy and cuFINUFFT.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def device_named(name: str) -> Device:
         If there is no device of this name, its packages are not installed, or no GPU answers.
     """
     if name == "cpu":
-        return Device("cpu", np, fourier_plan, lambda: (HOST_BYTES, HOST_BYTES))
+        return Device("cpu", np, plan_of_terms, lambda: (HOST_BYTES, HOST_BYTES))
     if name != "gpu":
         raise InputError(
             f"device = {name!r}: there is no such device; allowed: {', '.join(DEVICES)}"
@@ -129,6 +130,15 @@ def _gpu_memory(cupy: Any) -> tuple[int, int]:
     """Free bytes, those that CuPy keeps for its next arrays included, and all."""
     free, total = cupy.cuda.runtime.memGetInfo()
     return int(free) + int(cupy.get_default_memory_pool().free_bytes()), int(total)
+
+
+def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision) -> Any:
+    """The quickest transform in one thread."""
+    if precision.dtype != np.complex64 or len(shape) != 3:
+        return fourier_plan(kind, shape, precision)
+    from wavesim.runtime.transform import TermsTransform
+
+    return TermsTransform(kind, shape, precision.transform_error)
 
 
 def fourier_plan(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -20,7 +21,7 @@ from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_gpu import DeviceStep, blocks_of
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.resampling import coarse_axis, interpolation, kernel_for
-from wavesim.runtime.device import Device, device_named
+from wavesim.runtime.device import Device, device_named, fourier_plan
 from wavesim.scene.scene import Scene
 
 WAVELENGTH_UM = 0.532
@@ -40,6 +41,14 @@ def small_scene(lens: Lens, **changes: Any) -> Scene:
     grid = Grid((200, 190), 0.5e-3, twin.object_z_mm)
     plane = Grid((230, 250), 3.0e-3, twin.sensor_z_mm[0])
     return Scene(twin, grid, plane, WAVELENGTH_UM, **changes)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _transforms_of_one_library() -> Iterator[None]:
+    """FINUFFT's for the loops too: two libraries differ by what a transform may err."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wavesim.runtime.device.plan_of_terms", fourier_plan)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,262 @@
+"""Compiled loops of :mod:`wavesim.runtime.transform`: between points and a grid, all terms at once.
+
+A cell of the grid holds real and imaginary part of every term, one after the other, filled up to whole
+vectors of eight numbers. Weights of taps are made for a block of points at a time, in loops over the points.
+What a point then does with its taps is too short for a loop that a compiler would turn into vector
+instructions: two functions write these themselves, as LLVM has them for every processor.
+"""
+
+# mypy: disable-error-code="misc"
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy import ceil, complex64, empty, float32, int64, zeros
+from numpy.typing import NDArray
+
+from lensdesign.tracing.kept_kernels import kept_njit
+
+_jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+
+LANES = 8
+"""Numbers of float32 that a vector holds."""
+
+MORE_COEFFICIENTS = 2
+"""Of a tap's polynomial, than there are taps."""
+
+_BLOCK = 256
+"""Points whose weights are made at a time."""
+
+_VECTOR = ir.VectorType(ir.FloatType(), LANES)
+_FUSED = ("contract",)
+
+
+class _Taps:
+    """Vectors of the cells around a point, and weights along y and x, while code is made."""
+
+    def __init__(self, context: Any, builder: Any, given: types.BaseTuple, values: Any) -> None:
+        self.builder, self.width = builder, len(given[0])
+        _, grid, down, across, y, x, lane, point, own = values
+        arrays = zip((grid, down, across, own), (given[1], given[2], given[3], given[8]), strict=True)
+        grid, down, across, own = (context.make_array(kind)(context, builder, a) for a, kind in arrays)
+        self.strides = cgutils.unpack_tuple(builder, grid.strides)
+        self.first = self._moved(grid.data, self._sum_of_products(((y, 0), (x, 1))))
+        self.first = self._moved(self.first, builder.mul(lane, self._whole(4)))
+        self.own = builder.bitcast(builder.gep(own.data, [lane]), _VECTOR.as_pointer())
+        self.down, self.across = (
+            [self._alike(weights, t, point) for t in range(self.width)] for weights in (down, across)
+        )
+
+    def _whole(self, number: int) -> Any:
+        return ir.Constant(ir.IntType(64), number)
+
+    def _sum_of_products(self, pairs: Any) -> Any:
+        one, other = (self.builder.mul(number, self.strides[axis]) for number, axis in pairs)
+        return self.builder.add(one, other)
+
+    def _moved(self, pointer: Any, bytes_on: Any) -> Any:
+        start = self.builder.bitcast(pointer, ir.IntType(8).as_pointer())
+        return self.builder.gep(start, [bytes_on])
+
+    def _alike(self, weights: Any, tap: int, point: Any) -> Any:
+        """A vector of one weight."""
+        stride = cgutils.unpack_tuple(self.builder, weights.strides)[0]
+        row = self._moved(weights.data, self.builder.mul(stride, self._whole(tap)))
+        row = self.builder.bitcast(row, ir.FloatType().as_pointer())
+        weight = self.builder.load(self.builder.gep(row, [point]))
+        nothing = ir.Constant(_VECTOR, ir.Undefined)
+        one = self.builder.insert_element(nothing, weight, ir.Constant(ir.IntType(32), 0))
+        places = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        return self.builder.shuffle_vector(one, nothing, places)
+
+    def cell(self, row: int, column: int) -> Any:
+        """Where one of the cells around the point lies."""
+        there = self._sum_of_products(((self._whole(row), 0), (self._whole(column), 1)))
+        return self.builder.bitcast(self._moved(self.first, there), _VECTOR.as_pointer())
+
+    def load(self, pointer: Any) -> Any:
+        return self.builder.load(pointer, align=4)
+
+    def store(self, value: Any, pointer: Any) -> None:
+        self.builder.store(value, pointer, align=4)
+
+    def times(self, one: Any, other: Any) -> Any:
+        return self.builder.fmul(one, other, flags=_FUSED)
+
+    def plus_product(self, total: Any, one: Any, other: Any) -> Any:
+        return self.builder.fadd(self.times(one, other), total, flags=_FUSED)
+
+
+@intrinsic
+def _gather_vector(
+    _: Any, pieces: Any, grid: Any, down: Any, across: Any, y: Any, x: Any, lane: Any, point: Any, own: Any
+) -> Any:
+    """own[lane:] = sum over taps (t, s) of down[t, point] across[s, point] grid[y + t, x + s, lane:]."""
+
+    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        taps = _Taps(context, builder, signature.args, values)
+        total = ir.Constant(_VECTOR, [0.0] * LANES)
+        for s in range(taps.width):
+            column = taps.times(taps.load(taps.cell(0, s)), taps.down[0])
+            for t in range(1, taps.width):
+                column = taps.plus_product(column, taps.load(taps.cell(t, s)), taps.down[t])
+            total = taps.plus_product(total, column, taps.across[s])
+        taps.store(total, taps.own)
+        return context.get_dummy_value()
+
+    whole = types.intp
+    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), made
+
+
+@intrinsic
+def _spread_vector(
+    _: Any, pieces: Any, grid: Any, down: Any, across: Any, y: Any, x: Any, lane: Any, point: Any, own: Any
+) -> Any:
+    """The transpose: grid[y + t, x + s, lane:] += down[t, point] across[s, point] own[lane:]."""
+
+    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        taps = _Taps(context, builder, signature.args, values)
+        given = taps.load(taps.own)
+        for s in range(taps.width):
+            column = taps.times(given, taps.across[s])
+            for t in range(taps.width):
+                cell = taps.cell(t, s)
+                taps.store(taps.plus_product(taps.load(cell), column, taps.down[t]), cell)
+        return context.get_dummy_value()
+
+    whole = types.intp
+    return types.void(pieces, grid, down, across, whole, whole, whole, whole, own), made
+
+
+@_jit
+def _weigh(
+    angles: NDArray,
+    start: int,
+    stop: int,
+    cells: int,
+    pieces: tuple[NDArray, ...],
+    first: NDArray,
+    weight: NDArray,
+) -> None:
+    """First cell and weights of taps along one axis; cell 0 is at half a turn back."""
+    per_turn = cells / (2.0 * math.pi)
+    width = len(pieces)
+    part = empty(_BLOCK, float32)
+    for j in range(stop - start):
+        place = (angles[start + j] + math.pi) * per_turn
+        low = ceil(place - 0.5 * width)
+        first[j] = int64(low)
+        part[j] = float32(2.0 * (low - place) + (width - 1))
+    for t in range(width):
+        piece = pieces[t]
+        for j in range(stop - start):
+            value = piece[0]
+            for d in range(1, width + MORE_COEFFICIENTS):
+                value = value * part[j] + piece[d]
+            weight[t, j] = value
+
+
+@_jit
+def _within(first: int, cells: int, width: int) -> bool:
+    return first >= 0 and first + width <= cells
+
+
+@_jit
+def gather(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], values: NDArray) -> None:
+    """Values at points from those on a periodic grid.
+
+    Parameters
+    ----------
+    grid
+        Shape (rows, columns, numbers of a cell), float32.
+    y, x
+        Angles of points.
+    pieces
+        Along y and along x; for each tap its polynomial's coefficients, the highest first.
+    values
+        Shape (terms, points), complex64; changed in place.
+    """
+    rows, columns, numbers = grid.shape
+    width = len(pieces[0])
+    first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
+    down, across = empty((width, _BLOCK), float32), empty((width, _BLOCK), float32)
+    own = empty(numbers, float32)
+    for start in range(0, y.shape[0], _BLOCK):
+        stop = min(start + _BLOCK, y.shape[0])
+        _weigh(y, start, stop, rows, pieces[0], first_y, down)
+        _weigh(x, start, stop, columns, pieces[1], first_x, across)
+        for j in range(stop - start):
+            top, left = first_y[j], first_x[j]
+            if _within(top, rows, width) and _within(left, columns, width):
+                for lane in range(0, numbers, LANES):
+                    _gather_vector(pieces[0], grid, down, across, top, left, lane, j, own)
+            else:
+                own[:] = 0.0
+                for t in range(width):
+                    for s in range(width):
+                        for k in range(numbers):
+                            cell = grid[(top + t) % rows, (left + s) % columns, k]
+                            own[k] += down[t, j] * across[s, j] * cell
+            for r in range(values.shape[0]):
+                values[r, start + j] = complex64(complex(own[2 * r], own[2 * r + 1]))
+
+
+@_jit
+def spread(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], values: NDArray) -> None:
+    """The transpose of :func:`gather`: adds to the grid."""
+    rows, columns, numbers = grid.shape
+    width = len(pieces[0])
+    first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
+    down, across = empty((width, _BLOCK), float32), empty((width, _BLOCK), float32)
+    own = zeros(numbers, float32)
+    for start in range(0, y.shape[0], _BLOCK):
+        stop = min(start + _BLOCK, y.shape[0])
+        _weigh(y, start, stop, rows, pieces[0], first_y, down)
+        _weigh(x, start, stop, columns, pieces[1], first_x, across)
+        for j in range(stop - start):
+            top, left = first_y[j], first_x[j]
+            for r in range(values.shape[0]):
+                own[2 * r] = values[r, start + j].real
+                own[2 * r + 1] = values[r, start + j].imag
+            if _within(top, rows, width) and _within(left, columns, width):
+                for lane in range(0, numbers, LANES):
+                    _spread_vector(pieces[0], grid, down, across, top, left, lane, j, own)
+            else:
+                for t in range(width):
+                    for s in range(width):
+                        for k in range(numbers):
+                            weight = down[t, j] * across[s, j]
+                            grid[(top + t) % rows, (left + s) % columns, k] += weight * own[k]
+
+
+@_jit
+def put_modes(
+    modes: NDArray, rows: NDArray, columns: NDArray, along_y: NDArray, along_x: NDArray, grid: NDArray
+) -> None:
+    """Modes, shape (terms, along y, along x), times a factor of each axis onto their cells of a grid."""
+    for i in range(modes.shape[1]):
+        for c in range(modes.shape[2]):
+            row, column, factor = rows[i], columns[c], along_y[i] * along_x[c]
+            for r in range(modes.shape[0]):
+                grid[row, column, 2 * r] = factor * modes[r, i, c].real
+                grid[row, column, 2 * r + 1] = factor * modes[r, i, c].imag
+
+
+@_jit
+def take_modes(
+    modes: NDArray, rows: NDArray, columns: NDArray, along_y: NDArray, along_x: NDArray, grid: NDArray
+) -> None:
+    """The transpose of :func:`put_modes`: changes the modes."""
+    for i in range(modes.shape[1]):
+        for r in range(modes.shape[0]):
+            for c in range(modes.shape[2]):
+                factor = along_y[i] * along_x[c]
+                real = factor * grid[rows[i], columns[c], 2 * r]
+                imaginary = factor * grid[rows[i], columns[c], 2 * r + 1]
+                modes[r, i, c] = complex64(complex(real, imaginary))
