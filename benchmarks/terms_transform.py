@@ -19,13 +19,12 @@ FASTER = {4: 3.0, 8: 3.0}
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print, in one thread."""
     points = footprint()
     for terms in TERMS:
         for kind in (2, 1):
             print_table(
-                f"{terms} terms of {SAMPLES} x {SAMPLES} modes, {len(points[0])} points, type {kind}, complex64, "
-                f"error {ERROR:g}, one thread",
+                f"Type {kind}, {terms} terms of {SAMPLES} x {SAMPLES} modes to {len(points[0])} points",
                 compared(kind, terms, points),
             )
 

@@ -1,4 +1,4 @@
-"""What calculations run on: threads, memory, scratch files, array libraries, GPUs, checkpoints."""
+"""What calculations run on: threads, memory, files, array libraries, GPUs, Fourier transforms."""
 
 import lazy_loader
 
