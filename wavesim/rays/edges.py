@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
-from wavesim.rays.detours import STEP_SHARES, Detours, Landed
+from wavesim.rays.detours import STEP_SHARES, Detours
 from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
@@ -57,6 +57,12 @@ SHARPEST = 1e7
 
 LOOKED = 65
 """Places along an arm at which x is looked at."""
+
+EVERY, SMOOTH = 6, 1e-6
+"""Of a plane's arms, one in so many is followed where those tell the reach of the others to such a share."""
+
+LINEAR, CUBIC = (0, 1), (-1, 0, 1, 2)
+"""Neighbours through which there are polynomials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +103,7 @@ class Edge:
     @property
     def shadow(self) -> OpenPupil:
         """The open part, with as much around it as is not dark."""
-        beyond = _beyond(self.pupil, self.rate)
+        beyond = _beyond(self.pupil.reach, self.pupil.is_line, self.rate)
         return OpenPupil(self.pupil.centre, self.pupil.reach + beyond, self.pupil.angles)
 
     def told(self, width_mm: float) -> float:
@@ -192,10 +198,9 @@ def _detour(way: Array, terms: Array, deep: Array, seen: Array) -> Array:
     return np.asarray(total * inside + terms[..., 0] * (way - inside))
 
 
-def _beyond(pupil: OpenPupil, rate: Array) -> Array:
+def _beyond(reach: Array, line: bool, rate: Array) -> Array:
     """How far beyond the rim it is not dark, in stop coordinates."""
-    line = pupil.is_line
-    return np.minimum(SHADOW[line] / rate, FARTHEST[line] * pupil.reach)
+    return np.minimum(SHADOW[line] / rate, FARTHEST[line] * reach)
 
 
 def fresnel_edge(x: Array) -> NDArray[np.complex128]:
@@ -218,53 +223,117 @@ def light_edge(scene: Scene, point_mm: tuple[float, float], pupil: OpenPupil, pl
     plane_z_mm
         z of the plane behind the lens.
     """
-    detours = Detours(scene, point_mm, pupil, plane_z_mm)
-    inner, outer, moved, good = _beside(detours)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.where(good, np.sqrt(np.abs(inner.detour)) / np.abs(inner.inwards), SHARPEST)
-    moves = np.where(good, np.sign(inner.detour) * np.sqrt(np.abs(inner.detour)) / moved, 0.0)
-    per_mm = (inner.inwards - outer.inwards) / (2.0 * moved)
-    within = np.linspace(0.0, 1.0, STEPS_WITHIN[pupil.is_line] + 1)[1:, None]
-    beyond = np.linspace(0.0, -1.0, STEPS_BEYOND + 1)[1:, None]
-    deep = list(detours.marched(within * DEEPEST[pupil.is_line] * pupil.reach, per_mm, good))
-    dark = list(detours.marched(beyond * _beyond(pupil, rate), per_mm, good))
-    terms, ends = _fitted((inner, outer), (deep, dark), good)
-    terms[~good, 0] = SHARPEST
-    return Edge(pupil, terms, *ends, moves < 0.0, float(np.max(np.abs(moves))))
-
-
-def _beside(detours: Detours) -> tuple[Landed, Landed, Array, NDArray[np.bool_]]:
-    """Light next to the rim on either side, by which movement it was found, and whether it tells anything."""
-    count = len(detours.zone_mm)
-    nothing = Landed(np.zeros(count), np.zeros(count), detours.pupil.rim, np.zeros(count, bool))
-    inner = outer = nothing
-    moved = np.ones(count)
-    for share in STEP_SHARES:
-        step = share * detours.zone_mm
-        one, other = detours.landed(step), detours.landed(-step)
-        new = ~inner.ok & detours.base.ok & one.ok & other.ok & np.isfinite(one.detour + other.detour)
-        new &= (one.inwards * other.inwards < -(LEAST**2)) & (one.detour * other.detour > 0.0)
-        inner, outer = inner.replaced(new, one), outer.replaced(new, other)
-        moved = np.where(new, step, moved)
-        if np.all(inner.ok | ~detours.base.ok):
+    for every in (EVERY, 1) if _is_smooth(pupil) else (1,):
+        found = _followed(Detours(scene, point_mm, pupil, plane_z_mm, every))
+        if every == 1 or (np.all(found.good) and len(set(found.moves < 0.0)) == 1):
             break
-    return inner, outer, moved, inner.ok
+    terms = _between(found.terms, every, CUBIC)
+    deep, seen = (_between(way, every, LINEAR) for way in (found.deep, found.seen))
+    turned = np.repeat(found.moves < 0.0, every)
+    return Edge(pupil, terms, deep, seen, turned, float(np.max(np.abs(found.moves))))
+
+
+def _is_smooth(pupil: OpenPupil) -> bool:
+    """Whether some arms tell where the rim is between them: nothing has cut a corner into it."""
+    if pupil.is_line or len(pupil.angles) % EVERY:
+        return False
+    off = _between(pupil.reach[::EVERY], EVERY, CUBIC) - pupil.reach
+    return bool(np.max(np.abs(off)) < SMOOTH * np.max(pupil.reach))
+
+
+def _between(values: Array, every: int, points: tuple[int, ...]) -> Array:
+    """All arms' values from those of one in so many, by Lagrange's polynomials through neighbouring ones."""
+    if every == 1:
+        return values
+    share = np.arange(every) / every
+    parts = np.zeros((len(values), every, *values.shape[1:]))
+    for at in points:
+        others = [other for other in points if other != at]
+        weight = np.prod([(share - other) / (at - other) for other in others], axis=0)
+        own = weight.reshape(-1, *(1,) * (values.ndim - 1))
+        parts += own * np.roll(values, -at, axis=0)[:, None]
+    return parts.reshape(-1, *values.shape[1:])
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """What rays tell of some arms: as of :class:`Edge`, with x for an object point's movement in 1/mm, and
+    whether they tell anything."""
+
+    terms: Array
+    deep: Array
+    seen: Array
+    moves: Array
+    good: NDArray[np.bool_]
+
+
+def _followed(detours: Detours) -> _Followed:
+    """March along arms to both sides of the rim."""
+    inwards, detour, moved, good = _beside(detours)
+    line, arms = detours.pupil.is_line, np.arange(len(detours.reach))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.where(good, np.sqrt(np.abs(detour[0])) / np.abs(inwards[0]), SHARPEST)
+    moves = np.where(good, np.sign(detour[0]) * np.sqrt(np.abs(detour[0])) / moved, 0.0)
+    depths = np.full((STEPS_WITHIN[line], 2, len(arms)), np.nan)
+    within, beyond = (np.linspace(0.0, 1.0, n + 1)[1:, None] for n in (len(depths), STEPS_BEYOND))
+    depths[:, 0] = within * DEEPEST[line] * detours.reach
+    depths[:STEPS_BEYOND, 1] = -beyond * _beyond(detours.reach, line, rate)
+    twice = (np.tile(part, 2) for part in (arms, (inwards[0] - inwards[1]) / (2.0 * moved), good))
+    steps = list(detours.marched(depths.reshape(len(depths), -1), *twice))
+    way, longer, ok = (
+        np.reshape([getattr(step, name) for step in steps], depths.shape)
+        for name in ("inwards", "detour", "ok")
+    )
+    ways, detours_of = (
+        np.concatenate([beside, part[:, 0], part[:STEPS_BEYOND, 1]]).T
+        for beside, part in ((inwards, way), (detour, longer))
+    )
+    terms, (deep, seen) = _fitted(ways, detours_of, np.sum(ok, axis=0).T, good)
+    terms[~good, 0] = SHARPEST
+    return _Followed(terms, deep, seen, moves, good)
+
+
+def _beside(detours: Detours) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Ways inwards and detours next to the rim on either side, shape (2, arms), by which movement they were
+    found, and whether they tell anything."""
+    count = len(detours.reach)
+    inwards, detour = np.zeros((2, count)), np.zeros((2, count))
+    moved, good = np.ones(count), np.zeros(count, bool)
+    for share in STEP_SHARES:
+        some = np.flatnonzero(detours.told & ~good)
+        if not len(some):
+            break
+        step = share * detours.zone_mm[some]
+        found = detours.landed(np.concatenate([step, -step]), np.tile(some, 2))
+        way, longer, ok = (part.reshape(2, -1) for part in (found.inwards, found.detour, found.ok))
+        with np.errstate(invalid="ignore"):
+            new = ok.all(axis=0) & (way[0] * way[1] < -(LEAST**2)) & (longer[0] * longer[1] > 0.0)
+        new &= np.isfinite(longer).all(axis=0)
+        inwards[:, some[new]], detour[:, some[new]] = way[:, new], longer[:, new]
+        moved[some[new]], good[some[new]] = step[new], True
+    return inwards, detour, moved, good
 
 
 def _fitted(
-    beside: tuple[Landed, Landed], sides: tuple[list[Landed], list[Landed]], good: NDArray[np.bool_]
+    way: Array, detour: Array, many: NDArray[np.intp], good: NDArray[np.bool_]
 ) -> tuple[Array, tuple[Array, Array]]:
     """Coefficients of x over the way t, and from where to where they follow the rays, for each arm.
 
     Rays farthest from the rim, within it and beyond, are left out until the others agree.
+
+    Parameters
+    ----------
+    way, detour
+        Of two rays beside the rim, then of those within it and of those beyond, shape (arms, nodes).
+    many
+        How many of either side arrive, shape (arms, 2).
+    good
+        Whether the first two do.
     """
-    nodes = [*beside, *sides[0], *sides[1]]
-    way, detour = (np.array([getattr(node, name) for node in nodes]).T for name in ("inwards", "detour"))
     with np.errstate(divide="ignore", invalid="ignore"):
         values = np.sqrt(np.abs(detour)) / np.abs(way)
-    many = np.column_stack([np.sum([node.ok for node in side], axis=0) for side in sides])
     terms, left, arms = np.zeros((len(good), ORDER + 1)), good.copy(), np.arange(len(good))
-    starts = 2, 2 + len(sides[0])
+    starts = 2, way.shape[1] - STEPS_BEYOND
     while np.any(left):
         for counts in np.unique(many[left], axis=0):
             some = arms[left & np.all(many == counts, axis=1)]

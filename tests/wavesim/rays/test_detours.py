@@ -34,10 +34,11 @@ def test_marches_along_the_shortest_way_round(dimensions: int, side: float) -> N
     point = (0.0, OFF_MM)
     pupil = open_pupil(scene, point, BEHIND_MM, 24)
     detours = Detours(scene, point, pupil, BEHIND_MM)
-    near = [detours.landed(sign * 0.1 * detours.zone_mm) for sign in (1.0, -1.0)]
+    arms = np.arange(len(pupil.reach))
+    near = [detours.landed(sign * 0.1 * detours.zone_mm, arms) for sign in (1.0, -1.0)]
     per_mm = (near[0].inwards - near[1].inwards) / (0.2 * detours.zone_mm)
     depths = side * np.array([0.1, 0.2, 0.3])[:, None] * pupil.reach
-    for depth, found in zip(depths, detours.marched(depths, per_mm, near[0].ok), strict=True):
+    for depth, found in zip(depths, detours.marched(depths, arms, per_mm, near[0].ok), strict=True):
         assert found.ok.all()
         np.testing.assert_allclose(found.inwards, depth, atol=0.05)
         through = STOP_MM * found.stop
@@ -58,5 +59,5 @@ def test_what_is_lost_stays_lost() -> None:
     scene = hole(1)
     detours = Detours(scene, (0.0, 0.0), open_pupil(scene, (0.0, 0.0), BEHIND_MM), BEHIND_MM)
     gone = np.array([True, False])
-    found = list(detours.marched(np.array([[0.05, 0.05], [0.1, 0.1]]), np.full(2, -1.0), gone))
+    found = list(detours.marched(np.full((2, 2), 0.05) * [[1], [2]], np.arange(2), np.full(2, -1.0), gone))
     assert not any(one.ok[1] for one in found)

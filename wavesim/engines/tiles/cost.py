@@ -22,7 +22,7 @@ from wavesim.scene.scene import Scene
 PROBE_SECONDS, MAP_SECONDS = {True: 0.015, False: 0.1}, {True: 0.004, False: 0.15}
 """To see how wide tiles may be, and to fit the maps of each, on a line and on a plane."""
 
-EDGE_SECONDS, EDGE_PASSES = {True: 0.027, False: 0.1}, 350
+EDGE_SECONDS, EDGE_PASSES = {True: 0.007, False: 0.02}, 350
 """To find how the light of each falls off at the rim; complex products that take as long as to draw it, for
 each sample of the plane."""
 

@@ -175,8 +175,10 @@ class TileOperator:
         self._threads = threads
         sensor = None
         if factors.sensor_factors is not None:
-            points = np.stack([m[self._needed] for m in np.meshgrid(*coarse, indexing="ij")], axis=-1)
-            sensor = factors.sensor_factors.at(points)
+            if len(coarse) == 2:
+                sensor = self._on_points(factors.sensor_factors)
+            else:
+                sensor = factors.sensor_factors.at(coarse[0][self._needed, None])
         if self._ways is None:
             weight = carried[self._needed][None]
             self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
