@@ -19,7 +19,7 @@ def oracle(
     details: SingleEngineDetails,
     oracle: Annotated[str, typer.Option(help=f"One of {', '.join(ORACLES)}.")] = "cylinder",
     radius_mm: Annotated[float | None, typer.Option(help="Of cylinder or sphere.")] = None,
-    semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens.")] = None,
+    semi_diameter_mm: Annotated[float | None, typer.Option(help="Of the stigmatic lens or a stop.")] = None,
     incidence_deg: Annotated[float | None, typer.Option(help="On a plate or a plane.")] = None,
     as_json: AsJson = False,
 ) -> None:

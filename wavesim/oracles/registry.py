@@ -26,6 +26,9 @@ ORACLES: dict[str, str] = {
     "stigmatic": "wavesim.oracles.stigmatic:stigmatic_scene",
     "plate": "wavesim.oracles.plane_interface:plate_scene",
     "tilted-plate": "wavesim.oracles.tilted_plate:tilted_plate_scene",
+    "half-plane": "wavesim.oracles.half_plane:half_plane_scene",
+    "slit": "wavesim.oracles.opening:slit_scene",
+    "hole": "wavesim.oracles.opening:hole_scene",
     "plane": "wavesim.oracles.plane_interface:plane_scene",
     "beam": "wavesim.oracles.plane_interface:beam_scene",
 }

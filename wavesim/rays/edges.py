@@ -32,7 +32,7 @@ than light draws them."""
 DEEPEST = {True: 1.9, False: 0.9}
 """Of the reach, how far within it rays by way of the rim are looked for, on a line and on a plane."""
 
-FARTHEST = {True: 0.4, False: 0.25}
+FARTHEST = 0.4
 """And how far beyond it."""
 
 STEPS_WITHIN, STEPS_BEYOND = {True: 16, False: 6}, 3
@@ -200,7 +200,7 @@ def _detour(way: Array, terms: Array, deep: Array, seen: Array) -> Array:
 
 def _beyond(reach: Array, line: bool, rate: Array) -> Array:
     """How far beyond the rim it is not dark, in stop coordinates."""
-    return np.minimum(SHADOW[line] / rate, FARTHEST[line] * reach)
+    return np.minimum(SHADOW[line] / rate, FARTHEST * reach)
 
 
 def fresnel_edge(x: Array) -> NDArray[np.complex128]:

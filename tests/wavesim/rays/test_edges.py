@@ -70,7 +70,7 @@ def test_detour_in_free_space(dimensions: int) -> None:
     assert not edge.turned.any()
 
 
-@pytest.mark.parametrize(("dimensions", "allowed"), [(1, 0.025), (2, 0.06)])
+@pytest.mark.parametrize(("dimensions", "allowed"), [(1, 0.025), (2, 0.045)])
 def test_light_of_a_point_behind_a_hole(dimensions: int, allowed: float) -> None:
     """A sharp edge errs by 0.17 and 0.24 here; tiles are of one sample, whose light needs hardly any grid."""
     scene = aperture(dimensions)
