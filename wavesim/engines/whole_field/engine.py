@@ -28,6 +28,7 @@ from wavesim.engines.whole_field.factors import factors_over_object
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
 from wavesim.engines.whole_field.ray_maps import MapsOverObject, Region, maps_over_object, region_of_object
+from wavesim.engines.whole_field.soft_edge import soft_edge_error, softness
 from wavesim.engines.whole_field.tiles import (
     TAPER,
     TAPER_LOSS,
@@ -36,7 +37,8 @@ from wavesim.engines.whole_field.tiles import (
 )
 from wavesim.fields.field import Field
 from wavesim.fields.resampling import kernel_for
-from wavesim.rays.maps import RayMapError, ray_map
+from wavesim.rays.maps import RayMap, RayMapError, ray_map
+from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Device, Precision, device_named
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
@@ -198,10 +200,22 @@ class WholeFieldEngine(Tiled):
             scene,
             (scene.exit_grid.y_mm, scene.exit_grid.x_mm),
             maps,
+            softness(self._middle),
             factors,
             kernel_for(interpolation_error),
             Precision(np.dtype(np.complex64), transform_error, interpolation_error),
         )
+
+    @cached_property
+    def _middle(self) -> RayMap:
+        """Rays of the middle of what is carried, with the edge of their light where it is told."""
+        y, x = self.region.centre_mm
+        reach_mm = tile_width_for(self.scene)
+        with one_blas_thread():
+            try:
+                return ray_map(self.scene, (x, y), self.scene.exit_grid.z_mm, reach_mm, edge=True)
+            except (FoldError, RayMapError):
+                return ray_map(self.scene, (x, y), self.scene.exit_grid.z_mm, reach_mm)
 
     @cached_property
     def groups(self) -> tuple[SuperTile, ...]:
@@ -322,17 +336,9 @@ class WholeFieldEngine(Tiled):
         } | ({} if self.device is None else {"device": self.device.name})
 
     def neglected(self) -> tuple[Neglected, ...]:
-        scene = self.scene
         _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)
-        tile = tiles[len(tiles) // 2][0]
-        reach_mm = float(np.max(np.abs(settings.factors.spans_mm)))
-        carrier = ray_map(scene, tile.centre_mm, scene.exit_grid.z_mm, reach_mm)
-        moved, diffracted = edge_error(scene, tile, carrier)
-        taper_mm = TAPER * float(np.max(self.groups[0].steps_mm))
-        share = rim_share(carrier.rim_mm)
-        tapered = math.sqrt(share * (taper_mm * TAPER_LOSS + settings.maps.edge_error_mm))
         parts = (
             Neglected(
                 "path of second and higher order in a tile's offset, beyond "
@@ -341,13 +347,27 @@ class WholeFieldEngine(Tiled):
             ),
             Neglected("rays between those that were traced", maps),
             Neglected("interpolation in two levels", math.sqrt(2.0) * INTERPOLATION_SHARE * self._error),
-            Neglected(
-                f"place of the aperture's edge, drawn over {1e3 * taper_mm:.2g} um", tapered, at_rim=True
-            ),
-            Neglected("movement of the aperture's edge over a tile", moved, at_rim=True),
-            Neglected("diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True),
+            *self._neglected_at_rim(),
         )
         return tuple(sorted(parts, key=lambda part: -part.relative_error))
+
+    def _neglected_at_rim(self) -> Iterator[Neglected]:
+        _, tiles, settings = self._prepared
+        carrier, placed_mm = self._middle, settings.maps.edge_error_mm
+        rise = settings.rise_over(self.groups[0].steps_mm)
+        if carrier.tells_edge:
+            what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
+            error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
+            yield Neglected(f"{what} and the same all over a tile", error, at_rim=True)
+        else:
+            moved, diffracted = edge_error(self.scene, tiles[len(tiles) // 2][0], carrier)
+            yield Neglected("movement of the aperture's edge over a tile", moved, at_rim=True)
+            yield Neglected(
+                "diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True
+            )
+            placed_mm += TAPER * TAPER_LOSS * float(np.max(self.groups[0].steps_mm))
+        place = math.sqrt(rim_share(carrier.rim_mm) * placed_mm)
+        yield Neglected("place of the aperture's edge", min(1.0, place), at_rim=True)
 
     def rim_light(self, light: Light) -> float:
         tiles = [tile for tile, _ in self._prepared[1]]

@@ -27,7 +27,7 @@ from wavesim.scene.engine import Way
 from wavesim.scene.scene import Scene
 
 TAPER = 3.0
-"""Samples of a super-tile's grid over which the aperture's edge rises."""
+"""Samples of a super-tile's grid over which the aperture's edge rises at the least."""
 
 TAPER_LOSS = 0.059
 """Integral of the squared difference between a sharp edge and 3 e^2 - 2 e^3, over the edge's width."""
@@ -46,6 +46,8 @@ class WholeFieldSettings:
     axes : (y, x)
         Of the plane, in mm.
     maps : MapsOverObject
+    softness : float
+        Least width of the aperture's edge, in the square of the share of the way to it.
     factors : FactorsOverObject
     kernel : Kernel
     precision : Precision
@@ -54,6 +56,7 @@ class WholeFieldSettings:
     scene: Scene
     axes: tuple[Array, Array]
     maps: MapsOverObject
+    softness: float
     factors: FactorsOverObject
     kernel: Kernel
     precision: Precision
@@ -62,6 +65,12 @@ class WholeFieldSettings:
         """Sample spacings that hold the light of points within a reach (y, x) without their carrier."""
         band = self.scene.wavenumber_per_mm * (reach_mm @ self.maps.slopes_per_mm)
         return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
+
+    def rise_over(self, steps_mm: Array) -> float:
+        """Width of the aperture's edge on grids of such steps, in squares of the share of the way to it."""
+        # That square falls by 2 over half a footprint.
+        drawn = 2.0 * TAPER * float(np.max(steps_mm)) / float(np.max(self.half_width_mm))
+        return max(drawn, self.softness)
 
     @property
     def half_width_mm(self) -> Array:
@@ -244,7 +253,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
         MapOnAxes(np.stack([amplitude, edge]), own).single(),
         MapOnAxes(parts, expansion.sensor_factors.along((y, x)).terms).single(),
         np.exp(expansion.shared_logarithm(offsets).astype(np.complex64)) * alike[size],
-        per_mm * TAPER * float(np.max(group.steps_mm)),
+        settings.rise_over(group.steps_mm),
         per_mm * 0.5 * settings.kernel.taps * float(np.max(steps)),
     )
 
