@@ -2,7 +2,7 @@
 
 A tile of usual width is so wide that its points' edges differ by a fringe: of the Fresnel integral F(x) of
 :mod:`wavesim.rays.edges` little but the rise is common to them. A real rise 3 e^2 - 2 e^3 over the right
-width comes nearly as near to it, and costs nothing.
+width comes nearly as near to it, for the strip by which it widens the footprint.
 """
 
 from __future__ import annotations
