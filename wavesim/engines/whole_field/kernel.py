@@ -27,6 +27,8 @@ from lensdesign.tracing.kept_kernels import kept_njit
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_inline = njit(inline="always", fastmath=_FAST, error_model="numpy")
+"""Where the number of taps is a constant of the loop around it: it must be, to unroll what is within."""
 
 BLOCK = 256
 """Columns of the fine plane at a time."""
@@ -114,6 +116,58 @@ def _carrier_row(
     return True
 
 
+@_inline
+def _make_rows(
+    taps: int,
+    coarse: NDArray,
+    low: int,
+    along_x: tuple[NDArray, NDArray],
+    begin: int,
+    room: tuple[Any, ...],
+    at: int,
+) -> None:
+    """Some coarse rows, from `low` on, in the block's columns."""
+    first_x, weight_x = along_x
+    real, imaginary, one, re, im = room
+    left = first_x[begin]
+    for q in range(min(_BATCH, coarse.shape[0] - low)):
+        for c in range(real.shape[0]):
+            real[c, q] = coarse[low + q, left + c].real
+            imaginary[c, q] = coarse[low + q, left + c].imag
+    for j in range(re.shape[1]):
+        first = first_x[begin + j] - left
+        for q in range(one.shape[1]):
+            x, y = _ZERO, _ZERO
+            for t in range(taps):
+                x += weight_x[begin + j, t] * real[first + t, q]
+                y += weight_x[begin + j, t] * imaginary[first + t, q]
+            one[0, q] = x
+            one[1, q] = y
+        for q in range(one.shape[1]):
+            re[at + q, j] = one[0, q]
+            im[at + q, j] = one[1, q]
+
+
+@_inline
+def _add_row(
+    taps: int,
+    at: int,
+    weight: NDArray,
+    re: NDArray,
+    im: NDArray,
+    cosine: NDArray,
+    sine: NDArray,
+    row: NDArray,
+) -> None:
+    for j in range(cosine.shape[0]):
+        x, y = _ZERO, _ZERO
+        for t in range(taps):
+            x += weight[t] * re[at + t, j]
+            y += weight[t] * im[at + t, j]
+        row[2 * j] += cosine[j] * x - sine[j] * y
+        row[2 * j + 1] += cosine[j] * y + sine[j] * x
+
+
 @cache
 def expander(taps: int) -> Callable[..., None]:
     """The loop that adds a coarse field, interpolated with so many taps and times its carrier, to a fine one.
@@ -123,48 +177,6 @@ def expander(taps: int) -> Callable[..., None]:
     which real and imaginary parts lie beside each other along its rows; row and column where the fine field
     begins there; columns of the fine field to do.
     """
-
-    @_jit
-    def make_rows(
-        coarse: NDArray,
-        low: int,
-        along_x: tuple[NDArray, NDArray],
-        begin: int,
-        room: tuple[Any, ...],
-        at: int,
-    ) -> None:
-        """Some coarse rows, from `low` on, in the block's columns."""
-        first_x, weight_x = along_x
-        real, imaginary, one, re, im = room
-        left = first_x[begin]
-        for q in range(min(_BATCH, coarse.shape[0] - low)):
-            for c in range(real.shape[0]):
-                real[c, q] = coarse[low + q, left + c].real
-                imaginary[c, q] = coarse[low + q, left + c].imag
-        for j in range(re.shape[1]):
-            first = first_x[begin + j] - left
-            for q in range(one.shape[1]):
-                x, y = _ZERO, _ZERO
-                for t in range(taps):
-                    x += weight_x[begin + j, t] * real[first + t, q]
-                    y += weight_x[begin + j, t] * imaginary[first + t, q]
-                one[0, q] = x
-                one[1, q] = y
-            for q in range(one.shape[1]):
-                re[at + q, j] = one[0, q]
-                im[at + q, j] = one[1, q]
-
-    @_jit
-    def add_row(
-        at: int, weight: NDArray, re: NDArray, im: NDArray, cosine: NDArray, sine: NDArray, row: NDArray
-    ) -> None:
-        for j in range(cosine.shape[0]):
-            x, y = _ZERO, _ZERO
-            for t in range(taps):
-                x += weight[t] * re[at + t, j]
-                y += weight[t] * im[at + t, j]
-            row[2 * j] += cosine[j] * x - sine[j] * y
-            row[2 * j + 1] += cosine[j] * y + sine[j] * x
 
     @_jit
     def expand(
@@ -198,12 +210,64 @@ def expander(taps: int) -> Callable[..., None]:
                         re[r - first] = re[r - top]
                         im[r - first] = im[r - top]
                     top = first
-                make_rows(coarse, made, along_x, begin, room, made - top)
+                _make_rows(taps, coarse, made, along_x, begin, room, made - top)
                 made += _BATCH
             row = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-            add_row(first - top, weight_y[i], re, im, waves[3], waves[4], row)
+            _add_row(taps, first - top, weight_y[i], re, im, waves[3], waves[4], row)
 
     return expand
+
+
+@_inline
+def _finish(
+    taps: int,
+    low: int,
+    high: int,
+    back: tuple[NDArray, NDArray, NDArray],
+    left: int,
+    begin: int,
+    re: NDArray,
+    im: NDArray,
+    strip: NDArray,
+) -> None:
+    """Coarse rows to which no more fine rows add, from the block's columns onto coarse ones."""
+    first, last, weight = back
+    for r in range(low, high):
+        at = r % taps
+        for c in range(strip.shape[1]):
+            start, stop = max(first[left + c], begin), min(last[left + c], begin + re.shape[1])
+            share = weight[left + c, start - first[left + c] :]
+            real, imaginary = re[at, start - begin :], im[at, start - begin :]
+            x, y = _ZERO, _ZERO
+            for n in range(stop - start):
+                x += share[n] * real[n]
+                y += share[n] * imaginary[n]
+            strip[r, c] = complex64(complex(x, y))
+        re[at] = 0.0
+        im[at] = 0.0
+
+
+@_inline
+def _take_row(
+    taps: int,
+    first: int,
+    weight: NDArray,
+    re: NDArray,
+    im: NDArray,
+    waves: tuple[Any, ...],
+    row: NDArray,
+    own: NDArray,
+) -> None:
+    cosine, sine, xs, ys = waves[3], waves[4], own[0], own[1]
+    for j in range(cosine.shape[0]):
+        x, y = row[2 * j], row[2 * j + 1]
+        xs[j] = cosine[j] * x + sine[j] * y
+        ys[j] = cosine[j] * y - sine[j] * x
+    for t in range(taps):
+        real, imaginary = re[(first + t) % taps], im[(first + t) % taps]
+        for j in range(cosine.shape[0]):
+            real[j] += weight[t] * xs[j]
+            imaginary[j] += weight[t] * ys[j]
 
 
 @cache
@@ -215,52 +279,6 @@ def collector(taps: int) -> Callable[..., NDArray]:
     there; the number of coarse rows; columns to do. It gives what these add to coarse columns from the first
     that they reach.
     """
-
-    @_jit
-    def finish(
-        low: int,
-        high: int,
-        back: tuple[NDArray, NDArray, NDArray],
-        left: int,
-        begin: int,
-        re: NDArray,
-        im: NDArray,
-        strip: NDArray,
-    ) -> None:
-        """Coarse rows to which no more fine rows add, from the block's columns onto coarse ones."""
-        first, last, weight = back
-        for r in range(low, high):
-            at = r % taps
-            for c in range(strip.shape[1]):
-                start, stop = max(first[left + c], begin), min(last[left + c], begin + re.shape[1])
-                x, y, skipped = _ZERO, _ZERO, start - first[left + c]
-                for n in range(stop - start):
-                    x += weight[left + c, skipped + n] * re[at, start - begin + n]
-                    y += weight[left + c, skipped + n] * im[at, start - begin + n]
-                strip[r, c] = complex64(complex(x, y))
-            re[at] = 0.0
-            im[at] = 0.0
-
-    @_jit
-    def take_row(
-        first: int,
-        weight: NDArray,
-        re: NDArray,
-        im: NDArray,
-        waves: tuple[Any, ...],
-        row: NDArray,
-        own: NDArray,
-    ) -> None:
-        cosine, sine = waves[3], waves[4]
-        for j in range(cosine.shape[0]):
-            x, y = row[2 * j], row[2 * j + 1]
-            own[0, j] = cosine[j] * x + sine[j] * y
-            own[1, j] = cosine[j] * y - sine[j] * x
-        for t in range(taps):
-            at, w = (first + t) % taps, weight[t]
-            for j in range(cosine.shape[0]):
-                re[at, j] += w * own[0, j]
-                im[at, j] += w * own[1, j]
 
     @_jit
     def collect(
@@ -286,11 +304,11 @@ def collector(taps: int) -> Callable[..., NDArray]:
             if not lit:
                 continue
             first = first_y[i]
-            finish(low, min(first, high), back, left, begin, re, im, strip)
+            _finish(taps, low, min(first, high), back, left, begin, re, im, strip)
             low, high = first, first + taps
             row = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-            take_row(first, weight_y[i], re, im, waves, row, own)
-        finish(low, high, back, left, begin, re, im, strip)
+            _take_row(taps, first, weight_y[i], re, im, waves, row, own)
+        _finish(taps, low, high, back, left, begin, re, im, strip)
         return strip
 
     return collect
