@@ -20,6 +20,7 @@ SCRIPTS = (
     "terms_transform",
     "full_field",
     "field_scaling",
+    "large_field",
     "gpu_field",
     "full_plane_slices",
     "rim",

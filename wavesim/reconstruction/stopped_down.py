@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
@@ -70,14 +71,12 @@ def stopped_down_problem(scene: Scene, light: Field, recorded: Sequence[Recorded
     margin_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(grid.z_mm))
     reached = np.concatenate([rim for plane in rims for rim in plane])
     rows, columns = (
-        slice(*np.searchsorted(axis, [low - margin_mm, high + margin_mm]))
+        _window(axis, low - margin_mm, high + margin_mm)
         for axis, low, high in zip(
             (grid.y_mm, grid.x_mm), reached.min(axis=0), reached.max(axis=0), strict=True
         )
     )
     y, x = grid.y_mm[rows], grid.x_mm[columns]
-    if not (len(y) and len(x)):
-        return None
     window = Grid((len(y), len(x)), grid.pitch_mm, grid.z_mm, (0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])))
     cut = [
         _told(plane, rim, (y, x), (rows, columns), margin_mm)
@@ -85,6 +84,14 @@ def stopped_down_problem(scene: Scene, light: Field, recorded: Sequence[Recorded
     ]
     known = [plane for plane in cut if plane.sigma is not None and np.isfinite(plane.sigma).any()]
     return StoppedDown(replace(narrow, exit_grid=window), half, known) if known else None
+
+
+def _window(axis: Array, low: float, high: float) -> slice:
+    """Samples between two places, and some more for the sake of Fourier transforms."""
+    start, stop = (int(place) for place in np.searchsorted(axis, [low, high]))
+    count = min(scipy.fft.next_fast_len(stop - start), len(axis))
+    start = min(max(start - (count - stop + start) // 2, 0), len(axis) - count)
+    return slice(start, start + count)
 
 
 def _half(light: Field) -> Field:
