@@ -28,7 +28,12 @@ from wavesim.reconstruction.from_object import Progressed, reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
-from wavesim.reconstruction.stopped_down import ITERATIONS, on_all_samples, stopped_down_problem
+from wavesim.reconstruction.stopped_down import (
+    ITERATIONS,
+    ROUNDS,
+    on_all_samples,
+    stopped_down_problem,
+)
 from wavesim.runtime.memory import Memory
 from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine, Tiled
@@ -292,6 +297,8 @@ def _begun_on_half(
             scale=settings.scale,
             active_width=settings.active_width,
             progress=told.on_half,
+            residuals=False,
+            rounds=ROUNDS,
         )
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)

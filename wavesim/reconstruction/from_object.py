@@ -162,6 +162,8 @@ def reconstruct(
     scratch: Scratch | None = None,
     modes: Sequence[SourceMode] = (),
     rows: Sequence[slice] = (),
+    residuals: bool = True,
+    rounds: int = ROUNDS,
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -208,6 +210,10 @@ def reconstruct(
         of its own.
     rows
         Of the engine's exit grid, those of each plane's pixels, if it carries light straight to them.
+    residuals
+        Whether residual maps are made, for which the result goes through the lens once more.
+    rounds
+        Of the field behind the lens in a step, while the misfit is far from the noise.
 
     Raises
     ------
@@ -248,6 +254,7 @@ def reconstruct(
         keep,
         sizes,
         scratch,
+        rounds,
     )
     stages = [(kind, iterations)]
     if start == "amplitude":
@@ -258,8 +265,8 @@ def reconstruct(
     state = descent.run(begun.pop(), stages)
     now, misfits, stopped = state.transmission, state.misfit, descent.stop(state) or "iterations"
     del state
-    maps = tuple(model.amplitudes(now))
-    for modelled, plane in zip(maps, recorded, strict=True):
+    maps = tuple(model.amplitudes(now)) if residuals else ()
+    for modelled, plane in zip(maps, recorded, strict=residuals):
         modelled -= plane.amplitude
         modelled *= modelled.dtype.type(unit)
     values = now.astype(illumination.values.dtype)
@@ -290,6 +297,7 @@ class _Descent:
     keep: Callable[[Progressed], None] | None
     sizes: Sizes
     scratch: Scratch
+    rounds: int
 
     def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
         """Where it stands after all stages: kinds of object, and iterations at which they end."""
@@ -314,7 +322,7 @@ class _Descent:
         self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
         far = self._is_far(state)
-        point, misfit = self._farther(state.ahead, kind, ROUNDS if far else 1)
+        point, misfit = self._farther(state.ahead, kind, self.rounds if far else 1)
         point = prox_tv(point, STEP * (FARTHER if far else 1.0) * self._tv_weight(misfit))
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0, out=point)

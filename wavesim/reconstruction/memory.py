@@ -168,7 +168,6 @@ def descent_arrays(
         Listed("a way back", quarter, dtype, Phase.DRAWING_NOISE, int(sizes.far > 0)),
         Listed("the sum of noise at the exit", behind, dtype, Phase.STARTING),
         Listed("noise in the object", source, dtype, STARTING),
-        Listed("noise where there is light", source, dtype, Phase.MEASURING_NOISE),
         step,
         Listed("the field in the object", source, dtype, Phase.LENS),
         Listed("the field at the exit", behind, dtype, Phase.LENS),

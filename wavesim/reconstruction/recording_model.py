@@ -37,8 +37,11 @@ from wavesim.reconstruction.recording.planes import (
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.bench import LightErrors
-from wavesim.scene.engine import Operator
+from wavesim.scene.engine import Operator, Tiled
 from wavesim.scene.source import SourceMode
+
+NOISE_PARTS = 8
+"""Of an engine that works in parts, at least, by which the noise of a step is told."""
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
@@ -142,8 +145,23 @@ class RecordingModel:
         """
         if any(p.sigma is None for p in self.recorded):
             raise InputError("the weight of the total variation by the noise: needs sigma on every plane")
-        change = np.abs(self._to_object(self._noise_at_exit(), self.illumination)[self.lit])
-        return math.sqrt(0.5 * float(np.mean(change * change, dtype=float)))
+        back, light = self._noise_back(), self.illumination.values
+        total, count = 0.0, 0
+        for start in range(0, len(back), ROWS):
+            rows = slice(start, start + ROWS)
+            lit = self.lit[rows] & (back[rows] != 0.0)
+            change = np.abs(back[rows][lit] * light[rows][lit])
+            total, count = total + float(np.vdot(change, change)), count + len(change)
+        return math.sqrt(0.5 * total / count) / (self.brightest * len(self.recorded))
+
+    def _noise_back(self) -> ComplexArray:
+        """One draw of all planes' noise, back on the object; 0 where it did not go through the lens."""
+        scene = self.engine.scene
+        field = Field(scene.exit_grid, self._noise_at_exit(), self.illumination.wavelength_um)
+        if not isinstance(self.engine, Tiled):
+            return np.asarray(self.engine.adjoint(field).values)
+        apart = math.ceil(self.engine.parts / NOISE_PARTS)
+        return np.asarray(self.engine.adjoint_on(field, range(0, self.engine.parts, apart)).values)
 
     def _noise_at_exit(self) -> ComplexArray:
         """One draw of all planes' noise, as :meth:`_to_object` takes it."""

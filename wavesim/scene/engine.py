@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Any, ClassVar, Literal, Protocol
@@ -297,4 +297,21 @@ class Tiled(Engine):
         ------
         InputError
             As :meth:`forward`.
+        """
+
+    @abstractmethod
+    def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
+        """As :meth:`adjoint`, on some parts of the object alone; 0 beside them.
+
+        Parameters
+        ----------
+        field
+            On the exit grid.
+        numbers
+            Of the parts.
+
+        Raises
+        ------
+        InputError
+            As :meth:`adjoint`.
         """

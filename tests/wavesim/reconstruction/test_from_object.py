@@ -308,9 +308,8 @@ def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: p
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"tv_weight": "auto", "iterations": 40, "scale": 1.0, "until_noise": True}
     found = reconstruct(case.engine, case.illumination, recorded, **settings)
-    monkeypatch.setattr(from_object, "ROUNDS", 1)
     monkeypatch.setattr(from_object, "FARTHER", 1.0)
-    without = reconstruct(case.engine, case.illumination, recorded, **settings)
+    without = reconstruct(case.engine, case.illumination, recorded, **settings, rounds=1)
     assert found.stopped_because == without.stopped_because == "noise"
     assert len(found.misfit) < 0.8 * len(without.misfit)
     assert score(case, found.transmission) > max(0.99, score(case, without.transmission))

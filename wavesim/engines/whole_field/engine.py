@@ -9,7 +9,7 @@ few polynomials. All values are complex64; phases are made in float64.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, MutableMapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -279,9 +279,15 @@ class WholeFieldEngine(Tiled):
         for number, total in self._performed("forward", self._parts_of(values, lacking), done):
             sums[number] = total
 
-    def _adjoint(self, values: Any) -> Any:
+    def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
+        self._refuse_stranger(field, self.scene.exit_grid, "exit")
+        before = float(self.scene.system.index[0, 0])
+        values = self._adjoint(field.values, numbers)
+        return Field(self.scene.object_grid, values, field.wavelength_um, before)
+
+    def _adjoint(self, values: Any, numbers: Sequence[int] | None = None) -> Any:
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
-        for number, part in self._performed("adjoint", self._collected(values)):
+        for number, part in self._performed("adjoint", self._collected(values, numbers)):
             place = self.groups[number].part
             result[place] += part * self._in_field(place)
         result *= np.float32(self.scene.exit_grid.cell)
@@ -293,13 +299,13 @@ class WholeFieldEngine(Tiled):
             place = self.groups[number].part
             yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
 
-    def _collected(self, values: Any) -> Iterator[Task]:
+    def _collected(self, values: Any, numbers: Sequence[int] | None) -> Iterator[Task]:
         """What super-tiles get of an exit field."""
         field = np.asarray(values).astype(np.complex64, copy=False)
         worker = self._worker
         plane = field if field.nbytes > worker.memory_bytes else worker.device.to_device(field)
-        for number, group in enumerate(self.groups):
-            yield number, worker.collect(group.carried, plane)
+        for number in range(len(self.groups)) if numbers is None else numbers:
+            yield number, worker.collect(self.groups[number].carried, plane)
 
     def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
         """Which samples of a part of the object lie within the field."""

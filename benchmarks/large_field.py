@@ -1,0 +1,90 @@
+"""A field of 5 mm at NA 0.5: the paper's lens at five thirds of its size, here and on two Dask workers.
+
+    python -m benchmarks.large_field
+
+Rays and angles are those of the paper's lens; the sensor is as wide as the light, 11,700 pixels of 3.2 um.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from benchmarks.full_field import dot_product_mismatch, field_scene, noise
+from benchmarks.timing import DESIGNS, Row, print_table
+from lensdesign import load_design, scaled
+from wavesim import Field, engine_for
+from wavesim.engines.whole_field.on_cluster import tiles_in
+from wavesim.scene.engine import Engine
+
+FIELD_MM, PAPER_MM, SIDE = 5.0, 3.0, 11_700
+WORKERS = 2
+MOST_GB, MISMATCH = 12.0, 1e-6
+
+
+def main() -> None:
+    """Measure and print."""
+    lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), FIELD_MM / PAPER_MM)
+    scene = field_scene(lens, FIELD_MM, SIDE)
+    rng = np.random.default_rng(1)
+    field, other = (
+        Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
+    )
+    engine = engine_for(scene, "two-level")
+    (there, back), seconds = both_ways(engine, field, other)
+    peak_gb = 1.024e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    mismatch = dot_product_mismatch(field, there, other, back)
+    del back
+    rows = [
+        Row(f"forward, {field.grid.shape[0]}^2 samples to {SIDE}^2 pixels", seconds[0], "s"),
+        Row("adjoint", seconds[1], "s"),
+        Row("most memory of the process", peak_gb, "GB", at_most=MOST_GB),
+        Row("dot-product test, of the sizes", mismatch, at_most=MISMATCH),
+    ]
+    with workers() as address, tiles_in(address) as take:
+        engine = take(engine_for(scene, "two-level"))
+        again, seconds = both_ways(engine, field, other)
+    off = float(np.linalg.norm(again[0] - there) / np.linalg.norm(there))
+    rows += [
+        Row(f"forward, {WORKERS} Dask workers of one thread", seconds[0], "s"),
+        Row("adjoint", seconds[1], "s"),
+        Row("difference from the field made here", off, at_most=1e-5),
+    ]
+    print_table(f"A field of {FIELD_MM:g} mm, first sensor plane, error 0.01", rows)
+
+
+def both_ways(
+    engine: Engine, field: Field, other: Field
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[float, float]]:
+    """Forward of one field and adjoint of another, and what they take; set-up is made before."""
+    engine.cost()
+    results, seconds = [], []
+    for carry, start in ((engine.forward, field), (engine.adjoint, other)):
+        started = time.perf_counter()
+        results.append(carry(start).values)
+        seconds.append(time.perf_counter() - started)
+    return (results[0], results[1]), (seconds[0], seconds[1])
+
+
+@contextmanager
+def workers() -> Iterator[str]:
+    """A Dask scheduler on this machine, with processes of one thread each."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=WORKERS,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        host="127.0.0.1",
+        memory_limit=0,
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+if __name__ == "__main__":
+    main()
