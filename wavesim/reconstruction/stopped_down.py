@@ -1,7 +1,7 @@
 """The first iterations of a large object: on half of its samples, through the lens stopped down.
 
 Light of low angles needs fewer samples, goes through less of the lens and falls on fewer pixels: an iteration
-takes a quarter of the time. Pixels that light of higher angles reaches as well tell nothing there. What
+takes less than half of the time. Pixels that light of higher angles reaches as well tell nothing there. What
 comes out is where iterations on all samples begin: what they find late are the coarse parts of an object.
 """
 
@@ -67,7 +67,8 @@ def stopped_down_problem(scene: Scene, light: Field, recorded: Sequence[Recorded
         return None
     half = _half(light)
     narrow = replace(scene, lens=stopped_down(scene.lens, held), object_grid=half.grid)
-    rims = [[_rim(narrow, point, plane) for point in _about(light)] for plane in recorded]
+    points = _about(light)
+    rims = [[_rim(narrow, point, plane) for point in points] for plane in recorded]
     margin_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(grid.z_mm))
     reached = np.concatenate([rim for plane in rims for rim in plane])
     rows, columns = (

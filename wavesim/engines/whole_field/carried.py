@@ -52,12 +52,9 @@ def _transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], N
     last = np.searchsorted(along.first, coarse, side="right")
     fine = first[:, None] + np.arange(int(np.max(last - first)))
     inside = np.minimum(fine, len(along.first) - 1)
-    tap = np.where(fine < last[:, None], coarse[:, None] - along.first[inside], 0)
-    return (
-        first,
-        last,
-        np.where(fine < last[:, None], along.weight[inside, tap], 0).astype(along.weight.dtype),
-    )
+    counts = fine < last[:, None]
+    tap = np.where(counts, coarse[:, None] - along.first[inside], 0)
+    return first, last, np.where(counts, along.weight[inside, tap], along.weight.dtype.type(0))
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
