@@ -255,7 +255,7 @@ class _Tries(NamedTuple):
         )
         noise = noise_misfit(recorded)
         correlation = truth_metrics(
-            found.transmission, self.target, self.light, self.inside, self.engine, Scratch()
+            found.transmission, self.target, self.light, self.inside, self.engine.scene, Scratch()
         )["object_correlation"]
         assert noise is not None
         assert correlation is not None

@@ -2,13 +2,13 @@ from .accuracy import OracleResult, run_oracle
 from .ghosts import FoundGhost, GhostPlane, ghost_in_residuals
 from .metrics import (
     ElementContrast,
-    as_passed,
     bar_contrast,
     element_contrasts,
     object_correlation,
     resolved_elements,
     smallest_resolved_element,
 )
+from .passed import OpenDirections, as_passed, open_directions
 from .resolving import LineContrast, Resolved, bars_field, resolve, resolving_seconds
 from .similarity import psnr_db, ssim
 
@@ -17,6 +17,7 @@ __all__ = [
     "FoundGhost",
     "GhostPlane",
     "LineContrast",
+    "OpenDirections",
     "OracleResult",
     "Resolved",
     "as_passed",
@@ -25,6 +26,7 @@ __all__ = [
     "element_contrasts",
     "ghost_in_residuals",
     "object_correlation",
+    "open_directions",
     "psnr_db",
     "resolve",
     "resolved_elements",

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.text import finite_or_none
-from wavesim.evaluation.metrics import as_passed, bar_contrast, object_correlation, smallest_resolved_element
+from wavesim.evaluation.metrics import bar_contrast, object_correlation, smallest_resolved_element
+from wavesim.evaluation.passed import as_passed, open_directions
 from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field
 from wavesim.objects.region import around, cut_field, holds
@@ -18,7 +19,7 @@ from wavesim.objects.targets import Ground
 from wavesim.objects.usaf import UsafElement
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
-from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
 
 
 def truth_metrics(
@@ -26,7 +27,7 @@ def truth_metrics(
     true: Field,
     illumination: Field,
     inside: NDArray[np.bool_],
-    engine: Engine,
+    scene: Scene,
     scratch: Scratch,
 ) -> dict[str, float | None]:
     """Correlation, PSNR and SSIM with the true object, both as the lens passes them.
@@ -42,15 +43,16 @@ def truth_metrics(
         There.
     inside
         Samples within the field stop.
-    engine
-        From that part.
+    scene
+        The lens as it is: what passes it, its rays tell.
     scratch
         Where fields lie that the lens passes.
     """
+    directions = open_directions(scene, found.grid)
 
     def passed(values: Any) -> Field:
         own = illumination.with_values((illumination.values * values).astype(np.complex64))
-        there = as_passed(own, engine)
+        there = as_passed(own, directions)
         return there.with_values(scratch.held(there.values, "a field that the lens passes"))
 
     one, other = passed(found.values), passed(true.values)

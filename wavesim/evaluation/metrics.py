@@ -2,7 +2,8 @@
 
 A correlation of amplitudes near 1 does not mean that the object is right: a bright ground alone makes most of
 it. :func:`object_correlation` therefore takes the known illumination out of both sides first, and truth and
-result are compared as the lens passes them (:func:`as_passed`), which no reconstruction can better.
+result are compared as the lens passes them (:mod:`wavesim.evaluation.passed`), which no reconstruction can
+better.
 
 Source of the structural similarity: Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image quality
 assessment: from error visibility to structural similarity", IEEE Trans. Image Process. 13, 600 (2004), by
@@ -24,10 +25,9 @@ from wavesim.evaluation.similarity import Mask, Picture
 from wavesim.fields.coverage import refuse_finer
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.bar_sets import SetContrast, set_contrast
-from wavesim.objects.targets import Ground, band_limit
+from wavesim.objects.targets import Ground
 from wavesim.objects.usaf import UsafElement
 from wavesim.runtime.threads import row_blocks
-from wavesim.scene.engine import Engine
 
 RESOLVED_CONTRAST = 0.2
 """From which contrast on lines count as resolved, as in `smallest_resolved_line_width_um`."""
@@ -151,27 +151,6 @@ def smallest_resolved_element(
     return kept[-1].element if kept else None
 
 
-def as_passed(field: Field, by: Engine | float) -> Field:
-    """What a lens passes of an object field.
-
-    Parameters
-    ----------
-    field
-        Behind the object: its transmission times the illumination.
-    by
-        An engine: the field goes there and back, so that vignetting counts too. Or a numerical aperture:
-        :func:`~wavesim.objects.targets.band_limit`.
-
-    Raises
-    ------
-    InputError, SamplingError
-        As the engine or the band limit.
-    """
-    if isinstance(by, Engine):
-        return by.adjoint(by.forward(field))
-    return field.with_values(band_limit(field.values, field.grid, field.wavelength_um, by))
-
-
 def object_correlation(found: Field, truth: Field, illumination: Field, support: Mask | None = None) -> float:
     """Correlation of two object fields, after what is the illumination has been taken out of both.
 
@@ -182,10 +161,11 @@ def object_correlation(found: Field, truth: Field, illumination: Field, support:
     ----------
     found, truth, illumination
         Object fields on one grid (transmission times illumination, and illumination alone), all as the lens
-        passes them (:func:`as_passed`) if the truth is to be comparable.
+        passes them (`as_passed`) if the truth is to be comparable.
     support
         Samples that count, those inside the field stop. Left out: where the illumination's intensity is above
-        1e-6 of its largest; after :func:`as_passed` light spills over the stop, so give it then.
+        1e-6 of its largest; after `as_passed` light spills over the stop, so give it
+        then.
 
     Returns
     -------

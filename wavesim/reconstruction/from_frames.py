@@ -213,8 +213,8 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
     if case.truth is not None:
         told.step("comparison with the true object")
         true, light = (cut_field(field, case.shown) for field in (case.truth, case.light))
-        with engine_on(case.shown) as engine:
-            truth = truth_metrics(transmission, true, light, case.inside, engine, case.scratch)
+        scene = case.engine.scene
+        truth = truth_metrics(transmission, true, light, case.inside, scene, case.scratch)
     return FoundObject(
         settings,
         case.patch,

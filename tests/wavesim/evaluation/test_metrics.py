@@ -9,11 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lensdesign import load_design, scaled
 from lensdesign.errors import InputError, SamplingError
-from wavesim.engines.choosing import engine_for
 from wavesim.evaluation.metrics import (
-    as_passed,
     bar_contrast,
     element_contrasts,
     object_correlation,
@@ -24,7 +21,6 @@ from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
 from wavesim.objects.usaf import UsafElement, usaf_chart, usaf_elements
-from wavesim.scene.scene import Scene
 
 GRID = Grid((400, 400), 2.5e-4, 0.0)
 ELEMENTS = usaf_elements((8, 9))
@@ -155,24 +151,6 @@ def test_correlation_counts_the_support_alone() -> None:
     found = lit.with_values(np.where(inside, truth.values, rng.random(GRID.shape)))
     assert object_correlation(found, truth, lit) == pytest.approx(1.0)
     assert object_correlation(found, truth, lit, np.ones_like(inside)) < 0.999
-
-
-def test_what_a_lens_passes_by_aperture_and_by_engine() -> None:
-    """On an ideal lens both ways to limit the truth agree: its finest detail is gone in both."""
-    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-    grid = Grid((120, 120), 4.2e-4, lens.object_z_mm)
-    scene = Scene(lens, grid, Grid((216, 216), 3.2e-3, lens.exit_vertex_z_mm + 0.08), WAVELENGTH)
-    engine = engine_for(scene, "eikonal", error=0.1)
-    inside = np.hypot(grid.y_mm[:, None], grid.x_mm) < 0.022
-    chart = usaf_chart(grid, [UsafElement(8, 3, (0.0, 0.0)), UsafElement(8, 6, (0.0, 0.012))], "bright")
-    lit = Field(grid, inside.astype(np.complex64), WAVELENGTH)
-    seen = lit.with_values((lit.values * chart).astype(np.complex64))
-    limited = [[as_passed(one, by) for one in (seen, lit)] for by in (engine, APERTURE)]
-    (by_engine, lit_by_engine), (by_aperture, _) = limited
-    assert object_correlation(by_engine, by_aperture, lit_by_engine, inside) > 0.95
-    assert object_correlation(by_engine, seen, lit, inside) < object_correlation(
-        by_engine, by_aperture, lit_by_engine, inside
-    )
 
 
 def test_psnr_and_ssim() -> None:

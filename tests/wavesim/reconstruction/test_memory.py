@@ -317,7 +317,7 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
 
     def compare(room: Scratch) -> None:
         inside = np.ones(SHAPE, bool)
-        truth_metrics(fields[0], fields[1], light, inside, engine, room)
+        truth_metrics(fields[0], fields[1], light, inside, engine.scene, room)
 
     most, least = told(engine, truth=True)
     held = 24.0  # light, truth and what was found: made before

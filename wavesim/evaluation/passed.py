@@ -1,0 +1,172 @@
+"""What a lens passes of an object field: through an engine and back, by its rays, or by an aperture alone.
+
+Rays tell which directions an object point's light may take to get through. The field is cut into overlapping
+blocks, each with a window whose squares add up to 1; of a block's plane waves those remain that go into an
+open direction of its middle. Where the border of the aperture is sharp, that is what an engine there and back
+leaves, at a few hundredths of the cost: both give the same correlation to 1e-4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from wavesim.fields.field import Field, Grid
+from wavesim.objects.targets import band_limit
+from wavesim.rays.maps import row_spans
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
+from wavesim.scene.engine import Engine
+from wavesim.scene.scene import Scene
+
+ORDER = 4
+"""Of the polynomials in the object point that tell open directions: to 1e-6 over the paper's field."""
+
+RINGS, SPOKES, ARMS = 4, 11, 72
+"""Object points that are traced, and rays along the rim of each one's light."""
+
+BLOCK_ZONES = 2.0
+"""Width of a block over sqrt(wavelength x working distance): results hardly depend on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class OpenDirections:
+    """Into which directions the light of object points may go, to get through a lens.
+
+    Attributes
+    ----------
+    centre_mm : ndarray, shape (2,)
+        Middle (y, x) of the points that were traced.
+    radius_mm : float
+        About it.
+    coefficients : ndarray, shape (terms, ARMS, 2)
+        Of polynomials in the object point: direction cosines (y, x) along the border, times the index.
+    width_mm : float
+        Over which an object point's directions may stand for its neighbours'.
+    """
+
+    centre_mm: Array
+    radius_mm: float
+    coefficients: Array
+    width_mm: float
+
+    def border(self, point_mm: Array) -> Array:
+        """Cosines (y, x) along the border for one object point (y, x), shape (ARMS, 2)."""
+        terms = _powers((point_mm - self.centre_mm) / self.radius_mm)
+        return np.asarray(np.tensordot(terms, self.coefficients, axes=1))
+
+
+def _powers(points: Array) -> Array:
+    """All products of powers of (y, x), up to a total order; shape (..., terms)."""
+    y, x = points[..., 0], points[..., 1]
+    return np.stack([y**i * x**j for i in range(ORDER + 1) for j in range(ORDER + 1 - i)], axis=-1)
+
+
+def open_directions(scene: Scene, about: Grid | None = None) -> OpenDirections:
+    """Trace the border of the light of some object points.
+
+    Parameters
+    ----------
+    scene
+        The lens, as it is.
+    about
+        Part of the object, a plane; all of it if left out. Points beyond the lens's field are not traced.
+
+    Raises
+    ------
+    InputError
+        If the object is a line, or the lens sees too few of the points.
+    """
+    grid = about or scene.object_grid
+    if grid.is_line:
+        raise InputError("open directions: of a plane; on a line an engine tells what a lens passes")
+    centre = np.array(grid.centre_mm[::-1])
+    radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + float(np.hypot(*centre)))
+    share = np.cos(0.5 * np.pi * np.arange(RINGS) / RINGS)
+    turn = 2.0 * np.pi * np.arange(SPOKES) / SPOKES
+    unit = (share[:, None, None] * np.stack([np.sin(turn), np.cos(turn)], axis=-1)).reshape(-1, 2)
+    z_mm, seen, borders = scene.exit_grid.z_mm, [], []
+    for y, x in centre + radius * unit:
+        try:
+            pupil = open_pupil(scene, (x, y), z_mm, ARMS)
+        except InputError:  # beyond what the lens sees there is nothing to tell
+            continue
+        seen.append(((y, x) - centre) / radius)
+        borders.append(trace_bundle(scene, np.array([x, y]), pupil.rim, z_mm).cosines)
+    terms = _powers(np.array(seen).reshape(-1, 2))
+    if len(terms) < terms.shape[1]:
+        raise InputError(f"open directions: the lens sees {len(seen)} of {len(unit)} points of the object")
+    fitted = np.linalg.lstsq(terms, np.array(borders).reshape(len(seen), -1), rcond=None)[0]
+    zone_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(scene.object_grid.z_mm))
+    coefficients = np.asarray(fitted, float).reshape(-1, ARMS, 2)
+    return OpenDirections(centre, radius, coefficients, BLOCK_ZONES * zone_mm)
+
+
+def as_passed(field: Field, by: Engine | OpenDirections | float) -> Field:
+    """What a lens passes of an object field.
+
+    Parameters
+    ----------
+    field
+        Behind the object: its transmission times the illumination.
+    by
+        An engine: the field goes there and back, so that all counts which the engine knows. Or the directions
+        that rays find open (:func:`open_directions`): stop and vignetting count, for a small part of the
+        cost. Or a numerical aperture: :func:`~wavesim.objects.targets.band_limit`.
+
+    Raises
+    ------
+    InputError, SamplingError
+        As the engine or the band limit.
+    """
+    if isinstance(by, Engine):
+        return by.adjoint(by.forward(field))
+    if isinstance(by, OpenDirections):
+        return _by_directions(field, by)
+    return field.with_values(band_limit(field.values, field.grid, field.wavelength_um, by))
+
+
+def _by_directions(field: Field, by: OpenDirections) -> Field:
+    """Block by block; the first begin half a block in front of the field."""
+    grid, values = field.grid, field.values
+    half = scipy.fft.next_fast_len(max(4, round(0.5 * by.width_mm / grid.pitch_mm)))
+    window = np.sin(np.pi * (np.arange(2 * half) + 0.5) / (2 * half)).astype(values.real.dtype)
+    cosines = 1e-3 * field.wavelength_um * scipy.fft.fftshift(scipy.fft.fftfreq(2 * half, grid.pitch_mm))
+    first_mm = np.array([grid.y_mm[0], grid.x_mm[0]]) + grid.pitch_mm * (half - 0.5)
+    result = np.zeros_like(values)
+    for row in range(-half, grid.shape[0], half):
+        rows, own_rows = _cut(row, half, grid.shape[0])
+        for column in range(-half, grid.shape[1], half):
+            columns, own = _cut(column, half, grid.shape[1])
+            part = values[rows, columns]
+            if not part.any():
+                continue
+            weight = window[own_rows, None] * window[own]
+            block = np.zeros((2 * half, 2 * half), values.dtype)
+            np.multiply(part, weight, out=block[own_rows, own])
+            middle = first_mm + grid.pitch_mm * np.array([row, column])
+            spans = row_spans(by.border(middle), (cosines, cosines))
+            passed = _filtered(block, spans)
+            result[rows, columns] += passed[own_rows, own] * weight
+    return field.with_values(result)
+
+
+def _cut(start: int, half: int, count: int) -> tuple[slice, slice]:
+    """Samples of a block that lie in a field, among the field's and among its own."""
+    inside = slice(max(start, 0), min(start + 2 * half, count))
+    return inside, slice(inside.start - start, inside.stop - start)
+
+
+def _filtered(block: NDArray, spans: NDArray[np.intp]) -> NDArray:
+    """A block's plane waves between the ends of each row, in order of their cosines; uses the block up."""
+    spectrum = scipy.fft.fft2(block, workers=-1, overwrite_x=True)
+    number = scipy.fft.fftshift(np.arange(len(block)))
+    order = np.argsort(number)
+    first, end = spans[order].T
+    spectrum *= (order >= first[:, None]) & (order < end[:, None])
+    return np.asarray(scipy.fft.ifft2(spectrum, workers=-1, overwrite_x=True))
