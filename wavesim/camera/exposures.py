@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.section import Positive, Section
 from lensdesign.errors import InputError, refuse_not_positive
 from wavesim.camera.frames import Bits, Counts, Frame, NotNegative, Offset
+from wavesim.camera.pixels import kernel
 from wavesim.camera.pixels.errors import PixelPattern
 from wavesim.runtime.threads import row_blocks
 
@@ -243,28 +244,62 @@ def merged_intensity(frames: Sequence[Frame], rows: slice = slice(None)) -> tupl
     """
     if not frames or len({frame.counts.shape for frame in frames}) > 1:
         raise InputError("frames of one plane: must be one at least, all of the same size")
+    return stacked(frames, rows).merged()
+
+
+class Stack(NamedTuple):
+    """Rows of frames of one plane, the shortest exposure first.
+
+    Attributes
+    ----------
+    electrons : ndarray, shape (n, ny, nx)
+    known : ndarray of bool, shape (n, ny, nx)
+        Neither clipped nor bad.
+    shares : ndarray, shape (n, ny, nx)
+        Exposure times gain in units of the longest exposure, so that squares of exposures of any unit stay
+        finite.
+    fixed : ndarray, shape (n,)
+        Variance of electrons without light.
+    longest : float
+        Exposure.
+    """
+
+    electrons: Array
+    known: NDArray[np.bool_]
+    shares: Array
+    fixed: Array
+    longest: float
+
+    def merged(self) -> tuple[Array, Array]:
+        """As :func:`merged_intensity`."""
+        intensity, variance = np.empty((2, *self.electrons.shape[1:]))
+        kernel.merged(self.electrons, self.known, self.shares, self.fixed, intensity, variance)
+        return intensity / self.longest, variance / self.longest / self.longest
+
+    def contradicting(self, far: float, unlike: float) -> NDArray[np.bool_]:
+        """Pixels whose intensity in an exposure and the next longer one differs too far.
+
+        Parameters
+        ----------
+        far
+            Standard deviations by which two may differ.
+        unlike
+            Share of the larger one by which they may differ beside that.
+        """
+        found = kernel.contradicting(self.electrons, self.known, self.shares, self.fixed, far, unlike)
+        return np.asarray(found)
+
+
+def stacked(frames: Sequence[Frame], rows: slice = slice(None)) -> Stack:
+    """Frames of one plane and size, pixel by pixel."""
     ordered = sorted(frames, key=lambda frame: frame.settings.exposure)
-    times = [frame.settings.exposure for frame in ordered]
-    electrons = [electrons_of(frame, rows) for frame in ordered]
-    known = [known_in(frame, rows) for frame in ordered]
-    fixed = [fixed_variance(frame) for frame in ordered]
-    # In units of the longest exposure, so that squares of exposures of any unit stay finite.
-    shares = [time / times[-1] * gain_of(frame, rows) for time, frame in zip(times, ordered, strict=True)]
-    seen = sum(np.where(k, e, 0.0) for k, e in zip(known, electrons, strict=True))
-    over = np.asarray(sum(k * s for k, s in zip(known, shares, strict=True)))
-    dark = np.asarray(over == 0.0)
-    rough = np.maximum(seen, 0.0) / np.where(dark, 1.0, over)
-
-    def information(level: Array) -> list[Array]:
-        return [k * s**2 / (level * s + f) for k, s, f in zip(known, shares, fixed, strict=True)]
-
-    weights = information(rough)
-    total = np.where(dark, 1.0, sum(weights))
-    mean = sum(w * e / s for w, e, s in zip(weights, electrons, shares, strict=True)) / total
-    mean = np.where(dark, electrons[0] / shares[0], mean)
-    certain = sum(information(np.maximum(mean, 0.0)))
-    variance = np.where(dark, np.inf, 1.0 / np.where(dark, 1.0, certain))
-    return np.asarray(mean / times[-1]), np.asarray(variance / times[-1] / times[-1])
+    longest = ordered[-1].settings.exposure
+    electrons = np.stack([electrons_of(frame, rows) for frame in ordered])
+    shares = np.empty_like(electrons)
+    for share, frame in zip(shares, ordered, strict=True):
+        share[...] = frame.settings.exposure / longest * gain_of(frame, rows)
+    known = np.stack([known_in(frame, rows) for frame in ordered])
+    return Stack(electrons, known, shares, np.array([fixed_variance(frame) for frame in ordered]), longest)
 
 
 def electrons_of(frame: Frame, rows: slice = slice(None)) -> Array:

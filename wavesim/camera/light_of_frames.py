@@ -11,7 +11,7 @@ from lensdesign.common.arrays import Array
 from wavesim.camera.exposures import electrons_of
 from wavesim.camera.frame_sets import frames_by_plane
 from wavesim.camera.frames import Frame
-from wavesim.engines.tiles.rim_light import beyond_border
+from wavesim.engines.tiles.rim_light import inside_border, moved
 from wavesim.fields.field import Field
 from wavesim.rays.maps import RIM_ARMS
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
@@ -79,17 +79,15 @@ class _Ring:
 
 def _of_footprint(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
     """Light of a frame for an exposure of 1: all within the footprint, and on the ring inside its border."""
-    middle = border_mm.mean(axis=0)
-    width = RING * float(np.mean(np.linalg.norm(border_mm - middle, axis=1)))
-    y, x = scene.exit_grid.y_mm - middle[0], scene.exit_grid.x_mm - middle[1]
+    width = RING * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
+    y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
     total, ring = 0.0, _Ring()
     for start in range(0, len(y), ROWS):
         rows = slice(start, start + ROWS)
-        beyond = beyond_border((y[rows], x), border_mm - middle)
+        inside, within = (inside_border(moved(border_mm, by), (y[rows], x)) for by in (0.0, -width))
         # Negative where noise is: dark pixels must be dark in the mean.
-        light = electrons_of(frame, rows) / frame.settings.exposure
-        near = (beyond < 0.0) & (beyond > -width)
-        total += float(light[beyond < 0.0].sum())
+        light, near = electrons_of(frame, rows) / frame.settings.exposure, inside & ~within
+        total += float(light[inside].sum())
         ring.add(
             light[near], int(np.count_nonzero(frame.counts[rows][near] >= frame.settings.clipped_counts))
         )

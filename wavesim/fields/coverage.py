@@ -79,24 +79,36 @@ def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
 def disc_coverage(grid: Grid, radius_mm: float) -> Array:
     """Part of each cell inside a disc about the grid's centre, exactly.
 
-    Each cell's area is the second difference of the area of the disc left of and below its corners.
+    The area of a cell on the circle is the second difference of the area of the disc left of and below its
+    corners.
     """
     refuse_line(grid)
     refuse_not_positive("radius_mm", radius_mm)
-    ny, nx = grid.shape
-    y = grid.pitch_mm * (np.arange(ny + 1) - 0.5 * ny)[:, None]
-    x = grid.pitch_mm * (np.arange(nx + 1) - 0.5 * nx)[None, :]
-    down, across = np.minimum(abs(y), radius_mm), np.minimum(abs(x), radius_mm)
+    edges = [grid.pitch_mm * (np.arange(count + 1) - 0.5 * count) for count in grid.shape]
+    ends = [np.sort(np.abs([edge[:-1], edge[1:]]), axis=0) for edge in edges]
+    nearest = [
+        np.where(edge[:-1] * edge[1:] < 0.0, 0.0, end[0]) for edge, end in zip(edges, ends, strict=True)
+    ]
+    whole = np.add.outer(ends[0][1] ** 2, ends[1][1] ** 2) <= radius_mm**2
+    rows, columns = np.nonzero((np.add.outer(nearest[0] ** 2, nearest[1] ** 2) < radius_mm**2) & ~whole)
+    y, x = edges[0][[rows, rows + 1]], edges[1][[columns, columns + 1]]
+    corners = [[_disc_beside(radius_mm, b, a) for a in x] for b in y]
+    cells = (corners[1][1] - corners[0][1]) - (corners[1][0] - corners[0][0])
+    covered = whole.astype(float)
+    covered[rows, columns] = np.clip(cells / grid.cell, 0.0, 1.0)
+    return covered
+
+
+def _disc_beside(radius: float, y: Array, x: Array) -> Array:
+    """Area of a disc between both axes through its middle and lines at y and x; negative on one side."""
+    down, across = np.minimum(abs(y), radius), np.minimum(abs(x), radius)
 
     def under_arc(u: Array) -> Array:
-        return 0.5 * (
-            u * np.sqrt(np.maximum(radius_mm**2 - u**2, 0.0)) + radius_mm**2 * np.arcsin(u / radius_mm)
-        )
+        return 0.5 * (u * np.sqrt(np.maximum(radius**2 - u**2, 0.0)) + radius**2 * np.arcsin(u / radius))
 
-    where_it_bends = np.minimum(np.sqrt(radius_mm**2 - down**2), across)
+    where_it_bends = np.minimum(np.sqrt(radius**2 - down**2), across)
     quarter = down * where_it_bends + under_arc(across) - under_arc(where_it_bends)
-    corners = np.sign(y) * np.sign(x) * quarter
-    return np.asarray(np.clip(np.diff(np.diff(corners, axis=0), axis=1) / grid.cell, 0.0, 1.0))
+    return np.asarray(np.sign(y) * np.sign(x) * quarter)
 
 
 def half_plane_coverage(distance: Array, cosine: Array, sine: Array) -> Array:

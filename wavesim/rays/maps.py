@@ -19,6 +19,7 @@ from scipy.linalg import lstsq
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.rays.edges import Edge, light_edge
+from wavesim.rays.kernel import row_ends
 from wavesim.rays.ray_bundles import STEP, FoldError, OpenPupil, RayBundle, open_pupil, shoot, trace_bundle
 from wavesim.scene.scene import Scene
 
@@ -207,14 +208,7 @@ def row_spans(border_mm: Array, axes: Sequence[Array]) -> NDArray[np.intp]:
         low, high = border_mm.min(), border_mm.max()
         return np.array([[np.searchsorted(axes[0], low), np.searchsorted(axes[0], high, side="right")]])
     y, x = axes
-    low, high = np.full(len(y), np.inf), np.full(len(y), -np.inf)
-    ends = np.roll(border_mm, -1, axis=0)
-    for a, b in zip(border_mm, ends, strict=True):
-        rows = slice(*np.searchsorted(y, [min(a[0], b[0]), max(a[0], b[0])]))
-        if rows.start < rows.stop:
-            cut = a[1] + (b[1] - a[1]) * (y[rows] - a[0]) / (b[0] - a[0])
-            np.minimum(low[rows], cut, out=low[rows])
-            np.maximum(high[rows], cut, out=high[rows])
+    low, high = row_ends(np.ascontiguousarray(border_mm), np.ascontiguousarray(y))
     first, end = np.searchsorted(x, low), np.searchsorted(x, high, side="right")
     return np.column_stack([first, np.maximum(end, first)])
 

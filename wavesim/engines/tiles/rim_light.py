@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import Tile
-from wavesim.rays.maps import RIM_ARMS
+from wavesim.rays.maps import RIM_ARMS, row_spans
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
@@ -96,32 +96,24 @@ def _densities(values: NDArray, tile: Tile, rim: Array, wavelength_mm: float) ->
     least = math.ceil(BINS * wavelength_mm / (tile.pitch_mm * radius))
     # On a line only two ends are there to be averaged over.
     shape = [scipy.fft.next_fast_len(max((3 - values.ndim) * n, least)) for n in values.shape]
-    energy = np.abs(scipy.fft.fftn(values, shape)) ** 2
-    axes = [
-        wavelength_mm * scipy.fft.fftfreq(n, tile.pitch_mm) - m for n, m in zip(shape, middle, strict=True)
-    ]
-    beyond = beyond_border(axes, rim - middle)
+    energy = scipy.fft.fftshift(np.abs(scipy.fft.fftn(values, shape)) ** 2)
+    axes = [wavelength_mm * scipy.fft.fftshift(scipy.fft.fftfreq(n, tile.pitch_mm)) for n in shape]
     resolved = wavelength_mm / (min(values.shape) * tile.pitch_mm)
-    near = np.abs(beyond) < max(NEAR_RIM * radius, resolved)
-    inside = beyond < 0.0
-    parts = (near & ~inside, near & inside, inside)
+    width = max(NEAR_RIM * radius, resolved)
+    beyond, inside, within = (inside_border(moved(rim, by), axes) for by in (width, 0.0, -width))
+    parts = (beyond & ~inside, inside & ~within, inside)
     return np.array([energy[part].mean() if part.any() else 0.0 for part in parts])
 
 
-def beyond_border(axes: Sequence[Array], border: Array) -> Array:
-    """How far a grid's points lie beyond a closed border along the arms from its middle; negative inside.
+def moved(border: Array, by: float) -> Array:
+    """Points of a closed border, shape (n, d), outwards along the arms from their middle; not beyond that."""
+    middle = border.mean(axis=0)
+    radii = np.linalg.norm(border - middle, axis=1, keepdims=True)
+    return np.asarray(middle + (border - middle) * np.maximum(1.0 + by / radii, 0.0))
 
-    Parameters
-    ----------
-    axes
-        Of the grid, y (and x), from the middle of the border.
-    border
-        Points of it from there, shape (n, d); its two ends on a line.
-    """
-    if len(axes) == 1:
-        return np.abs(axes[0]) - 0.5 * float(np.ptp(border))
-    y, x = axes[0][:, None], axes[1]
-    angles, radii = np.arctan2(border[:, 0], border[:, 1]), np.linalg.norm(border, axis=1)
-    order = np.argsort(angles)
-    reach = np.interp(np.arctan2(y, x), angles[order], radii[order], period=2.0 * np.pi)
-    return np.asarray(np.hypot(y, x) - reach)
+
+def inside_border(border: Array, axes: Sequence[Array]) -> NDArray[np.bool_]:
+    """Points of a grid with axes y (and x), in rising order, that lie inside a closed border."""
+    spans, column = row_spans(border, axes), np.arange(len(axes[-1]))
+    mask = (column >= spans[:, :1]) & (column < spans[:, 1:])
+    return np.asarray(mask[0] if len(axes) == 1 else mask)
