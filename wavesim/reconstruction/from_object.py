@@ -20,6 +20,7 @@ gradient schemes", Found. Comput. Math. 15, 715 (2015).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -70,11 +71,12 @@ FEW_ROWS = 8
 """Of the object, compared at a time."""
 
 AT_NOISE = 1.01
-"""Misfit over that of noise alone, down to which two iterations in a row have reached the noise: the first
-has yet to bring back to the object what it found."""
+"""Misfit over that of noise alone, down to which iterations have reached the noise. What the misfit hardly
+tells, such as slow changes of phase, still gets better there, for as long as it falls."""
 
-EARLY, NEAR_EARLY, EARLY_GAIN = 5, 2, 1e-3
-"""At rest: over so many iterations, or so many near the noise, the misfit changes by less than this share."""
+EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
+"""At rest: over so many iterations, or so many near the noise or at it, the misfit falls by less than this
+share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,15 +370,18 @@ class _Descent:
         """Why no more iterations are to be made; None where some are."""
         if len(state.misfit) - state.began == 0:
             return None
-        misfit = state.misfit[-1]
-        noise = self.misfit_of_noise
-        if self.until_noise and noise is not None and max(state.misfit[-2:]) <= AT_NOISE * noise:
+        misfits, noise = state.misfit[state.began :], self.misfit_of_noise
+        over = misfits[-1] / noise if self.until_noise and noise else math.inf
+        if over <= AT_NOISE and len(misfits) > AT_NOISE_EARLY and _rests(misfits, AT_NOISE_EARLY):
             return "noise"
-        near = self.until_noise and noise is not None and misfit <= FAR * noise
-        over = NEAR_EARLY if near else EARLY
-        if len(state.misfit) - state.began <= EARLY:
+        if len(misfits) <= EARLY:
             return None
-        return "rest" if abs(state.misfit[-1 - over] - misfit) < EARLY_GAIN * misfit else None
+        return "rest" if _rests(misfits, NEAR_EARLY if over <= FAR else EARLY) else None
+
+
+def _rests(misfits: Sequence[float], iterations: int) -> bool:
+    """Whether the misfit has changed by next to nothing."""
+    return abs(misfits[-1 - iterations] - misfits[-1]) < EARLY_GAIN * misfits[-1]
 
 
 def _uphill(now: Array, ahead: Array, after: Array) -> bool:
