@@ -26,6 +26,7 @@ SCRIPTS = (
     "rim",
     "chooser",
     "reconstruction",
+    "iterations",
     "phase_retrieval",
     "refocusing",
     "uncertainty",

@@ -74,7 +74,7 @@ def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list
     """Write all files together, and return their names."""
     import numpy as np
 
-    from wavesim.fields.files import write_field
+    from wavesim.fields.files import write_arrays, write_field
     from wavesim.pictures.frames import save
     from wavesim.pictures.objects import object_figure
     from wavesim.pictures.pyramid import write_pyramid
@@ -95,7 +95,7 @@ def _write(found: FreeSpaceField, summary: dict[str, Any], output: Path) -> list
             amplitudes = [found.amplitude(distance) for distance in summary["predicted_mm"]]
             for distance, amplitude in zip(summary["predicted_mm"], amplitudes, strict=True):
                 write_pyramid(amplitude, folder / f"predicted_{distance:g}_mm.tif", pitch_um, ("amplitude",))
-            np.savez_compressed(
+            write_arrays(
                 folder / "predicted.npz",
                 amplitude=np.array(amplitudes),
                 plane_distance_mm=summary["predicted_mm"],

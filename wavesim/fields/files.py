@@ -26,13 +26,21 @@ def write_field(field: Field, path: Path, **numbers: float) -> None:
     **numbers
         What else is to stand beside the values.
     """
-    np.savez_compressed(
+    write_arrays(
         path,
         values=np.asarray(field.values, np.complex64),
         pitch_um=1e3 * field.grid.pitch_mm,
         wavelength_um=field.wavelength_um,
-        **numbers,  # type: ignore[arg-type]
+        **numbers,
     )
+
+
+def write_arrays(path: Path, **arrays: Any) -> None:
+    """Write arrays by name (.npz), packed in a quarter of NumPy's time, and a little larger."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        for name, values in arrays.items():
+            with file.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
 
 
 def read_field(path: Path) -> tuple[Any, float]:

@@ -169,15 +169,13 @@ class RecordingModel:
         shape = self.engine.scene.exit_grid.shape
         total: ComplexArray | None = None
         for plane in self._planes:
-            # Row by row: all draws in double precision would fill more than anything else here.
-            noise = np.empty(plane.amplitude.shape, self.dtype)
-            for row, sigma in zip(noise, plane.sigma, strict=True):
+            # Along the real axis: as much goes back through the lens as along any other.
+            noise = np.zeros(plane.amplitude.shape, self.dtype)
+            for row, sigma in zip(noise.real, plane.sigma, strict=True):
                 known = np.isfinite(sigma)
-                stated = np.where(known, sigma, 1.0)
+                stated = np.where(known, sigma, self.real.type(1.0))
                 size = np.minimum(plane.least / stated, 1.0) ** 2 * stated * known
-                row[:] = size * random.standard_normal(len(row))
-            for row in noise:
-                row *= np.exp(2j * np.pi * random.random(len(row)))
+                np.multiply(size, random.standard_normal(len(row), self.real), out=row, casting="same_kind")
             if plane.rows != EVERY_ROW:
                 total = np.zeros(shape, self.dtype) if total is None else total
                 total[plane.rows] += noise
