@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-CONNECT_SECONDS = 10.0
-"""How long to wait for the scheduler, and for its first worker."""
+CONNECT_SECONDS = 30.0
+"""How long to wait for the scheduler, and for its first worker: on a busy machine one takes ten seconds."""
+
+LARGE_GRAPH = "distributed.admin.large-graph-warning-threshold"
+"""Dask's setting: how large a task may be before it warns."""
 
 COUNT_SECONDS = 2.0
 """How often to ask how many workers there are."""
@@ -132,7 +135,9 @@ def open_cluster(address: str) -> Iterator[Cluster]:
             "--cluster needs the package distributed: install transferlens with its extra cluster"
         ) from error
     waiting = f"{CONNECT_SECONDS:g}s"
-    with _quiet(), dask.config.set({"distributed.comm.timeouts.connect": waiting}):
+    # Parts of a field travel with their tasks, on purpose: each is needed once.
+    settings = {"distributed.comm.timeouts.connect": waiting, LARGE_GRAPH: "1 TB"}
+    with _quiet(), dask.config.set(settings):
         try:
             client = Client(address, timeout=waiting, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:

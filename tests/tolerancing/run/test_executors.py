@@ -5,6 +5,7 @@ import socket
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from dask_cluster import Cluster
 from stored_rows import rows
@@ -75,6 +76,14 @@ def test_workers_of_another_version_are_refused(rays, cluster, tmp_path, monkeyp
     with pytest.raises(InputError, match=rf"worker tcp.* has version {toolkit_version()} .* 99\.0"):
         run_study(rays, tmp_path / "store", cluster=cluster.address)
     assert caplog.text == ""
+
+
+def test_parts_of_a_field_travel_without_a_warning(cluster, recwarn):
+    cluster.worker()
+    with module.open_cluster(cluster.address) as connected:
+        part = np.zeros(2**21, np.complex64)  # 17 MB
+        assert connected.submit(np.size, part).result() == part.size
+    assert [str(one.message) for one in recwarn if "large graph" in str(one.message)] == []
 
 
 def test_a_cluster_without_workers_is_refused(rays, cluster, tmp_path, monkeypatch):

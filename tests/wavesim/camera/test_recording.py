@@ -14,6 +14,7 @@ from dask_cluster import Cluster
 from wavesim_command import run_wavesim
 
 from lensdesign import load_design, save_design, scaled
+from lensdesign.common import clusters
 from lensdesign.lens.poses import Pose
 from wavesim.camera import recording as image_recording
 from wavesim.camera.exposures import Electronics, estimate_intensity
@@ -208,6 +209,7 @@ def test_frames_from_a_cluster_are_those_made_here(
         read_frame(tmp_path / place / "frame_1.tif").counts.astype(int) for place in ("here", "there")
     )
     assert np.max(np.abs(here - there)) <= 1
+    monkeypatch.setattr(clusters, "CONNECT_SECONDS", 1.0)
     code, _, err = run_wavesim(
         monkeypatch, capsys, "image", tmp_path / "twin.toml", "--patch-mm", 0.05, "--engine", "eikonal",
         "--error", 0.5, "--cluster", "tcp://127.0.0.1:1", "-o", tmp_path / "x",
