@@ -58,7 +58,7 @@ SHORTER = {
     r" --(chart-at-mm|object-pitch-um) \S+": "",
     # Charts of the whole lens (minutes): what a small twin's cheapest runs say, without maps.
     r"^wavesim compare \S+ (-o \S+).*": r"wavesim compare designs/small_twin.toml \1 --scale 1 "
-    "--patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-maps",
+    "--patch-mm 0.004 --most-seconds 0.003 --radius-mm 0.02 --no-planes --no-maps",
     # Hundreds of slices of the whole aperture (10 s): tens.
     r"slices(=| )(200|800)": r"slices\g<1>20",
     r"slices=(20|30)": "slices=5",

@@ -19,22 +19,30 @@ PICTURE_DPI = 110
 MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
 """Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
 
+PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.17, 0.02, 0.25
+"""Whole planes are those of a twin of this size, on which a run takes seconds; behind it, so many of its
+semi-diameters, there is its exit plane."""
+
+SPHERE_RADIUS_MM = 0.15
+
 
 def compare(
     design: Design,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
     radius_mm: Annotated[float, typer.Option(help="Of the exact cylinder.")] = 0.2,
+    planes: Annotated[bool, typer.Option(help="Whether to compare on whole planes, too.")] = True,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
     field_mm: Annotated[float, typer.Option(help="Height of its middle, along y.")] = 0.0,
     scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
-    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 60.0,
+    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 20.0,
     maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Chart error against seconds and memory of every engine, and map where each fails.
 
-    On an exact cylinder and on a meridional patch of the lens. There the wave propagation method with fine
-    steps stands for the truth.
+    On lines: an exact cylinder, and a meridional patch of the lens, where the wave propagation method with
+    fine steps and much room stands for the truth. On whole planes: an exact sphere, and a patch about the
+    axis of a small twin of the lens, where the sum over all plane waves does.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -57,17 +65,20 @@ def compare(
     with Progress(*columns, console=message_console(), transient=True) as bar:
         task = bar.add_task("exact solution and true field", total=None)
         size = "" if scale == 1.0 else f", scaled by {scale:g}"
+        name = lens.title or design.stem
         cases = {
-            f"exact cylinder, radius {radius_mm:g} mm": oracle_case("cylinder", radius_mm=radius_mm),
-            f"{lens.title or design.stem}{size}, patch of {patch_mm:g} mm at {field_mm:g} mm": lens_case(
+            f"line: exact cylinder, radius {radius_mm:g} mm": oracle_case("cylinder", radius_mm=radius_mm),
+            f"line: {name}{size}, patch of {patch_mm:g} mm at {field_mm:g} mm": lens_case(
                 lens, patch_mm, field_mm
             ),
         }
+        if planes:
+            cases |= _on_planes(lens, name)
 
         def show(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=what[:72])
 
-        rows = measure(cases, variants(), show, most_seconds)
+        rows = measure(cases, variants, show, most_seconds)
         write_csv([vars(row) for row in rows], output / "comparison.csv")
         save(comparison_figure(rows, "Error against cost"), output / "comparison.png", PICTURE_DPI)
         written = [output / "comparison.png", output / "comparison.csv"]
@@ -80,6 +91,29 @@ def compare(
     _print_front(rows)
     for path in written:
         typer.echo(f"wrote {path}")
+
+
+def _on_planes(lens: Any, name: str) -> dict[str, Any]:
+    from lensdesign.lens.scaling import scaled
+    from wavesim.evaluation.about_axis import axial_case
+    from wavesim.oracles.registry import oracle_case
+
+    cases = {
+        f"plane: exact sphere, radius {SPHERE_RADIUS_MM:g} mm": oracle_case(
+            "sphere", radius_mm=SPHERE_RADIUS_MM
+        )
+    }
+    distance_mm = PLANE_DISTANCE * PLANE_SEMI_DIAMETER_MM
+    try:
+        twin = scaled(lens, PLANE_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
+        case = axial_case(twin, PLANE_PATCH_MM, plane_distance_mm=distance_mm)
+    except InputError as problem:
+        message_console().print(f"no plane of the lens: {problem}")
+        return cases
+    title = (
+        f"plane: twin of {name} with a stop of {PLANE_SEMI_DIAMETER_MM:g} mm, patch of {PLANE_PATCH_MM:g} mm"
+    )
+    return cases | {title: case}
 
 
 def _maps(lens: Any, output: Path, bar: Any, task: Any) -> list[Path]:

@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
 STYLES = (
     ("#1f5fa8", "o"),
+    ("#38a3c9", "p"),
     ("#2f8f4e", "s"),
     ("#d1622b", "D"),
     ("#7a4fa3", "^"),
     ("#555555", "P"),
     ("#999999", "X"),
     ("#b03a6b", "v"),
+    ("#8a6d3b", "<"),
 )
-"""Colour and marker of families, in the order of the registry of engines."""
+"""Colour and marker of families, in the order in which they are met."""
 
 SECOND = ("mean", "staircase")
 """Ends of the names of families that take the style of the one before them, hollow and dashed."""
@@ -45,17 +47,28 @@ def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
     from matplotlib.figure import Figure
 
     scenes = list(dict.fromkeys(row.scene for row in rows))
-    figure = Figure(figsize=(14.0, 5.6 * len(scenes)), layout="constrained")
+    figure = Figure(figsize=(14.0, 4.4 * len(scenes) + 1.0), layout="constrained")
     figure.suptitle(visible(title), fontsize=14, parse_math=False)
     axes = figure.subplots(len(scenes), 2, squeeze=False)
+    styles, legend = _styles(rows), dict[str, Any]()
     for pair, scene in zip(axes, scenes, strict=True):
-        of_scene = [row for row in rows if row.scene == scene]
-        _draw(pair[0], of_scene, lambda r: r.seconds, lambda r: r.fastest, "seconds a run, once set up")
-        _draw(pair[1], of_scene, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)")
+        done = [row for row in rows if row.scene == scene and math.isfinite(row.relative_error)]
+        _draw(pair[0], done, lambda r: r.seconds, lambda r: r.fastest, "seconds a run, once set up", styles)
+        _draw(pair[1], done, lambda r: r.peak_mb, lambda r: r.smallest, "peak memory (MB)", styles)
         pair[0].set_title(visible(scene), loc="left", parse_math=False)
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+        legend |= dict(zip(*pair[0].get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=5, frameon=False)
     return figure
+
+
+def _styles(rows: Sequence[Measured]) -> dict[str, tuple[str, str, bool]]:
+    """Colour and marker of each family, and whether it is hollow and dashed."""
+    found: dict[str, tuple[str, str, bool]] = {}
+    for family, _ in families(rows):
+        second = family.endswith(SECOND)
+        number = sum(not dashed for *_, dashed in found.values()) - second
+        found[family] = (*STYLES[number % len(STYLES)], second)
+    return found
 
 
 def _draw(
@@ -64,6 +77,7 @@ def _draw(
     cost: Callable[[Measured], float],
     leads: Callable[[Measured], bool],
     label: str,
+    styles: dict[str, tuple[str, str, bool]],
 ) -> None:
     front = sorted((row for row in rows if leads(row)), key=cost)
     axes.plot(
@@ -76,15 +90,11 @@ def _draw(
         zorder=1,
         label="front: none is both better and cheaper",
     )
-    number = -1
     for family, members in families(rows):
-        done = [row for row in members if math.isfinite(row.relative_error)]
-        second = family.endswith(SECOND)
-        number += not second
-        colour, marker = STYLES[number % len(STYLES)]
+        colour, marker, second = styles[family]
         axes.plot(
-            [cost(r) for r in done],
-            [r.relative_error for r in done],
+            [cost(r) for r in members],
+            [r.relative_error for r in members],
             color=colour,
             marker=marker,
             markerfacecolor="white" if second else colour,
@@ -92,6 +102,11 @@ def _draw(
             lw=1.3,
             ms=6,
             label=family,
+        )
+    if rows:
+        known = rows[0].uncertainty
+        axes.axhline(
+            known, color="0.4", ls=":", lw=1.2, zorder=0, label="what the truth itself may be off by"
         )
     axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
     axes.grid(alpha=0.3, which="major")

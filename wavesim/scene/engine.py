@@ -138,8 +138,8 @@ class Engine(ABC):
         yield {}
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
-        """Settings over a range, by what they make of the engine: its curves in a comparison."""
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
+        """Settings over a range, by what they make of the engine: its curves in a comparison on a scene."""
         return {cls.name.replace("-", " "): [{}]}
 
     @abstractmethod

@@ -149,7 +149,7 @@ class Mirror(Engine):
         return ({"share": share} for share in (1.0, 0.5, 0.25, 0.24, 0.01))
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
         return {"mirror, dim": [{"share": 0.5}, {"share": 0.25}]}
 
     def _forward(self, values: Any) -> Any:
@@ -180,7 +180,7 @@ def test_a_new_engine_is_a_class_and_a_line(monkeypatch: pytest.MonkeyPatch) -> 
     found = engine_for(SCENE, error=0.06)
     assert (found.name, found.settings()) == ("mirror", {"share": 0.25})
     case = lens_case(TWIN, 0.01, plane_distance_mm=0.125)
-    rows = compare({"twin": case}, [variant for variant in variants() if variant[1] == "mirror"])
+    rows = compare({"twin": case}, lambda scene: [v for v in variants(scene) if v[1] == "mirror"])
     assert [(row.family, row.setting) for row in rows] == [
         ("mirror, dim", "share 0.5"),
         ("mirror, dim", "share 0.25"),

@@ -93,7 +93,7 @@ class AnnularSlices(Engine):
         return ({"slices": count, "compensation": "oblique"} for count in (10, 30, 100, 300, 1000))
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
         counts = {"oblique": (3, 10, 30, 100, 300, 1000), "vertical": (10, 30, 100, 300, 1000, 3000)}
         return {
             f"slices, {kind}": [{"slices": count, "compensation": kind} for count in counts[kind]]

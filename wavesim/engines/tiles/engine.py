@@ -42,8 +42,8 @@ from wavesim.scene.scene import Scene
 TILE_SHARE, LEAST_ERROR, MOST_ERROR = 0.5, 1e-5, 0.05
 """Of the error allowed, what tiles are chosen to leave by their width; the least and the most they may."""
 
-NARROWEST = 8
-"""Tile that is tried, in object samples."""
+NARROWEST, NARROWEST_DRAWN = 8, 2
+"""Tile that is tried, and one that is compared, in object samples."""
 
 EXPANSION_SHARE = 0.5
 """Of the error allowed, what a tile's expansion may take."""
@@ -93,13 +93,20 @@ class EikonalTiles(Engine):
             width *= 0.5
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
-        return {
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
+        curves: dict[str, list[dict[str, Any]]] = {
             f"eikonal, {kind}": [
                 {"error": error, "quadratic": kind} for error in (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)
             ]
             for kind in ("low-rank", "mean")
         }
+        grid = scene.object_grid
+        finer = range(
+            2, math.floor(math.log2(max(grid.shape) / NARROWEST_DRAWN)) + 1, 2 if grid.is_line else 1
+        )
+        side = (1.0 + 1e-9) * max(grid.shape) * grid.pitch_mm
+        curves["eikonal, narrow tiles"] = [{"error": 1e-3, "tile_width_mm": side / 2**n} for n in finer]
+        return curves
 
     def __init__(
         self,

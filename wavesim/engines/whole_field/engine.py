@@ -118,8 +118,10 @@ class WholeFieldEngine(Tiled):
             yield {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
-        return {}  # comparisons are on lines
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
+        if scene.object_grid.is_line:
+            return {}
+        return {"two level": [{"error": error} for error in (0.3, 0.03, 3e-3)]}
 
     def __init__(
         self,

@@ -60,6 +60,9 @@ ROOMS = (FRESNEL_ZONES, 20.0, 80.0)
 """Zones worth trying. Of a point that fills the stop of a one-quarter twin of the paper's lens 4 leave out
 1.7 %, 80 leave out 0.23 %."""
 
+CURVE_ZONES = (4.0, 10.0, 20.0, 40.0)
+"""Zones in comparisons, where those of the truth are twice as many and more."""
+
 STAIRCASE_WAVES = 0.25
 """Step chosen here, in wavelengths."""
 
@@ -111,11 +114,10 @@ class WavePropagation(Engine):
             yield {"zones": zones}
 
     @classmethod
-    def curves(cls) -> dict[str, list[dict[str, Any]]]:
-        steps_um = {"substep": (2.0, 1.0, 0.5, 0.25), "staircase": (0.25, 0.1, 0.05)}
+    def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
         return {
-            f"wpm, {kind}": [{"step_um": step, "interface": kind} for step in steps_um[kind]]
-            for kind in steps_um
+            "wpm, substep": [{"step_um": step} for step in (2.0, 1.0)] + [{"zones": z} for z in CURVE_ZONES],
+            "wpm, staircase": [{"step_um": step, "interface": "staircase"} for step in (0.25, 0.1, 0.05)],
         }
 
     def __init__(
