@@ -17,7 +17,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensdesign.errors import InputError, refuse_not_positive, refuse_other
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_other
 from wavesim.engines.tiles.cost import tiles_cost
 from wavesim.engines.tiles.edge import drawn_error, edge_error, shared_spans
 from wavesim.engines.tiles.operator import (
@@ -138,7 +138,21 @@ class EikonalTiles(Engine):
 
     @cached_property
     def probe(self) -> Probe:
-        """The cut into tiles, and what some of them leave out."""
+        """The cut into tiles, and what some of them leave out.
+
+        Narrow tiles reach farther out: where rays behind the rim can be followed for the object's middle but
+        not for its corners, no edge is drawn.
+        """
+        try:
+            return self._probed()
+        except SamplingError as problem:
+            if not (self._draws_edges and isinstance(problem.__cause__, RayMapError)):
+                raise
+        self._draws_edges = False
+        self._maps.clear()
+        return self._probed()
+
+    def _probed(self) -> Probe:
         with one_blas_thread():
             if self._tile_width_mm is None:
                 return chosen_probe(self.scene, self._allowed, self._quadratic, self._map)

@@ -116,18 +116,19 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
     Raises
     ------
     SamplingError
-        If not even tiles of one sample do.
+        If not even tiles of one sample do; caused by a RayMapError where these cannot be followed.
     """
     grid = scene.object_grid
     side = max(grid.shape) * grid.pitch_mm
-    parts = 1.0
+    parts, problem = 1.0, None
     while True:
         counts = counts_for(grid, side / parts)
         try:
             found = probe(scene, counts, mapper)
-        except RayMapError:
-            grow = 2.0
+        except RayMapError as met:
+            grow, problem = 2.0, met
         else:
+            problem = None
             if quadratic == "mean":
                 grow = math.sqrt(found.mean_error / error)
             else:
@@ -135,7 +136,9 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
             if grow <= 1.0:
                 return found
         if all(c == n for c, n in zip(counts, grid.shape, strict=True)):
-            raise SamplingError(f"error = {error:g}: not even tiles of one object sample keep to it")
+            why = "" if problem is None else f": {problem}"
+            message = f"error = {error:g}: not even tiles of one object sample keep to it{why}"
+            raise SamplingError(message) from problem
         parts = max(math.ceil(parts * min(1.02 * grow, 4.0)), parts + 1.0)
 
 

@@ -18,13 +18,14 @@ from lensdesign.lens.poses import SurfacePerturbation
 from lensdesign.lens.scaling import stopped_down
 from lensdesign.lens.surface import Surface
 from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.engines.tiles.plan import chosen_probe
 from wavesim.engines.wpm.engine import WavePropagation
 from wavesim.evaluation.accuracy import peak_bytes
 from wavesim.evaluation.comparison import lens_case
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.fields.guards import SamplingWarning
 from wavesim.oracles.registry import oracle_case
-from wavesim.rays.maps import ray_map
+from wavesim.rays.maps import RayMap, RayMapError, ray_map
 from wavesim.rays.ray_bundles import FoldError
 from wavesim.scene.patches import patch_scene
 from wavesim.scene.scene import Scene
@@ -255,6 +256,25 @@ def test_neglected_path_of_a_tile(paper_lens: Lens, width_mm: float, rms: float,
     engine = EikonalTiles(scene, tile_width_mm=1.0, quadratic="mean", error=0.5)
     assert engine.probe.neglected_waves == pytest.approx((rms, largest), rel=0.06)
     assert any("waves rms" in part.what and part.relative_error > 0.005 for part in engine.neglected())
+
+
+def test_narrow_tiles_keep_sharp_edges_where_rays_behind_the_rim_are_too_rough() -> None:
+    """As of a sphere: its middle's rays can be followed into the shadow, its corners' cannot."""
+    case = oracle_case("sphere", radius_mm=0.15)
+    wide, narrow = (EikonalTiles(case.scene, error=error) for error in (0.03, 3e-3))
+    errors = [relative_error(e.forward(case.object_field).values, case.exact.values) for e in (wide, narrow)]
+    assert [len(e.probe.tiles) for e in (wide, narrow)] == [1, 9]
+    assert wide.neglected()[1].what.endswith("beyond Fresnel's")
+    assert errors[1] < 0.75 * errors[0] < 2e-3
+
+
+def test_why_not_even_the_narrowest_tiles_do_is_said(paper_lens: Lens) -> None:
+    def mapper(point_mm: tuple[float, float]) -> RayMap:
+        raise RayMapError(f"the rays from {point_mm} are too rough")
+
+    with pytest.raises(SamplingError, match=r"not even tiles of one object sample .* too rough") as refused:
+        chosen_probe(line_scene(paper_lens), 0.01, "mean", mapper)
+    assert isinstance(refused.value.__cause__, RayMapError)
 
 
 @pytest.mark.parametrize("single", [False, True])
