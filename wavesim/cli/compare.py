@@ -19,7 +19,7 @@ PICTURE_DPI = 110
 MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
 """Failure maps are of a twin of the design of this size, on which a run takes a fraction of a second."""
 
-PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.17, 0.02, 0.25
+PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.13, 0.016, 0.25
 """Whole planes are those of a twin of this size, on which a run takes seconds; behind it, so many of its
 semi-diameters, there is its exit plane."""
 
@@ -34,7 +34,7 @@ def compare(
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,
     field_mm: Annotated[float, typer.Option(help="Height of its middle, along y.")] = 0.0,
     scale: Annotated[float, typer.Option(help="Size of the lens compared, of the design's.")] = 1.0,
-    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 20.0,
+    most_seconds: Annotated[float, typer.Option(help="Longer runs are left out.")] = 10.0,
     maps: Annotated[bool, typer.Option(help="Whether to draw failure maps, too.")] = True,
     as_json: AsJson = False,
 ) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 import tracemalloc
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,9 @@ from wavesim.oracles.registry import OracleCase, oracle_case
 from wavesim.scene.engine import Cost, Engine
 from wavesim.scene.light import Light
 
-TIMED_RUNS = 3
-"""Runs of which the fastest counts, once set up; a run longer than a second is not repeated."""
+TIMED_RUNS, SLOW_SECONDS = 3, 1.0
+"""Runs of which the fastest counts, once set up; a run longer than this is not repeated, and its memory is
+measured while it is timed."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,12 @@ def hold_against(
     engine_class(engine)  # its imports are not the engine's work
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        built, seconds, setup_seconds, field = _timed(engine, case, settings)
-        peak = peak_bytes(engine, case, settings)
         fresh = engine_for(case.scene, engine, **settings)
         predicted, predicted_error = fresh.cost(), fresh.predicted_error(Light(case.object_field))
+        slow = predicted.seconds > SLOW_SECONDS
+        with _traced(slow) as traced:
+            built, seconds, setup_seconds, field = _timed(engine, case, settings)
+        peak = traced[0] if slow else peak_bytes(engine, case, settings)
     return OracleResult(
         engine=engine,
         oracle=oracle,
@@ -151,7 +155,7 @@ def _timed(engine: str, case: OracleCase, settings: Mapping[str, Any]) -> tuple[
     field = built.forward(case.object_field)
     first = time.perf_counter() - started
     best = _seconds(built, case.object_field)
-    for _ in range(TIMED_RUNS - 1 if best < 1.0 else 0):
+    for _ in range(TIMED_RUNS - 1 if best < SLOW_SECONDS else 0):
         best = min(best, _seconds(built, case.object_field))
     return built, best, max(first - best, 0.0), field
 
@@ -164,15 +168,26 @@ def _seconds(engine: Engine, field: Field) -> float:
 
 def peak_bytes(engine: str, case: OracleCase, settings: Mapping[str, Any]) -> int:
     """Most bytes that a fresh engine and its run hold at one time, as NumPy and Python tell it."""
+    with _traced() as peak:
+        engine_for(case.scene, engine, **settings).forward(case.object_field)
+    return peak[0]
+
+
+@contextmanager
+def _traced(wanted: bool = True) -> Iterator[list[int]]:
+    """Most bytes held at one time within, put into the list at its end."""
+    found: list[int] = []
+    if not wanted:
+        yield found
+        return
     running = tracemalloc.is_tracing()
     if not running:
         tracemalloc.start()
     try:
         tracemalloc.reset_peak()
         before, _ = tracemalloc.get_traced_memory()
-        engine_for(case.scene, engine, **settings).forward(case.object_field)
-        _, peak = tracemalloc.get_traced_memory()
+        yield found
+        found.append(tracemalloc.get_traced_memory()[1] - before)
     finally:
         if not running:
             tracemalloc.stop()
-    return peak - before

@@ -131,6 +131,7 @@ class SurfaceWaves:
             if part.start < part.stop:
                 field = scipy.fft.ifftn(wave, norm="ortho", workers=-1).reshape(size)
                 values[part] += weight * field[self.samples.pixels[part]]
+                del field  # before the next is made
             wave *= step
         return values
 
@@ -146,6 +147,7 @@ class SurfaceWaves:
                 field = np.zeros(self.medium.grid.size, complex)
                 field[self.samples.pixels[part]] = weight.conj() * values[part]
                 spectrum += scipy.fft.fftn(field.reshape(shape), norm="ortho", workers=-1, overwrite_x=True)
+                del field
         spectrum *= self._unfiltered
         return spectrum
 
@@ -155,8 +157,10 @@ class SurfaceWaves:
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
                 part = self.collect(slope * values)
-                part *= self.medium.transverse(axis) / self.medium.kz
+                part *= self.medium.transverse(axis)
+                part /= self.medium.kz
                 spectrum -= part
+                del part
         return spectrum
 
     def radiate_adjoint(self, spectrum: ComplexArray) -> ComplexArray:
@@ -164,8 +168,10 @@ class SurfaceWaves:
         values = self.evaluate(spectrum)
         if not self.flat:
             for axis, slope in enumerate(self.samples.slopes):
-                tilted = spectrum * (self.medium.transverse(axis) / self.medium.kz)
+                tilted = spectrum * self.medium.transverse(axis)
+                tilted /= self.medium.kz
                 values -= slope * self.evaluate(tilted)
+                del tilted
         return values
 
     @property

@@ -13,7 +13,7 @@ from wavesim.engines.tiles.residual import FACTOR_ORDER
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
 from wavesim.rays.maps import BLOCK, RayMap
-from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT64
+from wavesim.runtime.memory import COMPLEX64, COMPLEX128, FLOAT32, FLOAT64
 from wavesim.runtime.speed import exponential_seconds, fft_seconds, pass_seconds
 from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
@@ -43,11 +43,13 @@ BASE_BYTES, LEAST_BYTES = 100_000, {True: 1_500_000, False: 18_000_000}
 class _Size:
     """Numbers of samples of one tile: its object, coarse grid, nonuniform points, window on the plane.
 
-    `map_terms` is that of its maps' polynomials along one axis.
+    `between` is that of rows of the window on columns of the coarse grid; `map_terms` that of its maps'
+    polynomials along one axis.
     """
 
     modes: int
     coarse: int
+    between: int
     points: int
     window: int
     taps: int
@@ -110,10 +112,11 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
     terms = int(carrier.maps.coefficients.shape[1])
     steps = coarse_steps_mm(carrier.bundle, tile.spans_mm, scene.wavenumber_per_mm)
     if not coarse_is_used(steps, axes):
-        return _Size(modes, 0, int(filled * window), window, 0, terms)
+        return _Size(modes, 0, 0, int(filled * window), window, 0, terms)
     taps = kernel_for(precision_for(np.dtype(complex), error).interpolation_error).taps
-    coarse = math.prod(math.ceil(side / step) + taps + 1 for side, step in zip(sides, steps, strict=True))
-    return _Size(modes, coarse, int(filled * coarse), window, taps, terms)
+    along = [math.ceil(side / step) + taps + 1 for side, step in zip(sides, steps, strict=True)]
+    coarse, between = math.prod(along), (math.ceil(sides[0] / grid.pitch_mm) + 1) * along[1]
+    return _Size(modes, coarse, between, int(filled * coarse), window, taps, terms)
 
 
 def _bytes(
@@ -130,6 +133,8 @@ def _bytes(
         if low_rank:
             terms = max(terms, (FACTOR_ORDER[True] + 1) * (FLOAT64 + COMPLEX128))
         making += min(size.points, BLOCK) * terms
+    elif size.taps:
+        making = max(making, (FLOAT32 + 1) * size.window)
     own = size.coarse if size.taps else size.window
     using = value_bytes * (2 * rank * size.points + rank * size.modes + 2 * own)
-    return kept, max(making, at_once * using) + BASE_BYTES
+    return kept, max(making, at_once * using + value_bytes * size.between) + BASE_BYTES

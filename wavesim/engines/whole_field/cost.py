@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from wavesim.engines.whole_field.carried import Carried
 from wavesim.engines.whole_field.tiles import SuperTile, WholeFieldSettings
 from wavesim.runtime.memory import COMPLEX64, FLOAT64
 from wavesim.runtime.speed import pass_seconds
@@ -17,8 +18,8 @@ MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 370.0, 45.0, 33.0
 transform, for each sample and term; a carried sample of a finer grid. Measured."""
 
 SETUP_SECONDS, LEAST_SECONDS = 1.8, 0.2
-BASE_BYTES = 60_000_000
-"""Of polynomials and rays, while they are fitted."""
+FITTING_BYTES, FITTED_BYTES = 50_000_000, 18_000_000
+"""Of polynomials and rays, while they are fitted, and from then on."""
 
 
 def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequence[SuperTile]) -> Cost:
@@ -33,7 +34,7 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
     """
     rank = len(settings.factors.tile_nodes)
     filled = 0.25 * math.pi
-    seconds, largest = LEAST_SECONDS, 0
+    seconds, largest, kept = LEAST_SECONDS, 0, 0
     for group in groups:
         fine = math.prod(w.stop - w.start for w in group.window)
         coarse = math.prod(len(axis) for axis in group.axes)
@@ -45,9 +46,15 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
             MAP_PASSES * own + TRANSFORM_PASSES * filled * rank * own + CARRY_PASSES * lit
         )
         seconds += pass_seconds(round(passes + CARRY_PASSES * filled * fine)) / THREADS
-        rows = group.window[0].stop - group.window[0].start
-        summing = (THREADS + 1) * coarse * COMPLEX64
-        back = (rows * len(group.axes[1]) + coarse) * COMPLEX64
+        kept += carried_bytes(group.carried)
         tile = THREADS * own * (9 * FLOAT64 + 2 * rank * COMPLEX64)
-        largest = max(largest, max(summing, back) + tile)
-    return Cost(seconds, SETUP_SECONDS, BASE_BYTES + largest)
+        largest = max(largest, (THREADS + 1) * coarse * COMPLEX64 + tile)
+    return Cost(seconds, SETUP_SECONDS, max(FITTING_BYTES, FITTED_BYTES + kept + largest))
+
+
+def carried_bytes(carried: Carried) -> int:
+    """What a super-tile keeps of its way to the plane."""
+    ways = carried.ways
+    arrays = [*ways.first, *ways.share, *ways.back, carried.turns, carried.edge]
+    arrays += [a for weights in ways.field for a in (weights.first, weights.weight)]
+    return sum(int(array.nbytes) for array in arrays)

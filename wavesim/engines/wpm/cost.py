@@ -31,9 +31,9 @@ def passage_cost(working: WorkingGrid, steps_mm: Sequence[float], interface: str
             shares = 4 * samples[i] if slopes else samples[i]
             one += exponential_seconds(shares) + 6.0 * pass_seconds(shares)
             seconds += times * (one + 3.0 * exponential_seconds(grid.size))
-        largest = max(largest, COMPLEX128 * ((6.0 if slopes else 5.0) * grid.size + 2.0 * samples[i]))
+        largest = max(largest, COMPLEX128 * ((4.0 if slopes else 3.0) * grid.size + 3.0 * samples[i]))
     seconds += 2.0 * fft_seconds(grid.size, line)
-    return seconds, int(largest) + _kept_bytes(working)
+    return seconds, int(largest) + kept_bytes(working)
 
 
 def setup_cost(working: WorkingGrid) -> tuple[float, int]:
@@ -44,10 +44,10 @@ def setup_cost(working: WorkingGrid) -> tuple[float, int]:
         seconds += 40.0 * pass_seconds(count) + 6.0 * pass_seconds(size)
         if not working.grid.is_line:
             seconds += POLYNOMIAL_PASSES * pass_seconds(count)
-    return seconds, 3 * FLOAT64 * size + 25 * FLOAT64 * samples + _kept_bytes(working)
+    return seconds, 3 * FLOAT64 * size + 25 * FLOAT64 * samples + kept_bytes(working)
 
 
-def _kept_bytes(working: WorkingGrid) -> int:
+def kept_bytes(working: WorkingGrid) -> int:
     """Axial wave numbers of the media, samples of the surfaces, and rays."""
     media = (FLOAT64 + 1) * working.grid.size * len(working.media)
     return RAY_BYTES + media + FLOAT64 * (3 + len(working.grid.shape)) * sum(working.samples_on_surfaces)
@@ -58,4 +58,4 @@ def _staircase_cost(working: WorkingGrid, step_mm: float) -> tuple[float, int]:
     steps = len(planes(working.heights_mm, step_mm))
     each = 3.0 * (fft_seconds(size, line) + exponential_seconds(size)) + pass_seconds(14 * size)
     held = 2 * FLOAT64 * surfaces * size
-    return steps * each, _kept_bytes(working) + held + (4 * COMPLEX128 + 2 * FLOAT64) * size
+    return steps * each, kept_bytes(working) + held + (4 * COMPLEX128 + 2 * FLOAT64) * size

@@ -18,10 +18,14 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import SamplingError
 from wavesim.engines.surfaces.grids import WorkingGrid
 from wavesim.engines.surfaces.waves import SurfaceSamples
 
 ComplexArray = NDArray[np.complex128]
+
+MOST_GROWTH = 1.5
+"""Energy behind stairs, as a share of that in front, beyond what the indices on both sides may make of it."""
 
 
 class Staircase:
@@ -51,7 +55,14 @@ class Staircase:
         self.start_mm, self.end_mm = self.planes[0], self.planes[-1]
 
     def forward(self, field: ComplexArray) -> ComplexArray:
-        """Carry a field from the first to the last plane."""
+        """Carry a field from the first to the last plane.
+
+        Raises
+        ------
+        SamplingError
+            If stairs feed on themselves: samples of two media need not conserve energy together.
+        """
+        before = _energy(field)
         for length, medium, factor in self._steps():
             spectrum = scipy.fft.fftn(field, norm="ortho", workers=-1)
             field = np.zeros_like(spectrum)
@@ -60,10 +71,12 @@ class Staircase:
                 wave = scipy.fft.ifftn(wave, norm="ortho", workers=-1, overwrite_x=True)
                 np.copyto(field, wave, where=medium == m)
             field *= factor
+        self._refuse_growth(before, _energy(field))
         return field
 
     def adjoint(self, field: ComplexArray) -> ComplexArray:
-        """Exact adjoint of :meth:`forward`."""
+        """Exact adjoint of :meth:`forward`, which raises as that does."""
+        before = _energy(field)
         for length, medium, factor in self._steps(back=True):
             field = field * factor
             spectrum = np.zeros(field.shape, complex)
@@ -73,7 +86,17 @@ class Staircase:
                 wave *= self.media[m].over(-length)
                 spectrum += wave
             field = scipy.fft.ifftn(spectrum, norm="ortho", workers=-1, overwrite_x=True)
+        self._refuse_growth(before, _energy(field))
         return field
+
+    def _refuse_growth(self, before: float, after: float) -> None:
+        first, last = self.media[0].index, self.media[-1].index
+        before *= max(1.0, first / last, last / first)
+        if after > MOST_GROWTH * before:
+            raise SamplingError(
+                f"the staircase makes {after / before:.3g} times the energy that it was given: it scatters "
+                "too much of this light; take interface = substep"
+            )
 
     def _steps(self, back: bool = False) -> Iterator[tuple[float, NDArray[np.int8], Array]]:
         """Length of each step, medium of each sample in it, and factor of what it crosses on its way in."""
@@ -88,6 +111,10 @@ class Staircase:
                 medium += height <= middle
                 np.multiply(factor, own, out=factor, where=(height > before) & (height <= middle))
             yield high - low, medium, factor
+
+
+def _energy(field: ComplexArray) -> float:
+    return float(np.sum(np.abs(field) ** 2))
 
 
 def planes(heights_mm: Sequence[tuple[float, float]], step_mm: float) -> list[float]:
