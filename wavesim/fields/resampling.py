@@ -16,8 +16,8 @@ from scipy.sparse import csr_array
 from scipy.special import i0
 
 from lensdesign.common.arrays import Array
-from wavesim.fields import resampling_kernel
-from wavesim.runtime.threads import share
+from wavesim.fields.resampling_kernel import BLOCK, collect, expand
+from wavesim.runtime.threads import THREADS, for_blocks
 
 OVERSAMPLING = 1.6
 """Of the coarse samples, over the Nyquist rate of what they hold."""
@@ -93,8 +93,20 @@ def interpolation(coarse: Array, fine: Array, kernel: Kernel) -> Weights:
     return Weights(first, weight, len(coarse))
 
 
+def transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
+    """First fine sample that counts for each coarse one, one past the last, and weights from the first on."""
+    taps, coarse = along.weight.shape[1], np.arange(along.coarse)
+    first = np.searchsorted(along.first, coarse - taps + 1)
+    last = np.searchsorted(along.first, coarse, side="right")
+    fine = first[:, None] + np.arange(int(np.max(last - first)))
+    inside = np.minimum(fine, len(along.first) - 1)
+    counts = fine < last[:, None]
+    tap = np.where(counts, coarse[:, None] - along.first[inside], 0)
+    return first, last, np.where(counts, along.weight[inside, tap], along.weight.dtype.type(0))
+
+
 def add_interpolated(
-    coarse: NDArray, ways: tuple[Weights, Weights], carried: NDArray, result: NDArray, threads: int
+    coarse: NDArray, ways: tuple[Weights, Weights], carried: NDArray, result: NDArray, threads: int = THREADS
 ) -> None:
     """Add a field on a coarse plane, interpolated and times a carrier, to one on a fine plane.
 
@@ -109,20 +121,23 @@ def add_interpolated(
     result
         Changed in place; of the shape of `carried`.
     threads
-        Number of threads.
+        That share the work, at most.
     """
-    along_y, along_x = ways
-    fixed = (coarse, along_y.first, along_y.weight, along_x.first, along_x.weight, carried, result)
-    share(lambda start, stop: resampling_kernel.expand(*fixed, start, stop), len(carried), threads)
+    (y, x), real = ways, result.real.dtype
+    along = (y.first, y.weight), (x.first, x.weight)
+    fixed = (coarse.view(real), *along, carried.view(real), result.view(real))
+    for_blocks(lambda begin, end: expand(*fixed, begin, end), carried.shape[1], BLOCK, threads)
 
 
-def gathered(field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, threads: int) -> NDArray:
+def gathered(
+    field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, threads: int = THREADS
+) -> NDArray:
     """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
-    along_y, along_x = ways
-    middle = np.zeros((len(field), along_x.coarse), carried.dtype)
-    across = (field, carried, along_x.first, along_x.weight, middle)
-    share(lambda start, stop: resampling_kernel.collect_along_x(*across, start, stop), len(field), threads)
-    coarse = np.zeros((along_y.coarse, along_x.coarse), carried.dtype)
-    down = (middle, along_y.first, along_y.weight, coarse)
-    share(lambda start, stop: resampling_kernel.collect_along_y(*down, start, stop), along_x.coarse, threads)
+    (y, x), real = ways, carried.real.dtype
+    fixed = (field.view(real), carried.view(real), (y.first, y.weight), x.first, transposed(x), y.coarse)
+    strips = for_blocks(lambda begin, end: collect(*fixed, begin, end), carried.shape[1], BLOCK, threads)
+    coarse = np.zeros((y.coarse, x.coarse), carried.dtype)
+    for left, strip in zip(x.first[::BLOCK], strips, strict=True):
+        part = strip.view(carried.dtype)
+        coarse[:, left : left + part.shape[1]] += part
     return coarse

@@ -19,6 +19,7 @@ from scipy.special import fresnel
 
 from lensdesign.common.arrays import Array
 from wavesim.rays.detours import STEP_SHARES, Detours
+from wavesim.rays.edge_kernel import at_arms
 from wavesim.rays.ray_bundles import OpenPupil
 from wavesim.scene.scene import Scene
 
@@ -145,7 +146,7 @@ class Edge:
             return np.asarray(first * second)
         y, x = stop[..., 0] - self.pupil.centre[1], stop[..., 1] - self.pupil.centre[0]
         found = np.ones(y.shape, complex)
-        near = np.hypot(y, x) > self._clear_radius(told)
+        near = y * y + x * x > self._clear_radius(told) ** 2
         found[near] = self._at(y[near], x[near], ends, moved)
         return found
 
@@ -159,15 +160,9 @@ class Edge:
 
     def _at(self, y: Array, x: Array, ends: tuple[Array, Array], moved: float) -> NDArray[np.complex128]:
         """F at points of a plane's stop from the centre of the pupil."""
-        arms = len(self.pupil.angles)
-        place = np.mod(np.arctan2(y, x) * (arms / (2.0 * math.pi)), arms)
-        first_arm = place.astype(np.intp) % arms
-        share, next_arm = place - np.floor(place), (first_arm + 1) % arms
-        values = np.column_stack([self.pupil.reach, self.deep, self.seen, *ends, self.terms])
-        mixed = values[first_arm] + share[:, None] * (values[next_arm] - values[first_arm])
-        reach, deep, seen, dark, told = mixed.T[:5]
-        x_of = _detour(reach - np.hypot(y, x), mixed[:, 5:], deep, seen)
-        return _drawn(x_of, (dark, told), moved, self.turned[first_arm])
+        arms = np.column_stack([self.pupil.reach, self.deep, self.seen, *ends, self.terms])
+        x_of, found, before = at_arms(y, x, arms)
+        return _drawn(x_of, (found[0], found[1]), moved, self.turned[before])
 
 
 def _drawn(

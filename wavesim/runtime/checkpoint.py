@@ -11,6 +11,9 @@ import numpy as np
 
 from lensdesign.errors import atomic_path
 
+CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
+"""Files in which a run keeps where it stands, and a search in frames without an object."""
+
 
 @dataclass(frozen=True)
 class Checkpoint:

@@ -23,6 +23,9 @@ DEVICES = ("cpu", "gpu")
 HOST_BYTES = 1_000_000_000
 """That work may take where a device's memory is this computer's."""
 
+WORTH_THREADS = 3
+"""Of FINUFFT, that do no more than one of the transform of terms."""
+
 NEEDED = ("cupy", "cufinufft")
 INSTALL = "install transferlens with its extra gpu (pip install 'transferlens[gpu]')"
 
@@ -132,10 +135,10 @@ def _gpu_memory(cupy: Any) -> tuple[int, int]:
     return int(free) + int(cupy.get_default_memory_pool().free_bytes()), int(total)
 
 
-def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision) -> Any:
-    """The quickest transform in one thread."""
-    if precision.dtype != np.complex64 or len(shape) != 3:
-        return fourier_plan(kind, shape, precision)
+def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threads: int = 1) -> Any:
+    """The quickest transform in so many threads, as :func:`fourier_plan`."""
+    if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
+        return fourier_plan(kind, shape, precision, threads)
     from wavesim.runtime.transform import TermsTransform
 
     return TermsTransform(kind, shape, precision.transform_error)

@@ -84,6 +84,7 @@ class Axis:
         return ((-1.0) ** (self.modes % 2) / self.transformed(self.modes)).astype(np.float32)
 
 
+@cache
 def axes_for(shape: tuple[int, ...], error: float) -> tuple[Axis, ...]:
     """Grid and the narrowest kernel for so many modes (along y, along x) and a relative error."""
     for width in WIDTHS:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, get_args
 
 import numpy as np
@@ -25,6 +25,7 @@ from wavesim.engines.tiles.operator import (
     TileOperator,
     add_tiles,
     add_tiles_back,
+    at_once,
     precision_for,
 )
 from wavesim.engines.tiles.plan import Probe, checked_probe, chosen_probe, expansion, residual_of
@@ -208,10 +209,12 @@ class EikonalTiles(Engine):
         else:
             spans = shared_spans(self.scene, tiles, carriers, axes)
         threads = max(1, THREADS // len(tiles))
-        return tuple(
-            TileOperator(self.scene, tile, carrier, factors, axes, lit, precision, threads)
-            for tile, carrier, factors, lit in zip(tiles, carriers, self._expansions, spans, strict=True)
-        )
+
+        def made(number: int) -> TileOperator:
+            own = tiles[number], carriers[number], self._expansions[number], axes, spans[number]
+            return TileOperator(self.scene, *own, precision, threads)
+
+        return tuple(at_once([partial(made, number) for number in range(len(tiles))]))
 
     def _forward(self, values: Any) -> Any:
         field = _usable(values)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.residual import Separable
+from wavesim.fields.plane_waves import wave_factor
 from wavesim.fields.resampling import (
     OVERSAMPLING,
     Kernel,
@@ -31,7 +32,7 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.rays.ray_bundles import RayBundle
-from wavesim.runtime.device import Precision, folded, fourier_plan
+from wavesim.runtime.device import Precision, folded, plan_of_terms
 from wavesim.runtime.threads import THREADS, for_blocks
 from wavesim.scene.scene import Scene
 
@@ -47,7 +48,11 @@ COARSEST = 1.0 / 300.0
 """Step of a coarse grid, as a share of the footprint's width at most: its samples reach beyond the border,
 where maps are not held to rays."""
 
-ROWS = 64
+SAMPLES = 2**18
+"""Of a carrier, made at a time."""
+
+WITHIN_BAND = 0.99
+"""Of the largest cosine that the object grid holds: where all rays are within it, no sample is looked at."""
 
 POINTS_PER_THREAD = 2**16
 """Of a transform that has threads of its own: with fewer, they wait for each other longer than they work."""
@@ -224,9 +229,9 @@ class TileOperator:
         self, fine: tuple[Array, ...], coarse: tuple[Array, ...], kernel: Kernel, carried: NDArray
     ) -> None:
         along_y, along_x = (interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True))
-        touched = [(abs(way.matrix()) > 0.0).astype(np.float32) for way in (along_y, along_x)]
-        lit = (carried != 0.0).astype(np.float32)
-        self._needed = (touched[1].T @ (touched[0].T @ lit).T).T > 0.0
+        touched = [replace(way, weight=(way.weight != 0.0).astype(np.float32)) for way in (along_y, along_x)]
+        lit = (carried != 0.0).astype(np.complex64)
+        self._needed = gathered(lit, (touched[0], touched[1]), lit, 1).real > 0.0
         real = np.float32 if self._dtype == np.complex64 else np.float64
         self._ways = along_y.astype(real), along_x.astype(real)
 
@@ -250,19 +255,15 @@ class TileOperator:
         if self._ways is None:
             result[self.window] += field
         else:
-            add_interpolated(field, self._ways, self._carried, result[self.window], THREADS)
+            add_interpolated(field, self._ways, self._carried, result[self.window])
 
-    def gathered(self, values: NDArray) -> NDArray | None:
-        """The conjugate transpose of :meth:`add`."""
+    def back(self, values: NDArray, threads: int = 1) -> NDArray:
+        """The conjugate transpose of :meth:`carried` and :meth:`add`: values on the object."""
         if self._plans is None:
-            return None
-        field = values[self.window]
-        return field if self._ways is None else gathered(field, self._ways, self._carried, THREADS)
-
-    def back(self, field: NDArray | None) -> NDArray:
-        """The conjugate transpose of :meth:`carried`: values on the tile's part of the object."""
-        if self._plans is None or field is None:
             return np.zeros((), self._dtype)
+        field = values[self.window]
+        if self._ways is not None:
+            field = gathered(field, self._ways, self._carried, threads)
         strength = field[self._needed]
         count = len(self._tile_factors)
         if self._weights is not None:
@@ -288,7 +289,7 @@ def add_tiles_back(operators: Sequence[TileOperator], values: NDArray, result: N
     """The conjugate transpose of :func:`add_tiles`: adds to the object."""
     for start in range(0, len(operators), THREADS):
         some = operators[start : start + THREADS]
-        parts = at_once([partial(one.back, one.gathered(values)) for one in some])
+        parts = at_once([partial(one.back, values, max(1, THREADS // len(some))) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
 
@@ -305,7 +306,7 @@ def _plans(angles: Array, shape: tuple[int, ...], precision: Precision, threads:
     """Transforms of types 2 and 1 that are each other's conjugate transpose."""
     points = folded(angles, precision.dtype)
     most = min(threads, max(1, shape[0] * angles.shape[1] // POINTS_PER_THREAD))
-    first, second = (fourier_plan(kind, shape, precision, most) for kind in (2, 1))
+    first, second = (plan_of_terms(kind, shape, precision, most) for kind in (2, 1))
     for plan in (first, second):
         plan.setpts(*points)
     return first, second
@@ -327,26 +328,26 @@ def _carrier(
     wavelength_mm = 2.0 * np.pi / wavenumber_per_mm
     turn = -0.25 * np.pi * len(axes) - 0.5 * np.pi * carrier.caustics
     scale = wavelength_mm ** (-0.5 * len(axes))
-    result = np.empty(tuple(len(a) for a in axes), dtype)
-    if len(axes) == 1:
-        values = carrier.maps.at(axes[0][:, None])
-        result[:] = _wave(values, wavenumber_per_mm, turn, scale, limit)
+    held = np.abs(carrier.bundle.cosines[carrier.bundle.ok]).max() < WITHIN_BAND * limit
+    maps = carrier.maps if not held else replace(carrier.maps, coefficients=carrier.maps.coefficients[:2])
+    result = np.zeros(tuple(len(a) for a in axes), dtype)
+    rows_at_once = max(1, SAMPLES // len(axes[1])) if len(axes) == 2 else len(axes[0])
+    columns = np.arange(len(axes[-1]))
+    for start in range(0, len(axes[0]), rows_at_once):
+        rows = slice(start, start + rows_at_once)
+        here = (axes[0][rows], *axes[1:])
+        path, amplitude, *cosines = maps.along(here).each()
+        inside = np.ones(path.shape, bool)
+        if len(axes) == 2:
+            inside = (columns >= spans[rows, :1]) & (columns < spans[rows, 1:])
+        for cosine in cosines:
+            inside &= np.abs(cosine) <= limit
+        path *= wavenumber_per_mm
+        path += turn
+        amplitude *= scale
+        part = result[rows]
+        np.multiply(wave_factor(path, dtype), amplitude, out=part, where=inside, casting="same_kind")
         if carrier.edge is not None and carrier.stop is not None:
-            result *= carrier.edge.factor(carrier.stop.at(axes[0][:, None]).T, width_mm, carrier.traced)
-        return result
-    columns = np.arange(len(axes[1]))
-    for start in range(0, len(axes[0]), ROWS):
-        rows = slice(start, start + ROWS)
-        values = carrier.maps.on_axes((axes[0][rows], axes[1]))
-        inside = (columns >= spans[rows, :1]) & (columns < spans[rows, 1:])
-        result[rows] = np.where(inside, _wave(values, wavenumber_per_mm, turn, scale, limit), 0.0)
-        if carrier.edge is not None and carrier.stop is not None:
-            stop = np.moveaxis(carrier.stop.on_axes((axes[0][rows], axes[1])), 0, -1)
-            result[rows][inside] *= carrier.edge.factor(stop[inside], width_mm, carrier.traced)
+            stop = np.stack([values[inside] for values in carrier.stop.along(here).each()], axis=-1)
+            part[inside] *= carrier.edge.factor(stop, width_mm, carrier.traced)
     return result
-
-
-def _wave(values: Array, wavenumber_per_mm: float, turn: float, scale: float, limit: float) -> NDArray:
-    phase = np.remainder(wavenumber_per_mm * values[0] + turn, 2.0 * np.pi)
-    held = np.all(np.abs(values[2:]) <= limit, axis=0)
-    return np.asarray(np.where(held, scale * values[1], 0.0) * (np.cos(phase) + 1j * np.sin(phase)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import BLOCK, collector, expander
-from wavesim.fields.resampling import Kernel, Weights, interpolation
+from wavesim.fields.resampling import Kernel, Weights, interpolation, transposed
 from wavesim.runtime.threads import for_blocks
 
 
@@ -42,19 +42,7 @@ def ways_between(
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
     first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
-    return Ways((field[0], field[1]), first, share, _transposed(field[1]))
-
-
-def _transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
-    """First fine sample that counts for each coarse one, one past the last, and weights from the first on."""
-    taps, coarse = along.weight.shape[1], np.arange(along.coarse)
-    first = np.searchsorted(along.first, coarse - taps + 1)
-    last = np.searchsorted(along.first, coarse, side="right")
-    fine = first[:, None] + np.arange(int(np.max(last - first)))
-    inside = np.minimum(fine, len(along.first) - 1)
-    counts = fine < last[:, None]
-    tap = np.where(counts, coarse[:, None] - along.first[inside], 0)
-    return first, last, np.where(counts, along.weight[inside, tap], along.weight.dtype.type(0))
+    return Ways((field[0], field[1]), first, share, transposed(field[1]))
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
