@@ -41,9 +41,6 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
-CHECKPOINT, EMPTY_CHECKPOINT = "checkpoint.npz", "checkpoint_empty.npz"
-"""Files in which a search keeps what it has tried, and one in frames without an object."""
-
 HELD = 6
 """Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.bench_search import CHECKPOINT, EMPTY_CHECKPOINT, Seen, searched
+from wavesim.calibration.bench_search import Seen, searched
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.estimation import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
@@ -23,6 +23,7 @@ from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
 from wavesim.camera.recording import Progress
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
+from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.settings import CalibrationSettings, SettingError
 

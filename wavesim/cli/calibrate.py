@@ -42,10 +42,10 @@ def calibrate(
     `wavesim reconstruct --calibration`. The exit status is 0 if the frames are explained within their noise,
     and 1 if they are not. An interrupted run goes on with the same command.
     """
-    from wavesim.calibration.bench_search import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.calibration.from_frames import calibrate_frames
     from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
+    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 
     refuse_no_folder(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:

@@ -66,12 +66,10 @@ def reconstruct(
     likely differs is tried and named. An interrupted run goes on with the same command from the last
     iterations that it kept.
     """
-    from wavesim.calibration.bench_search import EMPTY_CHECKPOINT
-    from wavesim.calibration.calibrated import read_calibration
     from wavesim.camera.frame_sets import read_frames
     from wavesim.pictures.result_files import refuse_no_folder
-    from wavesim.reconstruction.frames_case import CHECKPOINT
     from wavesim.reconstruction.from_frames import reconstruct_frames
+    from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 
     refuse_no_folder(output)
     if free.free_space:
@@ -95,7 +93,7 @@ def reconstruct(
     with _no_empty_folder(output), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
-        bench = None if calibration is None else read_calibration(calibration, lens)
+        bench = None if calibration is None else _calibrated_before(calibration, lens)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
@@ -135,6 +133,13 @@ def reconstruct(
     else:
         _print(summary, output)
     raise typer.Exit(0 if found.verdict.explained else 1)
+
+
+def _calibrated_before(path: Path, lens: Lens) -> Bench:
+    """The bench as an earlier command has found it: only here are the searches' many modules needed."""
+    from wavesim.calibration.calibrated import read_calibration
+
+    return read_calibration(path, lens)
 
 
 def _calibrated(

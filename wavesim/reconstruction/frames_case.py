@@ -28,7 +28,7 @@ from wavesim.objects.region import cut_field, region_grid, widened
 from wavesim.objects.usaf import UsafElement
 from wavesim.reconstruction.doubts.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_arrays
-from wavesim.runtime.checkpoint import Checkpoint
+from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
@@ -39,9 +39,6 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
-
-CHECKPOINT = "checkpoint.npz"
-"""File in which a run keeps where it stands."""
 
 FOLDS = 2.0
 """Of how far light spreads while it is refocused: room about a region, so that its rim does not show."""
