@@ -134,7 +134,7 @@ class TermsTransform:
         self._pieces = tuple(pieces_of(axis.width, axis.beta) for axis in self._axes)
         self._onto = (*(axis.places for axis in self._axes), *(axis.factors for axis in self._axes))
         numbers = LANES * math.ceil(2 * shape[0] / LANES)
-        self._grid = _at_vectors((*(axis.cells for axis in self._axes), numbers))
+        self._cells = (*(axis.cells for axis in self._axes), numbers)
 
     def setpts(self, y: NDArray[np.float32], x: NDArray[np.float32]) -> None:
         """Set the points, angles within half a turn; the arrays are kept."""
@@ -149,22 +149,22 @@ class TermsTransform:
             Modes, shape (terms, along y, along x), or values at points, shape (terms, points); of one term
             the first axis may be left out, as it is of what comes back.
         """
-        terms = self._shape[0]
-        self._grid[...] = 0.0
+        terms, grid = self._shape[0], _at_vectors(self._cells)
+        grid[...] = 0.0
         if self._kind == 2:
-            put_modes(data.reshape(self._shape), *self._onto, self._grid)
+            put_modes(data.reshape(self._shape), *self._onto, grid)
             for rows in self._rows_of_modes:
-                self._transform(rows, 1)
-            self._transform(slice(None), 0)
+                self._transform(grid, rows, 1)
+            self._transform(grid, slice(None), 0)
             result = np.empty((terms, len(self._points[0])), np.complex64)
-            gather(self._grid, *self._points, self._pieces, result)
+            gather(grid, *self._points, self._pieces, result)
         else:
-            spread(self._grid, *self._points, self._pieces, data.reshape(terms, -1))
-            self._transform(slice(None), 0)
+            spread(grid, *self._points, self._pieces, data.reshape(terms, -1))
+            self._transform(grid, slice(None), 0)
             for rows in self._rows_of_modes:
-                self._transform(rows, 1)
+                self._transform(grid, rows, 1)
             result = np.empty(self._shape, np.complex64)
-            take_modes(result, *self._onto, self._grid)
+            take_modes(result, *self._onto, grid)
         return result if terms > 1 else result[0]
 
     @property
@@ -173,9 +173,9 @@ class TermsTransform:
         cells, count = self._axes[0].cells, self._shape[1]
         return slice(0, count - count // 2), slice(cells - count // 2, cells)
 
-    def _transform(self, rows: slice, axis: int) -> None:
+    def _transform(self, grid: NDArray[np.float32], rows: slice, axis: int) -> None:
         """Fast Fourier transform of rows of the grid, in place."""
-        given = self._grid.view(np.complex64)[rows, :, : self._shape[0]]
+        given = grid.view(np.complex64)[rows, :, : self._shape[0]]
         one_way: Any = scipy.fft.fft if self._kind == 2 else scipy.fft.ifft
         norm = "backward" if self._kind == 2 else "forward"
         found = one_way(given, axis=axis, norm=norm, overwrite_x=True, workers=1)

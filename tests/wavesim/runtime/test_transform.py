@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import finufft
@@ -144,3 +145,14 @@ def test_single_precision_on_planes_takes_it_and_all_else_finufft() -> None:
     assert isinstance(plan(2, (4, 20, 20), single), TermsTransform)
     assert isinstance(plan(2, (4, 20, 20), double), finufft.Plan)
     assert isinstance(plan(2, (4, 20), single), finufft.Plan)
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_threads_may_share_a_transform(kind: int) -> None:
+    transform, shape = TermsTransform(kind, (3, 60, 50), 1e-4), (3, 60, 50) if kind == 2 else (3, 4000)
+    transform.setpts(*scattered(4000))
+    given = [noise(shape, seed) for seed in range(16)]
+    alone = [transform.execute(one) for one in given]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(transform.execute, given))
+    np.testing.assert_array_equal(together, alone)

@@ -184,14 +184,13 @@ class EikonalTiles(Engine):
         reach_mm = max(self.scene.object_grid.half_widths_mm)
         return ray_map(self.scene, point_mm, self.plane.grid.z_mm, reach_mm, edge=edge)
 
-    @cached_property
-    def _expansions(self) -> tuple[Separable, ...]:
+    def _expansions(self) -> list[Separable]:
         allowed = max(self._allowed, self.probe.error(self._quadratic, self._allowed))
         known = dict(zip(self.probe.looked_at, self.probe.residuals, strict=True))
-        return tuple(
+        return [
             expansion(known.get(number) or residual_of(self.scene, tile, self._map), self._quadratic, allowed)
             for number, tile in enumerate(self.probe.tiles)
-        )
+        ]
 
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
@@ -203,6 +202,7 @@ class EikonalTiles(Engine):
         grid = self.plane.grid
         axes = (grid.y_mm, grid.x_mm)[: len(grid.shape)]
         tiles = self.probe.tiles
+        expansions = self._expansions()
         carriers = [self._map(tile.centre_mm) for tile in tiles]
         if self._draws_edges:
             spans = [carrier.row_spans(axes) for carrier in carriers]
@@ -211,7 +211,7 @@ class EikonalTiles(Engine):
         threads = max(1, THREADS // len(tiles))
 
         def made(number: int) -> TileOperator:
-            own = tiles[number], carriers[number], self._expansions[number], axes, spans[number]
+            own = tiles[number], carriers[number], expansions[number], axes, spans[number]
             return TileOperator(self.scene, *own, precision, threads)
 
         return tuple(at_once([partial(made, number) for number in range(len(tiles))]))
