@@ -34,8 +34,9 @@ T = TypeVar("T")
 BLOCK_BYTES = 2**20
 """Of a block: about a core's second-level cache."""
 
-LEAST_BLOCK = 16
-"""Rows or columns: fewer would not fill the vector instructions of transforms across them."""
+LEAST_BLOCK, AT_ONCE = 16, 8
+"""Rows or columns in a block, or a multiple: transforms take a few at once by vector instructions, and what
+is left over alone. And rows that make a block with neighbours on either side such a multiple."""
 
 FLOOR = 1e-6
 """Of the root mean square: added to each modulus that A4 divides by."""
@@ -139,7 +140,7 @@ class Passes:
         def one(block: Block) -> None:
             spectrum = scipy.fft.fft(self._carried[0].there[:, block.own], axis=0)
             for plane in self._carried:
-                carried = np.empty_like(spectrum)
+                carried = spectrum if plane is self._carried[-1] else np.empty_like(spectrum)
                 _carry(spectrum, plane, block, False, carried)
                 plane.there[:, block.own] = scipy.fft.ifft(carried, axis=0, overwrite_x=True)
 
@@ -198,11 +199,13 @@ class Passes:
         """Planes with carriers. The first one's work space takes the transform that an iteration leaves."""
         return [plane for plane in self.planes if plane.carrier is not None]
 
-    def _blocks(self, axis: int) -> list[Block]:
+    def _blocks(self, axis: int, with_neighbours: bool = False) -> list[Block]:
         """Of rows (axis 0) or columns."""
         shape = self.planes[0].amplitude.shape
         item = 2 * self.planes[0].amplitude.itemsize
-        size = max(BLOCK_BYTES // (item * shape[1 - axis]), LEAST_BLOCK)
+        size = max(BLOCK_BYTES // (item * shape[1 - axis]) // LEAST_BLOCK, 1) * LEAST_BLOCK
+        if with_neighbours:
+            size += AT_ONCE - 2
         cuts = [*range(0, shape[axis], size), shape[axis]]
         return [
             Block(slice(start, stop), slice(max(start - 1, 0), min(stop + 1, shape[axis])))
@@ -263,7 +266,7 @@ class Passes:
         real = now.real.dtype.type
         own, a, b = (real(weight) for weight in (weights[0] / len(self.planes), *weights[1:]))
         steps = [(real(floor), real(0.5 * tv_step)) for floor in floors]
-        blocks = self._blocks(0)
+        blocks = self._blocks(0, with_neighbours=True)
         lead = self._carried[0]
         # Their own block overwrites them, perhaps before its neighbours have read them.
         beside = {row: lead.there[row].copy() for block in blocks for row in _beside(block)}
