@@ -32,6 +32,7 @@ SECOND = ("mean", "staircase")
 """Ends of the names of families that take the style of the one before them, hollow and dashed."""
 
 DECADES = (-4.0, 0.5)
+FEW_DECADES = 300.0
 
 
 def comparison_figure(rows: Sequence[Measured], title: str) -> Figure:
@@ -109,8 +110,21 @@ def _draw(
             known, color="0.4", ls=":", lw=1.2, zorder=0, label="what the truth itself may be off by"
         )
     axes.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the exit field (L2)")
+    _mark_few_decades(axes)
     axes.grid(alpha=0.3, which="major")
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _mark_few_decades(axes: Any) -> None:
+    """Numbers between decades where there are few of these."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axes.get_xlim()
+    few = high < FEW_DECADES * low
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axes.xaxis.set_minor_formatter("{x:g}" if few else NullFormatter())
+    if few:
+        axes.xaxis.set_major_formatter("{x:g}")
 
 
 def failure_figure(maps: Sequence[FailureMap], title: str) -> Figure:
