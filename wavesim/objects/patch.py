@@ -41,7 +41,7 @@ from wavesim.scene.patches import OBJECT_FINENESS, refuse_wider_than_field
 from wavesim.scene.scene import wavelength_of
 from wavesim.scene.settings import PatchSettings
 
-LIGHT_BYTES = 49
+LIGHT_BYTES = 25
 """For each sample, while an object's illumination is made. Measured."""
 
 INSCRIBED = 1.0 / math.sqrt(2.0)
