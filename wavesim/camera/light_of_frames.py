@@ -11,9 +11,8 @@ from lensdesign.common.arrays import Array
 from wavesim.camera.exposures import electrons_of
 from wavesim.camera.frame_sets import frames_by_plane
 from wavesim.camera.frames import Frame
-from wavesim.engines.tiles.rim_light import inside_border, moved
 from wavesim.fields.field import Field
-from wavesim.rays.maps import RIM_ARMS
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene

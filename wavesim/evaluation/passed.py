@@ -19,7 +19,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
-from wavesim.rays.maps import row_spans
+from wavesim.rays.maps import inside_border
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -150,8 +150,7 @@ def _by_directions(field: Field, by: OpenDirections) -> Field:
             block = np.zeros((2 * half, 2 * half), values.dtype)
             np.multiply(part, weight, out=block[own_rows, own])
             middle = first_mm + grid.pitch_mm * np.array([row, column])
-            spans = row_spans(by.border(middle), (cosines, cosines))
-            passed = _filtered(block, spans)
+            passed = _filtered(block, inside_border(by.border(middle), (cosines, cosines)))
             result[rows, columns] += passed[own_rows, own] * weight
     return field.with_values(result)
 
@@ -162,11 +161,8 @@ def _cut(start: int, half: int, count: int) -> tuple[slice, slice]:
     return inside, slice(inside.start - start, inside.stop - start)
 
 
-def _filtered(block: NDArray, spans: NDArray[np.intp]) -> NDArray:
-    """A block's plane waves between the ends of each row, in order of their cosines; uses the block up."""
+def _filtered(block: NDArray, open_waves: NDArray[np.bool_]) -> NDArray:
+    """Some of a block's plane waves, told in the order of their cosines; uses the block up."""
     spectrum = scipy.fft.fft2(block, workers=-1, overwrite_x=True)
-    number = scipy.fft.fftshift(np.arange(len(block)))
-    order = np.argsort(number)
-    first, end = spans[order].T
-    spectrum *= (order >= first[:, None]) & (order < end[:, None])
+    spectrum *= scipy.fft.ifftshift(open_waves)
     return np.asarray(scipy.fft.ifft2(spectrum, workers=-1, overwrite_x=True))

@@ -213,6 +213,20 @@ def row_spans(border_mm: Array, axes: Sequence[Array]) -> NDArray[np.intp]:
     return np.column_stack([first, np.maximum(end, first)])
 
 
+def moved(border: Array, by: float) -> Array:
+    """Points of a closed border, shape (n, d), outwards along the arms from their middle; not beyond that."""
+    middle = border.mean(axis=0)
+    radii = np.linalg.norm(border - middle, axis=1, keepdims=True)
+    return np.asarray(middle + (border - middle) * np.maximum(1.0 + by / radii, 0.0))
+
+
+def inside_border(border: Array, axes: Sequence[Array]) -> NDArray[np.bool_]:
+    """Points of a grid with axes y (and x), in rising order, that lie inside a closed border."""
+    spans, column = row_spans(border, axes), np.arange(len(axes[-1]))
+    mask = (column >= spans[:, :1]) & (column < spans[:, 1:])
+    return np.asarray(mask[0] if len(axes) == 1 else mask)
+
+
 def sample_points(pupil: OpenPupil, order: int, shift: float = 0.0) -> Array:
     """Stop points for polynomials of an order, denser towards the rim, shape (n, 2)."""
     inside = 1.0 - 2.0 * STEP

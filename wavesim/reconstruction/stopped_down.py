@@ -20,7 +20,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.scaling import stopped_down
 from wavesim.camera.recorded import Recorded
 from wavesim.fields.field import Field, Grid
-from wavesim.rays.maps import border_of, row_spans
+from wavesim.rays.maps import border_of, moved, row_spans
 from wavesim.rays.ray_bundles import open_pupil
 from wavesim.scene.scene import Scene
 
@@ -146,7 +146,7 @@ def _told(
     margin_mm: float,
 ) -> Recorded:
     """A plane's window; only pixels that no light of higher angles reaches tell anything."""
-    inner = [_narrowed(rim, margin_mm) for rim in rims]
+    inner = [moved(rim, -margin_mm) for rim in rims]
     spans = np.stack([row_spans(rim, axes) for rim in inner])
     first, end = spans[:, :, 0].max(axis=0)[:, None], spans[:, :, 1].min(axis=0)[:, None]
     column = np.arange(len(axes[1]))
@@ -158,10 +158,3 @@ def _told(
         sigma=sigma.astype(plane.sigma.dtype, copy=False),
         background=None if plane.background is None else np.ascontiguousarray(plane.background[window]),
     )
-
-
-def _narrowed(rim: Array, margin_mm: float) -> Array:
-    """A rim, nearer to its middle by a margin."""
-    from_middle = rim - rim.mean(axis=0)
-    far = np.linalg.norm(from_middle, axis=1, keepdims=True)
-    return np.asarray(rim - from_middle * np.minimum(margin_mm / far, 1.0))

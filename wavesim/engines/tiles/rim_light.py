@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.tiles.operator import Tile
-from wavesim.rays.maps import RIM_ARMS, row_spans
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
@@ -103,17 +103,3 @@ def _densities(values: NDArray, tile: Tile, rim: Array, wavelength_mm: float) ->
     beyond, inside, within = (inside_border(moved(rim, by), axes) for by in (width, 0.0, -width))
     parts = (beyond & ~inside, inside & ~within, inside)
     return np.array([energy[part].mean() if part.any() else 0.0 for part in parts])
-
-
-def moved(border: Array, by: float) -> Array:
-    """Points of a closed border, shape (n, d), outwards along the arms from their middle; not beyond that."""
-    middle = border.mean(axis=0)
-    radii = np.linalg.norm(border - middle, axis=1, keepdims=True)
-    return np.asarray(middle + (border - middle) * np.maximum(1.0 + by / radii, 0.0))
-
-
-def inside_border(border: Array, axes: Sequence[Array]) -> NDArray[np.bool_]:
-    """Points of a grid with axes y (and x), in rising order, that lie inside a closed border."""
-    spans, column = row_spans(border, axes), np.arange(len(axes[-1]))
-    mask = (column >= spans[:, :1]) & (column < spans[:, 1:])
-    return np.asarray(mask[0] if len(axes) == 1 else mask)
