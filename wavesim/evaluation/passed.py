@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from wavesim.engines.whole_field.ray_maps import Region, object_terms, solve
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
 from wavesim.rays.maps import inside_border
@@ -27,8 +28,8 @@ from wavesim.scene.scene import Scene
 ORDER = 4
 """Of the polynomials in the object point that tell open directions: to 1e-6 over the paper's field."""
 
-RINGS, SPOKES, ARMS = 4, 11, 72
-"""Object points that are traced, and rays along the rim of each one's light."""
+ARMS = 72
+"""Rays along the rim of an object point's light."""
 
 BLOCK_ZONES = 2.0
 """Width of a block over sqrt(wavelength x working distance): results hardly depend on it."""
@@ -40,31 +41,22 @@ class OpenDirections:
 
     Attributes
     ----------
-    centre_mm : ndarray, shape (2,)
-        Middle (y, x) of the points that were traced.
-    radius_mm : float
-        About it.
+    region : Region
+        Disc about the points that were traced.
     coefficients : ndarray, shape (terms, ARMS, 2)
         Of polynomials in the object point: direction cosines (y, x) along the border, times the index.
     width_mm : float
         Over which an object point's directions may stand for its neighbours'.
     """
 
-    centre_mm: Array
-    radius_mm: float
+    region: Region
     coefficients: Array
     width_mm: float
 
     def border(self, point_mm: Array) -> Array:
         """Cosines (y, x) along the border for one object point (y, x), shape (ARMS, 2)."""
-        terms = _powers((point_mm - self.centre_mm) / self.radius_mm)
+        terms = object_terms(self.region.scaled(point_mm[None]), ORDER)[0]
         return np.asarray(np.tensordot(terms, self.coefficients, axes=1))
-
-
-def _powers(points: Array) -> Array:
-    """All products of powers of (y, x), up to a total order; shape (..., terms)."""
-    y, x = points[..., 0], points[..., 1]
-    return np.stack([y**i * x**j for i in range(ORDER + 1) for j in range(ORDER + 1 - i)], axis=-1)
 
 
 def open_directions(scene: Scene, about: Grid | None = None) -> OpenDirections:
@@ -85,26 +77,23 @@ def open_directions(scene: Scene, about: Grid | None = None) -> OpenDirections:
     grid = about or scene.object_grid
     if grid.is_line:
         raise InputError("open directions: of a plane; on a line an engine tells what a lens passes")
-    centre = np.array(grid.centre_mm[::-1])
-    radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + float(np.hypot(*centre)))
-    share = np.cos(0.5 * np.pi * np.arange(RINGS) / RINGS)
-    turn = 2.0 * np.pi * np.arange(SPOKES) / SPOKES
-    unit = (share[:, None, None] * np.stack([np.sin(turn), np.cos(turn)], axis=-1)).reshape(-1, 2)
-    z_mm, seen, borders = scene.exit_grid.z_mm, [], []
-    for y, x in centre + radius * unit:
+    y, x = grid.centre_mm[1], grid.centre_mm[0]
+    radius = min(math.hypot(*grid.half_widths_mm), scene.lens.half_field_mm + math.hypot(y, x))
+    region = Region((y, x), np.full(2, radius), True)
+    nodes, z_mm, seen, borders = region.nodes(ORDER), scene.exit_grid.z_mm, [], []
+    for node in nodes:
         try:
-            pupil = open_pupil(scene, (x, y), z_mm, ARMS)
+            pupil = open_pupil(scene, (node[1], node[0]), z_mm, ARMS)
         except InputError:  # beyond what the lens sees there is nothing to tell
             continue
-        seen.append(((y, x) - centre) / radius)
-        borders.append(trace_bundle(scene, np.array([x, y]), pupil.rim, z_mm).cosines)
-    terms = _powers(np.array(seen).reshape(-1, 2))
+        seen.append(node)
+        borders.append(trace_bundle(scene, node[::-1], pupil.rim, z_mm).cosines)
+    terms = object_terms(region.scaled(np.array(seen).reshape(-1, 2)), ORDER)
     if len(terms) < terms.shape[1]:
-        raise InputError(f"open directions: the lens sees {len(seen)} of {len(unit)} points of the object")
-    fitted = np.linalg.lstsq(terms, np.array(borders).reshape(len(seen), -1), rcond=None)[0]
+        raise InputError(f"open directions: the lens sees {len(seen)} of {len(nodes)} points of the object")
+    coefficients = solve(terms, np.reshape(borders, (len(seen), -1))).reshape(-1, ARMS, 2)
     zone_mm = math.sqrt(1e-3 * scene.wavelength_um * abs(scene.object_grid.z_mm))
-    coefficients = np.asarray(fitted, float).reshape(-1, ARMS, 2)
-    return OpenDirections(centre, radius, coefficients, BLOCK_ZONES * zone_mm)
+    return OpenDirections(region, coefficients, BLOCK_ZONES * zone_mm)
 
 
 def as_passed(field: Field, by: Engine | OpenDirections | float) -> Field:
