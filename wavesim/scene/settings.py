@@ -379,7 +379,7 @@ class CalibrationSettings(FramedSettings):
 
     kind: Kind = Field("amplitude", description="Of an unknown object: complex or amplitude.")
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that holds.")
-    iterations: int = Field(8, ge=1, description="Of each reconstruction on the way.")
+    iterations: int = Field(5, ge=1, description="Of each reconstruction on the way.")
     most_mountings: int = Field(80, ge=1, description="Benches that are tried.")
     parameters: str = Field(
         "all", description="What is unknown: all, light, lens, mounting, camera, rigid, or names, by commas."

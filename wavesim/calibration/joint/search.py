@@ -2,34 +2,38 @@
 
 A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
 object leaves. Each step of the search takes its direction from the normal equations of object and bench about
-that object, and its length from such reconstructions along it. Light's unevenness comes last: until the rest
-is right, anything explains it; and so does the tilt of the sensor, of which frames tell least and which makes
-every reconstruction half as long again.
+that object, and its length from such reconstructions along it. Tiles are made where a stage of the search
+begins, and turned from there. Light's unevenness comes last: until the rest is right, anything explains it;
+and so does the tilt of the sensor, of which frames tell least and which makes every reconstruction half as
+long again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint.linearised import Linearised
+from wavesim.calibration.joint.line import Line
+from wavesim.calibration.joint.linearised import Linearised, RealArray
 from wavesim.calibration.joint.pixels import Pixels
 from wavesim.calibration.joint.step import JointStep
-from wavesim.calibration.parameters import Parameter, Unknowns
+from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.reconstruction.from_object import reconstruct
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 
 ROUNDS = 6
 """Of conjugate gradients for a step's direction."""
+
+BEHIND = 2
+"""Rounds of the field behind the lens in an iteration: more of them take longer than the way through it."""
 
 FOLLOWED = 2
 """Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
@@ -37,8 +41,11 @@ FOLLOWED = 2
 LAST = "light_amplitude", "sensor_tilt"
 """Beginnings of the names of parameters that are sought when the rest is right."""
 
-LONGEST, SHORTEST = 64.0, 0.05
-"""Multiples of a step that are tried."""
+FIRST, MOST_STRETCH = 1.5, 8.0
+"""Multiples of a step: of the first one, at first, and of any other at most."""
+
+HARDLY_TOLD = 0.8
+"""Standard deviation of what is expected of a sensor's tilt, from which on it is not sought."""
 
 NOT_TOLD_GAIN = 0.02
 """Share of the squared misfit that tells nothing: the model's own errors leave as much. So much more of it is
@@ -70,7 +77,7 @@ class Stand:
 
     unknowns: Unknowns
     stage: int = 0
-    stretch: float = 3.0
+    stretch: float = FIRST
     trail: tuple[tuple[Unknowns, float], ...] = ()
 
 
@@ -98,6 +105,31 @@ class Told:
     def deviations(self) -> Array:
         """Standard deviation of each parameter."""
         return np.sqrt(np.diag(self.covariance))
+
+
+class _Tried(NamedTuple):
+    """A bench, with the object that a reconstruction finds on it, or the known one."""
+
+    unknowns: Unknowns
+    linear: Linearised
+    transmission: NDArray[Any]
+
+    @property
+    def misfit(self) -> float:
+        return self.linear.misfit
+
+    @property
+    def engine(self) -> Operator:
+        return self.linear.model.engine
+
+
+class _End(NamedTuple):
+    """Where a stage ended, and what its parameters do there, or but for the last little step."""
+
+    stand: Stand
+    here: _Tried
+    columns: RealArray
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +167,6 @@ class JointSearch:
     known: NDArray[Any] | None = None
     progress: Progress | None = None
     keep: Callable[[Stand], None] | None = None
-    _last: list[tuple[Unknowns, RecordingModel, NDArray[Any]]] = field(default_factory=list, init=False)
 
     def run(self, stand: Stand) -> Told:
         """Search, and see what the frames tell.
@@ -145,73 +176,83 @@ class JointSearch:
         TransferLensError
             What the model raised at the start. Benches at which it raises later are avoided.
         """
-        reason = "converged"
-        for stage, parameters in enumerate(self._stages()):
-            if stage < stand.stage:
-                continue
-            if stage > stand.stage:
-                stand = replace(stand, stage=stage)
-            stand, reason = self._descended(stand, parameters)
-        names = [p.name for p in self.parameters]
-        model, transmission = self._at(stand.unknowns)
-        joint = self._joint(stand.unknowns, model, transmission, self.parameters)
+        if stand.stage == 0:
+            sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
+            stand = replace(self._descended(stand, sure or self.parameters).stand, stage=1)
+        end = self._descended(stand, self.parameters)
+        names, misfit = [p.name for p in self.parameters], end.here.misfit
+        joint = self._joint(end.here, self.parameters, end.columns)
         left = joint.told_curvature(FOLLOWED if self.known is None else 0)
-        values = stand.unknowns.of(names)
         return Told(
-            stand.unknowns.changed(names, values.tolist()),
-            np.asarray(np.linalg.inv(left) * _variance(joint.linear.misfit), float),
-            joint.linear.misfit,
-            stand.trail,
-            reason,
+            end.stand.unknowns.changed(names, end.stand.unknowns.of(names).tolist()),
+            np.asarray(np.linalg.inv(left) * _variance(misfit), float),
+            misfit,
+            end.stand.trail,
+            end.reason,
         )
 
-    def _stages(self) -> list[tuple[Parameter, ...]]:
-        sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
-        stages = [sure, self.parameters] if len(sure) < len(self.parameters) else [self.parameters]
-        return [stage for stage in stages if stage]
-
-    def _descended(self, stand: Stand, parameters: tuple[Parameter, ...]) -> tuple[Stand, str]:
-        names = [p.name for p in parameters]
-        before: tuple[Unknowns, float] | None = None
+    def _descended(self, stand: Stand, parameters: tuple[Parameter, ...]) -> _End:
+        here = self._tried(stand.unknowns)
+        near, sought = here.engine, parameters
+        stand, reason = self._told(stand, here.unknowns, here.misfit), "benches used up"
+        columns = self._columns(here, parameters)
+        if parameters == self.parameters:
+            sought = self._worth_seeking(here, columns)
         while len(stand.trail) < self.most_benches:
-            model, transmission = self._at(stand.unknowns)
-            joint = self._joint(stand.unknowns, model, transmission, parameters)
-            misfit = joint.linear.misfit
-            stand = self._told(stand, stand.unknowns, misfit)
-            price = self._price(stand.unknowns, misfit)
-            if before is not None and price > before[1]:
-                return replace(stand, unknowns=before[0]), "converged"
-            if before is not None and 1.0 - price / before[1] < LEAST_GAINS[parameters == self.parameters]:
-                return stand, "converged"
-            before = stand.unknowns, price
-            step = joint.solve(ROUNDS)
-            line = _Line(price)
-            while (length := line.next(stand.stretch)) is not None and len(stand.trail) < self.most_benches:
-                there = stand.unknowns.changed(names, (stand.unknowns.of(names) + length * step).tolist())
-                found = self._misfit(there, model.engine)
-                stand = self._told(stand, there, found)
-                line.add(length, self._price(there, found))
-            best, _ = line.best
-            if best == 0.0:
-                return stand, "converged"
-            here = stand.unknowns.of(names) + best * step
-            stand = replace(
-                stand,
-                unknowns=stand.unknowns.changed(names, here.tolist()),
-                stretch=float(np.clip(best, 1.0, 16.0)),
-            )
-            if self.keep is not None:
+            which = [parameters.index(p) for p in sought]
+            joint = self._joint(here, sought, columns[which])
+            stand, best = self._farther(stand, here, near, joint, sought)
+            gain = 1.0 - self._price(best) / self._price(here)
+            here, stand = best, replace(stand, unknowns=best.unknowns)
+            if gain > 0.0 and self.keep is not None:
                 self.keep(stand)
-        return stand, "benches used up"
+            if gain < LEAST_GAINS[stand.stage]:
+                reason = "converged"
+                break
+            columns = self._columns(here, parameters)
+        return _End(stand, here, columns, reason)
 
-    def _price(self, unknowns: Unknowns, misfit: float) -> float:
+    def _farther(
+        self,
+        stand: Stand,
+        here: _Tried,
+        near: Operator,
+        joint: JointStep,
+        sought: Sequence[Parameter],
+    ) -> tuple[Stand, _Tried]:
+        """The best bench along a step; the one where it begins if none is better."""
+        names, step, best = [p.name for p in sought], joint.solve(ROUNDS), here
+        line = Line(self._price(here), -2.0 * float(joint.slope @ step), stand.stretch)
+        while (length := line.next()) is not None and len(stand.trail) < self.most_benches:
+            there = here.unknowns.changed(names, (here.unknowns.of(names) + length * step).tolist())
+            try:
+                tried = self._tried(there, near)
+            except TransferLensError:
+                line.add(length, RUNAWAY**2)
+                stand = self._told(stand, there, RUNAWAY)
+                continue
+            line.add(length, self._price(tried))
+            stand = self._told(stand, there, tried.misfit)
+            best = tried if line.best == length else best
+        return replace(stand, stretch=min(max(line.best, 1.0), MOST_STRETCH)), best
+
+    def _worth_seeking(self, here: _Tried, columns: RealArray) -> tuple[Parameter, ...]:
+        """All but tilts of the sensor of which frames would not even tell if the object were known."""
+        flat = columns.reshape(len(columns), -1)
+        typical = np.array([p.typical for p in self.parameters])
+        told = np.asarray(flat @ flat.T, float) * np.outer(typical, typical) / _variance(here.misfit)
+        deviations = np.sqrt(np.diag(np.linalg.inv(told + np.eye(len(typical)))))
+        pairs = zip(self.parameters, deviations, strict=True)
+        return tuple(p for p, share in pairs if p.name not in SENSOR_TILTS or share < HARDLY_TOLD)
+
+    def _price(self, tried: _Tried) -> float:
         """The squared misfit, and more the farther values are from what is expected: sought at its least.
 
         With a variance of the residuals that is unknown but for the misfit, a probability's logarithm.
         """
-        values = unknowns.of([p.name for p in self.parameters])
+        values = tried.unknowns.of([p.name for p in self.parameters])
         off = float(np.sum((values / [p.typical for p in self.parameters]) ** 2))
-        return misfit**2 * math.exp(NOT_TOLD_GAIN * off)
+        return tried.misfit**2 * math.exp(NOT_TOLD_GAIN * off)
 
     def _told(self, stand: Stand, unknowns: Unknowns, misfit: float) -> Stand:
         stand = replace(stand, trail=(*stand.trail, (unknowns, misfit)))
@@ -219,28 +260,13 @@ class JointSearch:
             self.progress(len(stand.trail), unknowns, misfit)
         return stand
 
-    def _misfit(self, unknowns: Unknowns, near: Operator) -> float:
-        """Of a bench not far from an engine's."""
-        try:
-            model, transmission = self._reconstructed(unknowns, near)
-            return Linearised(model, transmission, self.pixels.scale is None).misfit
-        except TransferLensError:
-            return RUNAWAY
-
-    def _at(self, unknowns: Unknowns) -> tuple[RecordingModel, NDArray[Any]]:
-        """With an engine of its own; a stage begins, and the search ends, where the last one was made."""
-        if not self._last or self._last[0][0] is not unknowns:
-            self._last[:] = [(unknowns, *self._reconstructed(unknowns))]
-        _, model, transmission = self._last[0]
-        return model, transmission
-
-    def _reconstructed(
-        self, unknowns: Unknowns, near: Operator | None = None
-    ) -> tuple[RecordingModel, NDArray[Any]]:
+    def _tried(self, unknowns: Unknowns, near: Operator | None = None) -> _Tried:
+        """By tiles of its own, or by those of a bench that is not far."""
         model = self.pixels.model(unknowns, near)
         if self.known is not None:
-            model.scale = Linearised(model, self.known, self.pixels.scale is None).scale
-            return model, self.known
+            linear = Linearised(model, self.known, self.pixels.scale is None)
+            model.scale = linear.scale
+            return _Tried(unknowns, linear, self.known)
         found = reconstruct(
             model.engine,
             model.illumination,
@@ -251,52 +277,24 @@ class JointSearch:
             scale=self.pixels.scale,
             active_width=self.pixels.active_width,
             rows=self.pixels.rows,
+            residuals=False,
+            rounds=BEHIND,
         )
-        values = found.transmission.values
         model.scale = found.scale
-        return model, values.real if self.kind == "amplitude" else values
+        values = found.transmission.values
+        transmission = values.real if self.kind == "amplitude" else values
+        return _Tried(unknowns, Linearised(model, transmission, self.pixels.scale is None), transmission)
 
-    def _joint(
-        self,
-        unknowns: Unknowns,
-        model: RecordingModel,
-        transmission: NDArray[Any],
-        parameters: tuple[Parameter, ...],
-    ) -> JointStep:
-        linear = Linearised(model, transmission, self.pixels.scale is None)
-        columns = self.pixels.columns(unknowns, linear, parameters)
-        values = unknowns.of([p.name for p in parameters])
+    def _columns(self, tried: _Tried, parameters: tuple[Parameter, ...]) -> RealArray:
+        return self.pixels.columns(tried.unknowns, tried.linear, parameters)
+
+    def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> JointStep:
+        values = tried.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
-        variance, follows = _variance(linear.misfit), self.known is None
-        return JointStep(linear, columns, values, typical, variance, transmission, follows)
+        variance, follows = _variance(tried.misfit), self.known is None
+        return JointStep(tried.linear, columns, values, typical, variance, tried.transmission, follows)
 
 
 def _variance(misfit: float) -> float:
     """Of the residuals' length along what a parameter does."""
     return NOT_TOLD_GAIN * misfit**2
-
-
-class _Line:
-    """Lengths of a step that are tried: doubled while that helps, else cut down until it does."""
-
-    def __init__(self, price: float) -> None:
-        self._tried: dict[float, float] = {0.0: price}
-
-    @property
-    def best(self) -> tuple[float, float]:
-        """Length and price."""
-        return min(self._tried.items(), key=lambda one: one[1])
-
-    def add(self, length: float, price: float) -> None:
-        """What was found at a length."""
-        self._tried[length] = price
-
-    def next(self, stretch: float) -> float | None:
-        """The length to be tried; None where the best is between others."""
-        tried = sorted(self._tried)
-        if len(tried) == 1:
-            return stretch
-        best, _ = self.best
-        if best == 0.0:
-            return tried[1] / 3.0 if tried[1] > 3.0 * SHORTEST else None
-        return 2.0 * best if best == tried[-1] and best < LONGEST else None
