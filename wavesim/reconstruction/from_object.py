@@ -76,7 +76,7 @@ tells, such as slow changes of phase, still gets better there, for as long as it
 
 EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
 """At rest: over so many iterations, or so many near the noise or at it, the misfit falls by less than this
-share."""
+share; at the noise, too, where all further ones together would change it by less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,8 +271,7 @@ def reconstruct(
     for modelled, plane in zip(maps, recorded, strict=residuals):
         modelled -= plane.amplitude
         modelled *= modelled.dtype.type(unit)
-    values = now.astype(illumination.values.dtype)
-    found = Field(engine.scene.object_grid, values, illumination.wavelength_um)
+    found = illumination.with_values(now.astype(illumination.values.dtype))
     return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stopped)
 
 
@@ -372,16 +371,25 @@ class _Descent:
             return None
         misfits, noise = state.misfit[state.began :], self.misfit_of_noise
         over = misfits[-1] / noise if self.until_noise and noise else math.inf
-        if over <= AT_NOISE and len(misfits) > AT_NOISE_EARLY and _rests(misfits, AT_NOISE_EARLY):
+        if over <= AT_NOISE and (_rests(misfits, AT_NOISE_EARLY) or _to_come(misfits) < EARLY_GAIN):
             return "noise"
-        if len(misfits) <= EARLY:
-            return None
-        return "rest" if _rests(misfits, NEAR_EARLY if over <= FAR else EARLY) else None
+        rests = len(misfits) > EARLY and _rests(misfits, NEAR_EARLY if over <= FAR else EARLY)
+        return "rest" if rests else None
 
 
 def _rests(misfits: Sequence[float], iterations: int) -> bool:
     """Whether the misfit has changed by next to nothing."""
-    return abs(misfits[-1 - iterations] - misfits[-1]) < EARLY_GAIN * misfits[-1]
+    return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
+
+
+def _to_come(misfits: Sequence[float]) -> float:
+    """Share by which further iterations would change the misfit, if changes shrank as the last three did."""
+    changes = np.abs(np.diff(misfits[-4:]))
+    if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
+        return math.inf
+    # The slower of the two: where rounds end, a change is small once.
+    ratio = max(changes[1] / changes[0], changes[2] / changes[1])
+    return float(changes[2] * ratio / ((1.0 - ratio) * misfits[-1]))
 
 
 def _uphill(now: Array, ahead: Array, after: Array) -> bool:

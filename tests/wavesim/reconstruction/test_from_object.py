@@ -306,6 +306,31 @@ def test_it_ends_at_the_noise(case: Case) -> None:
     assert "where the misfit came to the noise" in repr(found)
 
 
+def test_it_ends_at_the_noise_where_all_that_is_to_come_would_change_nothing(case: Case) -> None:
+    recorded = noisy(case, 1e6)
+    settings: dict[str, Any] = {"kind": "amplitude", "tv_weight": "auto", "iterations": 20, "scale": 1.0}
+    found, whole = (
+        reconstruct(case.engine, case.illumination, recorded, until_noise=until, **settings)
+        for until in (True, False)
+    )
+    assert found.stopped_because == "noise"
+    falls = -np.diff(found.misfit) / found.misfit[1:]
+    assert falls[-1] > 2.0 * EARLY_GAIN
+    to_come = found.misfit[-1] - np.array(whole.misfit[len(found.misfit) :])
+    assert len(to_come) > 3
+    assert np.abs(to_come).max() < EARLY_GAIN * found.misfit[-1]
+    assert score(case, found.transmission) > score(case, whole.transmission) - 1e-4
+
+
+def test_a_single_small_change_ends_nothing() -> None:
+    """Where rounds end, one iteration wins little, and those after it much."""
+    falls = [0.58, 0.121, 0.012, 0.0047, 0.003]
+    misfits = [2.0 - sum(falls[:n]) for n in range(len(falls) + 1)]
+    for n in range(len(misfits) + 1):
+        assert from_object._to_come(misfits[:n]) > 2.0 * EARLY_GAIN
+    assert from_object._to_come([2.0, 1.8, 1.7, 1.65]) == pytest.approx(0.05 / 1.65)  # 1/2 + 1/4 + ... of it
+
+
 def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"tv_weight": "auto", "iterations": 40, "scale": 1.0, "until_noise": True}
