@@ -281,7 +281,7 @@ def _beginning(model: RecordingModel, start: Any, kind: Kind, scratch: Scratch) 
     dtype = model.dtype if is_field or kind == "complex" else model.real
     now = scratch.array(model.lit.shape, dtype, "a step")
     np.multiply(start.values if is_field else 1.0, model.lit, out=now, casting="same_kind")
-    return Progressed(now, now, 0.0, (), model.scale, 0, 0)
+    return Progressed(now, now, 0.0, (), model.scale if model.knows_scale else None, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +303,7 @@ class _Descent:
     def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
         """Where it stands after all stages: kinds of object, and iterations at which they end."""
         if state.scale is not None:
-            self.model.scale = state.scale
+            self.model.scale, self.model.knows_scale = state.scale, True
         for stage, (kind, until) in enumerate(stages):
             if stage < state.stage:
                 continue

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from wavesim.objects.patch import LIGHT_BYTES
+from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.reconstruction.retrieval.steps import BLOCK_BYTES
 from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
@@ -45,8 +46,9 @@ BLOCKS = 6
 class Phase(Flag):
     """What a run does at one time.
 
-    An iteration goes through the lens, sees what pixels would on each plane, changes the field by what they
-    did see, goes back to the object, smoothes it, steps, and accelerates. One of Appendix A is a pass.
+    An iteration goes through the lens, changes the field by what pixels saw on each plane, goes back to the
+    object, smoothes it, steps, and accelerates; the first one sees planes once more, for the scale. One of
+    Appendix A is a pass.
     """
 
     LIGHTING = auto()
@@ -144,7 +146,7 @@ def given_arrays(
     )
 
 
-def step_array(sizes: Sizes, kind: Kind, during: Phase = ITERATING, count: int = 2) -> Listed:
+def step_array(sizes: Sizes, kind: Kind, during: Phase = ITERATING & ~Phase.SEEING, count: int = 2) -> Listed:
     """The object after a step, and the point from which the next one goes; `kind` of object: as sought."""
     dtype = sizes.real if kind == "amplitude" else sizes.dtype
     return Listed("a step", sizes.source, dtype, during, count, lies="scratch")
@@ -169,6 +171,7 @@ def descent_arrays(
         Listed("the sum of noise at the exit", behind, dtype, Phase.STARTING),
         Listed("noise in the object", source, dtype, STARTING),
         step,
+        step_array(sizes, kind, Phase.SEEING, 1),
         Listed("the field in the object", source, dtype, Phase.LENS),
         Listed("the field at the exit", behind, dtype, Phase.LENS),
         Listed("the change at the exit", behind, dtype, Phase.BACK),
@@ -220,10 +223,10 @@ def _of_pixels(sizes: Sizes) -> Inventory:
         Listed("the spectrum at the exit", behind, dtype, seen),
         Listed("rows through pixels and their edges", behind, dtype, seen, 2),
         Listed("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
-        Listed("means over pixels", behind, real, PLANES),
-        Listed("what rounds before have changed", behind, dtype, PLANES),
-        Listed("what planes before have changed", behind, dtype, Phase.SEEING, int(sizes.planes > 1)),
+        Listed("means over pixels", behind, real, Phase.SEEING),
+        Listed("what rounds before have changed", behind, dtype, Phase.CHANGING),
         Listed("what planes have changed", behind, dtype, Phase.CHANGING),
+        work("rows of bands, and beside them", bytes_of_bands(behind, dtype), Phase.CHANGING),
     )
 
 

@@ -33,6 +33,7 @@ from wavesim.reconstruction.recording.planes import (
     FieldBehind,
     PlaneRecord,
     add_share,
+    total_of,
 )
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
@@ -98,7 +99,7 @@ class RecordingModel:
             for one, way, part in zip(recorded, self.ways, rows or [EVERY_ROW] * len(recorded), strict=True)
         ]
         self.size = math.sqrt(sum(plane.energy for plane in self._planes))
-        self.scale, self.fits_scale = scale or 1.0, False
+        self.scale, self.knows_scale, self.fits_scale = scale or 1.0, scale is not None, False
 
     @property
     def weights(self) -> list[RealArray | None]:
@@ -117,15 +118,18 @@ class RecordingModel:
         if self.modes:
             return self._step_of_modes(transmission, rounds, length)
         behind = FieldBehind(self._at_exit(transmission, self.illumination), self.pixels)
-        if self.fits_scale:
+        if self.fits_scale and not self.knows_scale:
             self._fit_scale(plane.products(behind.intensity(plane)) for plane in self._planes)
-        missed = sum(behind.replace(plane, self.scale) for plane in self._planes)
+        scale = self.scale
+        told = [behind.replace(plane, scale, weighs=self.fits_scale) for plane in self._planes]
+        if self.fits_scale:  # for what follows: planes are not passed once more for the scale alone
+            self._fit_scale((one.met, one.own) for one in told)
         for _ in range(rounds - 1):
             behind.go_on(length / len(self.recorded))
             for plane in self._planes:
                 behind.replace(plane, self.scale)
         change = self._to_object(behind.changed(), self.illumination)
-        return change, self.scale * math.sqrt(missed) / self.size
+        return change, scale * math.sqrt(total_of(told).missed) / self.size
 
     def noise_of_step(self) -> float:
         """Standard deviation that the amplitudes' noise gives a step at scale 1, in either part of it.
@@ -287,4 +291,4 @@ class RecordingModel:
         met = own = 0.0
         for here in products:
             met, own = met + here[0], own + here[1]
-        self.scale = met / own if met > 0.0 < own else 1.0
+        self.scale, self.knows_scale = (met / own if met > 0.0 < own else 1.0), True

@@ -60,7 +60,7 @@ def stated(lens: Lens) -> Bench:
 
 def over_noise(case: FramesCase, recorded: list[Recorded], true: np.ndarray) -> float:
     """Misfit that the true object leaves, over that of the stated noise."""
-    model = RecordingModel(case.engine, case.light, recorded, 1.0, SETTINGS.active_width)
+    model = RecordingModel(case.engine, case.light, recorded, None, SETTINGS.active_width)
     model.fits_scale = True
     noise = noise_misfit(recorded)
     assert noise is not None

@@ -17,6 +17,7 @@ from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.reconstruction import from_object
 from wavesim.reconstruction.from_object import AT_NOISE, EARLY_GAIN, Progressed, reconstruct
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
@@ -284,6 +285,28 @@ def test_what_is_not_explained_counts_as_noise(case: Case) -> None:
     for planes in (recorded, surer):
         found = reconstruct(case.engine, case.illumination, planes, tv_weight="auto", **settings)
         np.testing.assert_allclose(found.transmission.values, expected.transmission.values, atol=1e-4)
+
+
+def test_planes_are_passed_once_more_for_the_scale_but_once(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its fit goes with each round's first pass, and comes to that of the field which it leaves."""
+    passes: list[int] = []
+    carried = PixelMeans.carried
+
+    def counted(pixels: PixelMeans, *arguments: Any) -> Any:
+        passes.append(1)
+        return carried(pixels, *arguments)
+
+    monkeypatch.setattr(PixelMeans, "carried", counted)
+    louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in noisy(case, 1e6)]
+    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "rounds": 3}
+    found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
+    assert len(passes) == len(louder) * (1 + 4 * 3)
+    model = RecordingModel(case.engine, case.illumination, louder, None, 1.0)
+    model.fits_scale = True
+    model.amplitudes(found.transmission.values)
+    assert found.scale == pytest.approx(model.scale, rel=0.02)
 
 
 def test_it_ends_at_the_noise(case: Case) -> None:

@@ -38,8 +38,7 @@ from wavesim.reconstruction.memory import (
     retrieval_bytes,
     run_arrays,
 )
-from wavesim.reconstruction.recording import pixel_means, planes
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
+from wavesim.reconstruction.recording import bands, pixel_means, planes
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
@@ -101,7 +100,7 @@ STEPS = {
     (RecordingModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
     (RecordingModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
     (planes.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
-    (PixelMeans, "add_back"): (Phase.CHANGING, Phase.SEEING),
+    (planes.FieldBehind, "replace"): (Phase.CHANGING, Phase.CHANGING),
     (RecordingModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
     (from_object, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
     (Scratch, "make"): (STEPPING, STEPPING),
@@ -162,6 +161,8 @@ def test_each_phase_holds_what_is_listed(
         (recording_model, "ROWS", 2),
         (planes, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
+        (bands, "BAND", 400),
+        (bands, "NEW", 2),
     ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
@@ -189,8 +190,9 @@ def test_each_phase_holds_what_is_listed(
 
 @pytest.mark.parametrize(("width_deg", "tilt_deg"), [(0.3, (0.0, 0.0)), (0.0, (1.0, 0.7)), (0.3, (1.0, 0.7))])
 def test_memory_of_a_wide_source_and_a_tilted_sensor_is_told_beforehand(
-    width_deg: float, tilt_deg: tuple[float, float]
+    width_deg: float, tilt_deg: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 16)  # small beside a whole field
     engine, distances_mm = Nothing((300, 320)), (0.0, 20.0)
     modes = Source(width_deg).modes(0.532, rings=1)
     expected = reconstruction_bytes(

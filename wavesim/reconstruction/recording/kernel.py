@@ -32,12 +32,20 @@ def carried_columns(
     odd: NDArray,
 ) -> None:
     """Columns of a spectrum on a plane, and the same half a sample farther."""
-    for i in range(even.shape[0]):
-        row = factor[rows[i]]
-        for j in range(even.shape[1]):
-            value = spectrum[i, first + j] * row[columns[first + j]] * (down[i] * across[first + j])
-            even[i, j] = value
-            odd[i, j] = value * phase[i]
+    height, width = even.shape
+    line = empty(width, even.dtype)
+    for k in range(height // 2 + 1):
+        _line(factor, rows[k], columns, across, first, line)
+        # The way is the same for a frequency and its negative.
+        for side in range(1 if k == 0 or 2 * k == height else 2):
+            i = height - k if side else k
+            # Slices have no index below 0, which would keep loops from being vectorised.
+            source, middle, edge = spectrum[i, first : first + width], even[i], odd[i]
+            turned, shift = phase[i], down[i]
+            for j in range(width):
+                value = source[j] * (line[j] * shift)
+                middle[j] = value
+                edge[j] = value * turned
 
 
 @_jit
@@ -55,11 +63,42 @@ def add_columns(
     total: NDArray,
 ) -> None:
     """The adjoint of `carried_columns`, with half its size."""
+    height, width = even.shape
+    line = empty(width, even.dtype)
+    for k in range(height // 2 + 1):
+        _line(factor, rows[k], columns, across, first, line)
+        for side in range(1 if k == 0 or 2 * k == height else 2):
+            i = height - k if side else k
+            result, middle, edge = total[i, first : first + width], even[i], odd[i]
+            back, shift = conj(phase[i]), half * conj(down[i])
+            for j in range(width):
+                result[j] += (middle[j] + back * edge[j]) * (conj(line[j]) * shift)
+
+
+@_jit
+def _line(factor: NDArray, row: int, columns: NDArray, across: NDArray, first: int, line: NDArray) -> None:
+    """A way's factors of one row, but for its own shift."""
+    along, own = columns[first : first + line.size], across[first : first + line.size]
+    for j in range(line.size):
+        line[j] = factor[row, along[j]] * own[j]
+
+
+@_jit
+def halves(spectra: NDArray, phase: NDArray, even: NDArray, odd: NDArray) -> None:
+    """Spectra along rows, and the same half a sample on."""
+    for i in range(spectra.shape[0]):
+        for j in range(spectra.shape[1]):
+            value = spectra[i, j]
+            even[i, j] = value
+            odd[i, j] = value * phase[j]
+
+
+@_jit
+def add_halves(even: NDArray, odd: NDArray, phase: NDArray, half: Any, result: NDArray) -> None:
+    """The adjoint of `halves`, with half its size."""
     for i in range(even.shape[0]):
-        row, back = factor[rows[i]], conj(phase[i])
         for j in range(even.shape[1]):
-            value = half * (even[i, j] + back * odd[i, j])
-            total[i, first + j] += value * conj(row[columns[first + j]] * (down[i] * across[first + j]))
+            result[i, j] = half * (even[i, j] + conj(phase[j]) * odd[i, j])
 
 
 @_jit

@@ -22,6 +22,7 @@ from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay, axial_wavenumbers, fft_frequencies
 from wavesim.fields.slight_tilts import TiltedWay, Way, band_wavenumbers
+from wavesim.reconstruction.recording.bands import Change, Told, change_in_bands
 from wavesim.reconstruction.recording.kernel import (
     add_columns,
     carried_columns,
@@ -144,7 +145,7 @@ class PixelMeans:
             Spectrum that is added to.
         """
         height, width = change.shape
-        along_y, along_x = (_half_sample(n, total.dtype) for n in (height, width))
+        along_x = _half_sample(width, total.dtype)
         taps = np.array(self.taps, total.real.dtype) * 2
         half = taps.dtype.type(0.5)
         for between, part in zip((False, True), rows, strict=True):
@@ -159,7 +160,31 @@ class PixelMeans:
                 part[start:stop] *= half
 
             for_blocks(block, height, rows_in(part[0].nbytes))
+        self._back(rows, way, total)
 
+    def changed(self, rows: Rows, change: Change[Told], way: Way, total: ComplexArray) -> list[Told]:
+        """Change a field by what pixels see of it: :meth:`intensity` and :meth:`add_back` in one pass.
+
+        Parameters
+        ----------
+        rows, way, total
+            As of :meth:`add_back`.
+        change
+            Replaces the means of some rows by each pixel's change; given the first one's number, too.
+
+        Returns
+        -------
+        list
+            What `change` tells of all rows, in their order.
+        """
+        phase = _half_sample(rows[0].shape[1], rows[0].dtype)
+        told = change_in_bands(rows, phase, self.taps, change)
+        self._back(rows, way, total)
+        return told
+
+    def _back(self, rows: Rows, way: Way, total: ComplexArray) -> None:
+        """Add rows, at half their size, to a spectrum in front of the way; they are used up."""
+        along_y = _half_sample(len(total), total.dtype)
         if isinstance(way, PlaneWay):
             _add_back(rows, way, along_y, total)
             return

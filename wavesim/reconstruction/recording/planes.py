@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -28,6 +28,19 @@ ROWS = 64
 
 EVERY_ROW = slice(None)
 """Of the field on the exit grid, for planes that are reached from all of it."""
+
+
+class Told(NamedTuple):
+    """Of some pixels: the misfit, and weighted sums of modelled times recorded amplitudes, and of powers."""
+
+    missed: float
+    met: float = 0.0
+    own: float = 0.0
+
+
+def total_of(parts: Iterable[Told]) -> Told:
+    """Added up in their order."""
+    return Told(*(sum(column) for column in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +81,32 @@ class PlaneRecord:
         """Weighted sum of squared amplitudes."""
         return sum(self._by_rows(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
 
-    def products(self, intensity: RealArray) -> tuple[float, float]:
-        """Weighted sums of modelled times recorded amplitudes without background, and of modelled powers."""
-        found = self._by_rows(lambda part: self._products(intensity[part], part))
+    def products(self, seen: NDArray[Any]) -> tuple[float, float]:
+        """Weighted sums of modelled times recorded amplitudes without background, and of modelled powers.
+
+        `seen` are intensities, or a field at points.
+        """
+        found = self._by_rows(lambda part: self._products(_power(seen[part]), part))
         return sum(met for met, _ in found), sum(own for _, own in found)
 
     def change_pixels(self, intensity: RealArray, scale: float) -> float:
         """Replace pixels' mean intensities by the relative changes wanted; gives the misfit."""
-        real = intensity.dtype.type
+        change = self.pixel_change(scale)
+        return total_of(self._by_rows(lambda part: change(intensity[part], part.start))).missed
+
+    def pixel_change(self, scale: float, *, weighs: bool = False) -> Callable[[RealArray, int], Told]:
+        """What :meth:`change_pixels` does, of rows from a number on; it may tell :meth:`products`."""
+        real = self.amplitude.dtype.type
         mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
         dark = real(DARK * mean)
 
-        def rows(part: slice) -> float:
+        def rows(intensity: RealArray, first: int) -> Told:
+            part = slice(first, first + len(intensity))
+            products = self._products(intensity, part) if weighs else (0.0, 0.0)
             told = (*self._recorded(part), real(scale), dark, self._background(part))
-            return float(change_pixels(intensity[part], *told))
+            return Told(float(change_pixels(intensity, *told)), *products)
 
-        return sum(self._by_rows(rows))
+        return rows
 
     def change_samples(self, field: ComplexArray, scale: float) -> float:
         """Replace a field by the change wanted; gives the misfit."""
@@ -147,21 +170,19 @@ class FieldBehind:
         if self.pixels is not None:
             self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
             return self.pixels.intensity(self._rows)
-        field = self._samples(plane)
-        return np.asarray(field.real**2 + field.imag**2)
+        return _power(self._samples(plane))
 
-    def replace(self, plane: PlaneRecord, scale: float) -> float:
-        """Take the amplitudes recorded on a plane, and give the misfit before."""
+    def replace(self, plane: PlaneRecord, scale: float, *, weighs: bool = False) -> Told:
+        """Take the amplitudes recorded on a plane, and tell the misfit before, or products, too."""
         if self.pixels is not None:
-            change = self.intensity(plane)
-            assert self._rows is not None
-            missed = plane.change_pixels(change, scale)
+            self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
             if self._spectrum_change is None:
                 self._spectrum_change = np.zeros_like(self.spectrum)
-            self.pixels.add_back(self._rows, change, plane.way, self._spectrum_change)
-            return missed
+            change = plane.pixel_change(scale, weighs=weighs)
+            return total_of(self.pixels.changed(self._rows, change, plane.way, self._spectrum_change))
         field = self._samples(plane)
-        missed = plane.change_samples(field, scale)
+        products = plane.products(field) if weighs else (0.0, 0.0)
+        told = Told(plane.change_samples(field, scale), *products)
         if plane.rows != EVERY_ROW:
             if self._change is None:
                 self._change = np.zeros_like(self.values)
@@ -170,7 +191,7 @@ class FieldBehind:
             self._change = _added(self._change, field)
         else:
             self._spectrum_change = _added(self._spectrum_change, plane.way.back(field))
-        return missed
+        return told
 
     def go_on(self, share: float) -> None:
         """Go a share of the change, which counts as done, and begin a new one."""
@@ -212,6 +233,11 @@ class FieldBehind:
             assert self.values is not None
             return self.values[plane.rows].copy()
         return plane.way.there(self.spectrum)
+
+
+def _power(seen: NDArray[Any]) -> RealArray:
+    """Of a field; an intensity is one already."""
+    return np.asarray(seen.real**2 + seen.imag**2 if np.iscomplexobj(seen) else seen)
 
 
 def _added(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:

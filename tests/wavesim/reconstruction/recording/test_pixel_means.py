@@ -12,7 +12,9 @@ from wavesim.camera.sensor import light_on_pixels
 from wavesim.fields.field import Field, Grid
 from wavesim.fields.plane_waves import PlaneWay, fft_frequencies, transfer
 from wavesim.fields.slight_tilts import TiltedWay, way_to
+from wavesim.reconstruction.recording import bands
 from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
+from wavesim.runtime.threads import for_blocks
 
 PITCH = 3.2e-3
 GRID = Grid((48, 40), PITCH, 1.0)
@@ -200,3 +202,49 @@ def test_means_and_spread_of_an_even_field_are_even() -> None:
     )
     assert spread(pixels, np.ones(GRID.shape)).mean() == pytest.approx(1.0)
     np.testing.assert_allclose(means_of(pixels, np.ones([2 * n for n in GRID.shape])), 1.0)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (300, 6)])
+@pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (3.0, -2.0)])
+@pytest.mark.parametrize("band", [7, 128])
+def test_one_pass_is_means_and_way_back(
+    shape: tuple[int, int], tilt_deg: tuple[float, float], band: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bands are narrower than what they see beside them, as wide as all, and some."""
+    monkeypatch.setattr(bands, "BAND", band)
+    monkeypatch.setattr(bands, "NEW", 1 + band % 5)
+    grid = Grid(shape, PITCH, 1.0)
+    pixels, way = PixelMeans(grid, 0.8), way_to(grid, 0.532, 0.4, np.complex128, (1e-3, 2e-3), tilt_deg)
+    spectrum, wanted = speckle(shape, 7)
+
+    def change(means: np.ndarray, first: int) -> float:
+        means /= wanted[first : first + len(means)] + means
+        return float(np.sum(means))
+
+    expected, total = np.ones_like(spectrum), np.ones_like(spectrum)
+    means = pixels.intensity(pixels.carried(spectrum, way))
+    told = change(means, 0)
+    pixels.add_back(pixels.carried(spectrum, way), means, way, expected)
+    assert sum(pixels.changed(pixels.carried(spectrum, way), change, way, total)) == pytest.approx(told)
+    np.testing.assert_allclose(total, expected, atol=1e-13 * np.abs(expected).max())
+
+
+def test_one_pass_does_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit: what is told is added up in one order."""
+    shape = (520, 40)
+    pixels = PixelMeans(Grid(shape, PITCH, 1.0), 1.0)
+    way = PlaneWay(pixels.grid, 0.532, 0.4, np.complex64)
+    spectrum = speckle(shape, 8)[0].astype(np.complex64)
+
+    def found() -> tuple[list[float], np.ndarray]:
+        total = np.zeros_like(spectrum)
+        told = pixels.changed(
+            pixels.carried(spectrum, way), lambda means, first: float(means.sum()), way, total
+        )
+        return told, total
+
+    several = found()
+    monkeypatch.setattr(bands, "for_blocks", lambda work, count, block: for_blocks(work, count, block, 1))
+    alone = found()
+    assert several[0] == alone[0]
+    np.testing.assert_array_equal(several[1], alone[1])
