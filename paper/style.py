@@ -11,6 +11,7 @@ import numpy as np
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import atomic_path
+from lensdesign.pictures.saving import save_figure
 from tolerancing.report.figures.style import (
     BLUE,
     GREEN,
@@ -142,7 +143,7 @@ def _packed(figure: Figure, dots_per_inch: int) -> bytes:
 
     drawn, packed = BytesIO(), BytesIO()
     with styled():
-        figure.savefig(drawn, format="png", dpi=dots_per_inch)
+        save_figure(figure, drawn, "png", dots_per_inch)
     picture = Image.open(drawn).convert("RGB")
     few = picture.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(packed, "PNG", optimize=True)

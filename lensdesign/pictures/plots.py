@@ -23,6 +23,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.pictures.charts import BEYOND, INK, label_axes, spread_figure, title_figure, white_figure
 from lensdesign.pictures.figures import figure_map
 from lensdesign.pictures.layout import layout_figure
+from lensdesign.pictures.saving import save_figure
 from lensdesign.pictures.scene3d import RenderingError, render_lens
 from lensdesign.tracing.bundles import launch, pupil_hexapolar
 from lensdesign.tracing.paths import FIELD_COLORS, FIELD_SHARES
@@ -103,16 +104,12 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     Text in SVG stays text, so that a journal can set it in its own font.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     form = Path(path).suffix.lower().removeprefix(".")
     if form not in PICTURE_FORMATS:
         raise InputError(f"cannot write {path}: allowed suffixes are .{', .'.join(PICTURE_FORMATS)}")
-    canvas = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
-    metadata: dict[str, Any] = {} if form == "png" else {"Date": None}
     with atomic_path(path) as temporary, rc_context({"svg.hashsalt": "transferlens", "svg.fonttype": "none"}):
-        canvas.print_figure(temporary, format=form, dpi=DOTS_PER_INCH, metadata=metadata)
+        save_figure(figure, temporary, form, DOTS_PER_INCH, metadata={"Date": None})
 
 
 def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -> Figure:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lensdesign.errors import atomic_path
+from lensdesign.pictures.saving import save_figure
 from wavesim.camera.exposures import fixed_variance
 from wavesim.camera.frames import Frame
 from wavesim.camera.recorded import Array, Recorded
@@ -28,8 +29,9 @@ REACH = 4.0
 
 def save(figure: Figure, path: Path, dpi: int | None = None) -> None:
     """Write a figure to a picture file, of `DPI` dots per inch unless others are asked for."""
+    form = path.suffix.lower().removeprefix(".")
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=dpi or DPI)
+        save_figure(figure, temporary, form, dpi or DPI)
 
 
 def frames_figure(frames: Sequence[Frame], title: str = "") -> Figure:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.errors import InputError, atomic_path
+from lensdesign.pictures.saving import save_figure
 from tolerancing.merits.base import Merit
 from tolerancing.merits.line_pairs import LinePairContrast
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -94,7 +95,7 @@ def write_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """
     kind = figure_format(path)
     with atomic_path(Path(path)) as temporary:
-        figure.savefig(temporary, format=kind, dpi=150)
+        save_figure(figure, temporary, kind, 150)
 
 
 def figure_text(text: str) -> str:
