@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -308,6 +307,8 @@ def register(
     moved : ndarray
         The field, carried and put back.
     """
+    from scipy.optimize import minimize_scalar
+
     # Padding keeps what is shifted over an end from coming back at the other.
     count = scipy.fft.next_fast_len(2 * len(values))
     cycles = scipy.fft.fftfreq(count, grid.pitch_mm)

@@ -1,7 +1,8 @@
-"""How alike two pictures are: PSNR and structural similarity, by scikit-image, in blocks of rows."""
+"""How alike two pictures are: PSNR and structural similarity, in blocks of rows."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -40,11 +41,13 @@ def psnr_db(found: Picture, truth: Picture, *, full_scale: float = 1.0, support:
     InputError
         If shapes differ, values are not finite, or the support is empty.
     """
-    from skimage.metrics import peak_signal_noise_ratio
-
     a, b, inside = _pair(found, truth, full_scale, support)
-    with np.errstate(divide="ignore"):
-        return float(peak_signal_noise_ratio(b[inside], a[inside], data_range=full_scale))
+    missed = 0.0
+    for rows in row_blocks(len(a)):
+        difference = np.subtract(b[rows][inside[rows]], a[rows][inside[rows]], dtype=float)
+        missed += float(difference @ difference)
+    square = missed / np.count_nonzero(inside)
+    return 10.0 * math.log10(full_scale**2 / square) if square > 0.0 else math.inf
 
 
 def ssim(found: Picture, truth: Picture, *, full_scale: float = 1.0, support: Mask | None = None) -> float:

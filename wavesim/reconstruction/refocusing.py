@@ -15,7 +15,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.linalg import svdvals
-from scipy.optimize import minimize_scalar
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
@@ -114,6 +113,8 @@ def refocus_field(
         raise InputError(f"interval_mm = {interval_mm}: must be finite, the first below the second")
     if not (math.isfinite(step_mm) and 0.0 < step_mm < high - low):
         raise InputError(f"step_mm = {step_mm!r}: must be above 0 and below the interval's {high - low:g} mm")
+    from scipy.optimize import minimize_scalar
+
     if field.grid.is_line:
         raise InputError("refocusing by SVFG: needs a field on a plane")
     judged = _middle(field)
