@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
     from wavesim.camera.frames import Frame
+    from wavesim.fields.field import Field
     from wavesim.objects.usaf import UsafElement
     from wavesim.reconstruction.found import FoundObject
     from wavesim.runtime.memory import Memory
@@ -210,14 +212,11 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     """Write all files together, and return their names."""
     import numpy as np
 
-    from wavesim.fields.files import write_field
     from wavesim.pictures.frames import curves_figure, residual_figure, save
     from wavesim.pictures.objects import object_figure
-    from wavesim.pictures.pyramid import write_pyramid
     from wavesim.pictures.result_files import new_results, write_csv, write_json
 
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
-    x_mm, y_mm = transmission.grid.centre_mm
     distances = [plane.distance_mm for plane in found.planes]
     what = "CC (A6)" if summary["method"] == "paper" else "misfit"
     light = f"{found.patch.wavelength_um:g} µm, field stop {found.patch.field_stop_mm:g} mm"
@@ -225,11 +224,9 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     title = f"{summary['design']}\n{how}"
     steps = range(1, len(found.curve) + 1)
     curves: dict[str, Any] = {what: (steps, found.curve, "iteration")}
-    with new_results(output) as folder:
-        for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
-            pitch_um = 1e3 * transmission.grid.pitch_mm
-            write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
-        write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
+    # Pictures are drawn by one thread, files packed meanwhile by another.
+    with new_results(output) as folder, ThreadPoolExecutor(1) as packing:
+        packed = packing.submit(_pack, transmission, folder)
         elements = tuple(element for chart in found.charts for element in chart)
         finest = _finest(found, summary["usaf"])
         drawn = object_figure(
@@ -248,9 +245,22 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
             rows = [{"distance_um": at, "svfg": value} for at, value in zip(*curve, strict=True)]
             write_csv(rows, folder / "svfg.csv")
         save(curves_figure(curves, title), folder / "curves.png")
+        packed.result()
         names = sorted([*(path.name for path in folder.iterdir()), "reconstruction.json"])
         write_json(summary | {"files": names}, folder / "reconstruction.json")
     return names
+
+
+def _pack(transmission: Field, folder: Path) -> None:
+    """Write the object itself."""
+    from wavesim.fields.files import write_field
+    from wavesim.pictures.pyramid import write_pyramid
+
+    x_mm, y_mm = transmission.grid.centre_mm
+    for name, quantity in (("amplitude", "amplitude"), ("phase", "phase_rad")):
+        pitch_um = 1e3 * transmission.grid.pitch_mm
+        write_pyramid(transmission.values, folder / f"{name}.tif", pitch_um, (quantity,))
+    write_field(transmission, folder / "reconstruction.npz", centre_x_mm=x_mm, centre_y_mm=y_mm)
 
 
 def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:

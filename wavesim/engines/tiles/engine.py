@@ -187,10 +187,12 @@ class EikonalTiles(Engine):
     def _expansions(self) -> list[Separable]:
         allowed = max(self._allowed, self.probe.error(self._quadratic, self._allowed))
         known = dict(zip(self.probe.looked_at, self.probe.residuals, strict=True))
-        return [
-            expansion(known.get(number) or residual_of(self.scene, tile, self._map), self._quadratic, allowed)
-            for number, tile in enumerate(self.probe.tiles)
-        ]
+
+        def of_tile(number: int, tile: Tile) -> Separable:
+            residual = known.get(number) or residual_of(self.scene, tile, self._map)
+            return expansion(residual, self._quadratic, allowed)
+
+        return at_once([partial(of_tile, *numbered) for numbered in enumerate(self.probe.tiles)])
 
     def _prepared(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:

@@ -6,13 +6,13 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
 
 from lensdesign.errors import SamplingError
-from wavesim.engines.tiles.operator import Tile
+from wavesim.engines.tiles.operator import Tile, at_once
 from wavesim.engines.tiles.residual import MAX_RANK, Quadratic, Residual, Separable, tile_residual
 from wavesim.fields.field import Grid
 from wavesim.fields.guards import SamplingWarning
@@ -102,7 +102,8 @@ def probe(scene: Scene, counts: tuple[int, ...], mapper: Mapper) -> Probe:
     tiles = cut(scene.object_grid, counts)
     corners = set(product(*((0, c - 1) for c in counts))) | {tuple(c // 2 for c in counts)}
     chosen = tuple(int(np.ravel_multi_index(place, counts)) for place in sorted(corners))
-    return Probe(counts, tiles, chosen, tuple(residual_of(scene, tiles[number], mapper) for number in chosen))
+    residuals = at_once([partial(residual_of, scene, tiles[number], mapper) for number in chosen])
+    return Probe(counts, tiles, chosen, tuple(residuals))
 
 
 def residual_of(scene: Scene, tile: Tile, mapper: Mapper) -> Residual:
