@@ -199,8 +199,8 @@ class JointSearch:
         if parameters == self.parameters:
             sought = self._worth_seeking(here, columns)
         while len(stand.trail) < self.most_benches:
-            which = [parameters.index(p) for p in sought]
-            joint = self._joint(here, sought, columns[which])
+            some = columns if sought == parameters else columns[[parameters.index(p) for p in sought]]
+            joint = self._joint(here, sought, some)
             stand, best = self._farther(stand, here, near, joint, sought)
             gain = 1.0 - self._price(best) / self._price(here)
             here, stand = best, replace(stand, unknowns=best.unknowns)
