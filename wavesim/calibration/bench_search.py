@@ -41,7 +41,7 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 
-HELD = 6
+HELD = 5
 """Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
 
 NOT_TELLING = {"patch_mm", "field_stop_mm", "object_pitch_um", "illumination", "most_mountings"}

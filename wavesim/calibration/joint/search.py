@@ -41,8 +41,8 @@ FOLLOWED = 2
 LAST = "light_amplitude", "sensor_tilt"
 """Beginnings of the names of parameters that are sought when the rest is right."""
 
-FIRST, MOST_STRETCH = 1.5, 8.0
-"""Multiples of a step: of the first one, at first, and of any other at most."""
+FIRST, MOST_STRETCH = (1.5, 3.0), 8.0
+"""Multiples of a step: of a stage's first one, at first, and of any other at most."""
 
 HARDLY_TOLD = 0.8
 """Standard deviation of what is expected of a sensor's tilt, from which on it is not sought."""
@@ -51,8 +51,8 @@ NOT_TOLD_GAIN = 0.02
 """Share of the squared misfit that tells nothing: the model's own errors leave as much. So much more of it is
 a standard deviation of what is sought, and so much costs a parameter that is as far off as is expected."""
 
-LEAST_GAINS = 0.05, NOT_TOLD_GAIN
-"""A stage ends when a step lowers the squared misfit by less than this share; then the last one."""
+LEAST_GAINS = 0.05, 0.005
+"""A stage ends when a step lowers the squared misfit by less than this share."""
 
 RUNAWAY = 4.0
 """Stands for the misfit where the model fails."""
@@ -77,7 +77,7 @@ class Stand:
 
     unknowns: Unknowns
     stage: int = 0
-    stretch: float = FIRST
+    stretch: float = FIRST[0]
     trail: tuple[tuple[Unknowns, float], ...] = ()
 
 
@@ -178,7 +178,8 @@ class JointSearch:
         """
         if stand.stage == 0:
             sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
-            stand = replace(self._descended(stand, sure or self.parameters).stand, stage=1)
+            stand = self._descended(stand, sure or self.parameters).stand
+            stand = replace(stand, stage=1, stretch=FIRST[1])
         end = self._descended(stand, self.parameters)
         names, misfit = [p.name for p in self.parameters], end.here.misfit
         joint = self._joint(end.here, self.parameters, end.columns)

@@ -104,13 +104,12 @@ class JointStep:
         """
         left, shape = self.columns.copy(), self.linear.residual.shape
         for _ in range(rounds):
-            follows = [
-                self.linear.of_object(
-                    self._object_part(self.linear.to_object(one.reshape(shape))) * self.free
-                )
-                for one in self._telling(left)
-            ]
-            left -= _along(np.stack([one.ravel() for one in follows]), left) if follows else 0.0
+            followed = self._telling(left)
+            for one in followed:
+                change = self._object_part(self.linear.to_object(one.reshape(shape))) * self.free
+                one[:] = self.linear.of_object(change).ravel()
+            if len(followed):
+                left -= _along(followed, left)
         return np.asarray(left @ left.T, float) + np.diag(self.pull)
 
     def _telling(self, columns: RealArray) -> RealArray:
@@ -133,7 +132,8 @@ class JointStep:
 
 def _along(basis: RealArray, columns: RealArray) -> RealArray:
     """The part of columns that a basis explains."""
-    size = 1.0 / np.linalg.norm(basis, axis=1)
+    length = np.linalg.norm(basis, axis=1).astype(float)
+    size = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
     own = np.asarray(basis @ basis.T, float) * np.outer(size, size)
     met = np.asarray(basis @ columns.T, float) * size[:, None]
     share = np.linalg.pinv(own, rcond=ALIKE, hermitian=True) @ met * size[:, None]

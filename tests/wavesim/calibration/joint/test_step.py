@@ -1,0 +1,96 @@
+"""Normal equations of object and bench, against dense ones."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from wavesim.calibration.joint.step import DAMPING, LEAST_TOLD, JointStep
+
+OBJECT, PIXELS, PARAMETERS = 6, 80, 4
+TYPICAL = np.array([1.0, 0.5, 2.0, 1.0])
+VALUES = np.array([0.1, 0.0, -0.3, 0.2])
+VARIANCE = 0.02
+
+
+class Dense:
+    """A linear model that is a matrix."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.matrix = rng.standard_normal((PIXELS, OBJECT)) / np.sqrt(PIXELS)
+        self.residual = rng.standard_normal(PIXELS)
+        self.misfit = float(np.linalg.norm(self.residual))
+        self.model = SimpleNamespace(lit=np.ones(OBJECT, bool))
+
+    def without_scale(self, changes: NDArray[Any]) -> NDArray[Any]:
+        return changes
+
+    def of_object(self, change: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(self.matrix @ change)
+
+    def to_object(self, left: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(self.matrix.T @ left)
+
+
+def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True) -> JointStep:
+    linear.model.lit[:] = lit
+    inside = np.full(OBJECT, 0.5)  # an amplitude that no bound holds
+    return JointStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def test_the_step_solves_the_dense_equations(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wavesim.calibration.joint.step.SOLVED", 0.0)
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    joint = step_of(columns, linear)
+    both = np.hstack([linear.matrix, columns.T])
+    normal = both.T @ both
+    pull, damping = VARIANCE / TYPICAL**2, DAMPING * linear.misfit**2 / TYPICAL**2
+    normal[OBJECT:, OBJECT:] += np.diag(pull + damping)
+    right = both.T @ linear.residual
+    right[OBJECT:] -= pull * VALUES
+    exact = np.linalg.solve(normal, right)[OBJECT:]
+    assert joint.solve(20) == pytest.approx(exact, rel=1e-5)
+
+
+def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
+    """All that lies along the object's own effects goes; more rounds never leave more."""
+    linear = Dense(rng)
+    columns = np.stack([linear.matrix @ rng.standard_normal(OBJECT) for _ in range(PARAMETERS)])
+    columns += 0.5 * rng.standard_normal(columns.shape)
+    joint, pull = step_of(columns, linear), np.diag(VARIANCE / TYPICAL**2)
+    basis, _ = np.linalg.qr(linear.matrix)
+    left = columns - (columns @ basis) @ basis.T
+    found = [joint.told_curvature(rounds) for rounds in range(4)]
+    assert found[0] == pytest.approx(columns @ columns.T + pull)
+    assert found[3] == pytest.approx(left @ left.T + pull, rel=1e-3)
+    for more, fewer in zip(found[1:], found[:-1], strict=True):
+        assert np.linalg.eigvalsh(fewer - more).min() > -1e-9
+
+
+def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    joint = step_of(columns, linear, lit=False)
+    assert joint.told_curvature(2) == pytest.approx(joint.told_curvature(0))
+
+
+def test_what_tells_nothing_beside_the_prior_is_not_followed(rng: np.random.Generator) -> None:
+    linear = Dense(rng)
+    asked: list[int] = []
+    forward = linear.of_object
+    linear.of_object = lambda change: (asked.append(1), forward(change))[1]  # type: ignore[method-assign]
+    columns = rng.standard_normal((PARAMETERS, PIXELS))
+    faint = np.sqrt(0.5 * LEAST_TOLD * VARIANCE / PIXELS)
+    columns[1:] *= faint / TYPICAL[1:, None]
+    step_of(columns, linear).told_curvature(1)
+    assert len(asked) == 1
