@@ -15,7 +15,7 @@ from tolerancing.study.results import WORST
 from tolerancing.study.study import Study
 
 SHORT_SECONDS = 0.2
-"""A trial that takes less is timed as one of a chunk, which share work."""
+"""A trial that takes less is timed as one of a chunk, which share work: of as many as take about so long."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,8 @@ def estimate_run(
     single = _seconds(lambda: score_trials(context, study, (0,)))
     each = single
     if single < SHORT_SECONDS and chunk > 1:
-        each = _seconds(lambda: score_trials(context, study, range(chunk))) / chunk
+        few = min(chunk, max(2, round(SHORT_SECONDS / max(single, 1e-9))))
+        each = _seconds(lambda: score_trials(context, study, range(few))) / few
     seconds = each * lacking["trials"] + sum(_step_seconds(context, study, step, single) for step in steps)
     if lacking["dear"]:
         score_dear(context, study, (0,), (WORST,))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -28,7 +28,7 @@ class Processes:
     """Some processes, started when there is work, and started anew after one of them has died."""
 
     def __init__(self, number: int, start: Callable[..., None], *arguments: Any) -> None:
-        self._number, self._start, self._arguments = number, start, arguments
+        self.number, self._start, self._arguments = number, start, arguments
         self._pool: ProcessPoolExecutor | None = None
         self._started: set[BaseProcess] = set()
 
@@ -44,9 +44,10 @@ class Processes:
             one_blas_thread()
             self._started = set()
             self._pool = ProcessPoolExecutor(
-                self._number, get_context("spawn"), initializer=self._start, initargs=self._arguments
+                self.number, get_context("spawn"), initializer=self._start, initargs=self._arguments
             )
-        future = self._pool.submit(work, *arguments, **named)
+        with _not_heard():
+            future = self._pool.submit(work, *arguments, **named)
         self._started |= set(active_children()) - others
         return future
 
@@ -73,35 +74,68 @@ class Processes:
             self.end()
 
 
+@contextmanager
+def _not_heard() -> Iterator[None]:
+    """Keep signals to stop, which go to the whole group, from processes that are started meanwhile.
+
+    They would end with a traceback before they can leave them to the process that started them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _end_of(code: int) -> str:
     names = {-number.value: number.name for number in signal.Signals}
     return names.get(code, f"status {code}")
 
 
-@contextmanager
-def local_pool(loaded: LoadedStudy, processes: int) -> Iterator[Perform]:
-    """Do tasks in processes of this machine; they end at once when the run is broken off."""
-    from tolerancing.run.workers import start_local, work_local
+class LocalPool(Processes):
+    """Processes of this machine for the tasks of a study, whose merits' levels may still be open."""
 
-    with Processes(processes, start_local, loaded) as workers:
+    def __init__(self, loaded: LoadedStudy, number: int) -> None:
+        from tolerancing.run.workers import start_local
+
+        super().__init__(number, start_local, loaded)
+        self._by_code = any(merit.file_name for merit in loaded.study.all_merits)
+
+    def get_ready(self) -> None:
+        """Start them beside what goes on here; not with merits in Python, which are tried alone before."""
+        from tolerancing.run.workers import get_warm
+
+        if self.number > 1 and not self._by_code:
+            for _ in range(self.number):
+                self.submit(get_warm)
+
+    @contextmanager
+    def performing(self, loaded: LoadedStudy) -> Iterator[Perform]:
+        """Do tasks of the study, its merits' levels settled; they end at once when the run is broken off."""
+        from tolerancing.run.workers import work_local
+
+        levels = {merit.label: merit.level for merit in loaded.study.all_merits}
 
         def died(suspects: list[Task]) -> Batches:
-            workers.close()
-            return _one_by_one(loaded, suspects)
+            self.close()
+            return _one_by_one(loaded, levels, suspects)
 
         def batches(tasks: Iterable[Task]) -> Batches:
-            by_code = any(merit.file_name for merit in loaded.study.all_merits)
             return in_flight(
-                lambda task: workers.submit(work_local, task),
+                lambda task: self.submit(work_local, task, levels),
                 tasks,
-                lambda: processes,
-                died if by_code else None,
+                lambda: self.number,
+                died if self._by_code else None,
             )
 
-        yield batches
+        with self:
+            yield batches
 
 
-def _one_by_one(loaded: LoadedStudy, suspects: list[Task]) -> Batches:
+def _one_by_one(loaded: LoadedStudy, levels: Mapping[str, str], suspects: list[Task]) -> Batches:
     """Do tasks whose worker has died trial by trial, in one process: what ends that is that trial's failure.
 
     Raises
@@ -115,10 +149,10 @@ def _one_by_one(loaded: LoadedStudy, suspects: list[Task]) -> Batches:
     with Processes(1, start_local, loaded) as alone:
         for task in (part for suspect in suspects for part in suspect.parts()):
             try:
-                results = alone.submit(work_local, task).result()
+                results = alone.submit(work_local, task, levels).result()
             except BrokenProcessPool:
                 fault = f"{alone.end()} ended its process"
-                results, found = result(alone.submit(work_local, task, fault)), True
+                results, found = result(alone.submit(work_local, task, levels, fault)), True
             yield [(task, results)]
     if not found:
         raise RunError(WORKER_DIED)

@@ -14,7 +14,7 @@ from lensdesign.common.clusters import toolkit_version
 from lensdesign.errors import InputError
 from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.executors import Perform, RunError, cluster_workers, this_process
-from tolerancing.run.pool import EndedError, Rehearsal, local_pool
+from tolerancing.run.pool import EndedError, LocalPool, Rehearsal
 from tolerancing.run.tasks import Task, chunk_size, dear_counts, missing_dear, missing_steps, missing_trials
 from tolerancing.store.store import Store, create_store, open_store
 from tolerancing.study.evaluate import first_scores, make_ready
@@ -120,14 +120,15 @@ def run_study(
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
-    with Rehearsal(loaded, here=workers == 1) as rehearsal:
+    processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+    pool = LocalPool(loaded, min(processes, planned))
+    with Rehearsal(loaded, here=workers == 1) as rehearsal, pool:
         rehearsal.do(make_ready, loaded.study)
-        store, is_new = _ready_store(Path(store_path), loaded, planned, fresh, rehearsal)
+        store, is_new = _ready_store(Path(store_path), loaded, planned, fresh, rehearsal, pool)
         with store:
             levels = {merit.label: merit.level for merit in store.merits()}
             loaded = replace(loaded, study=loaded.study.with_levels(levels))
             lacking = _lacking(loaded, store, planned)
-            processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
             size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
             tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
             processes = min(processes, max(1, tasks))
@@ -140,7 +141,7 @@ def run_study(
                 here = processes == 1 and rehearsal.here
                 rehearsal.close()
                 store.start_writing()
-                with _workers(loaded, levels, processes, cluster, here) as perform:
+                with _workers(loaded, levels, pool, cluster, here) as perform:
                     trial_tasks = missing_trials(store, planned, size, in_order=is_new)
                     _score(loaded, store, perform, tally, trial_tasks, planned)
                 store.finish_writing()
@@ -158,11 +159,11 @@ def _check_counts(planned: int, workers: int | None, cluster: str | None) -> Non
 
 
 def _workers(
-    loaded: LoadedStudy, levels: dict[str, str], processes: int, address: str | None, here: bool
+    loaded: LoadedStudy, levels: dict[str, str], pool: LocalPool, address: str | None, here: bool
 ) -> AbstractContextManager[Perform]:
     if address is not None:
         return cluster_workers(loaded, levels, address)
-    return this_process(loaded) if here else local_pool(loaded, processes)
+    return this_process(loaded) if here else pool.performing(loaded)
 
 
 def _score(
@@ -197,13 +198,14 @@ def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
 
 
 def _ready_store(
-    path: Path, loaded: LoadedStudy, planned: int, fresh: bool, rehearsal: Rehearsal
+    path: Path, loaded: LoadedStudy, planned: int, fresh: bool, rehearsal: Rehearsal, pool: LocalPool
 ) -> tuple[Store, bool]:
     """The store that holds this study and knows what is planned, and whether it was made just now."""
     if os.path.exists(path):
         open_store(path).close()  # what is no store of ours is never replaced
         if not fresh:
             return _continued(path, loaded, planned), False
+    pool.get_ready()  # meanwhile: where a store is made, there is work for all
     levels, nominal = rehearsal.do(first_scores, loaded.lens, loaded.study)
     if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True

@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -53,10 +54,21 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def work_local(task: Task, fault: str = "") -> Results:
-    """Do a task in a process of a local pool; with a fault, that is what merits in Python come to."""
+def get_warm() -> None:
+    """Set up what is set up once, by a trial that nobody asks for; its own task tells what is amiss."""
+    from tolerancing.study.evaluate import score_trials
+
     assert _own is not None  # the initializer saw to it
     context, study = _own
+    if not any(merit.used_level == "wave" for merit in study.merits):
+        with suppress(Exception):
+            score_trials(context, study.with_levels({}), (0,))
+
+
+def work_local(task: Task, levels: Mapping[str, str], fault: str = "") -> Results:
+    """Do a task in a process of a local pool; with a fault, that is what merits in Python come to."""
+    assert _own is not None  # the initializer saw to it
+    context, study = _own[0], _own[1].with_levels(levels)
     if fault:
         merits = tuple(merit.refused(fault) for merit in study.all_merits)
         study = study.model_copy(update={"all_merits": merits})
