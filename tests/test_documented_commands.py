@@ -52,6 +52,10 @@ SHORTER = {
     r"^(wavesim (?:reconstruct|calibrate) (?!.*--(?:error|engine|free-space)).*)": r"\1 --error 0.3",
     # The whole field of the full-size lens (half an hour): of a tiny twin.
     r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
+    # A bench on which all is wrong: its frames, not the engine that makes them.
+    r"--engine two-level (.*) -o region$": r"--engine eikonal --error 0.3 \1 -o region",
+    # Hundreds of tiles: some, which err by more.
+    r"--tile-width-mm 0\.0005": "--tile-width-mm 0.004",
     # Nobody runs a cluster here: the whole field of another page in its place.
     r" --engine two-level --cluster \S+": " --exposures 1,30,1000 --engine two-level",
     # Its fine lines need samples and exposures that the twin has no room for.
