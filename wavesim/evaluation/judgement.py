@@ -51,7 +51,7 @@ def truth_metrics(
     directions = open_directions(scene, found.grid)
 
     def passed(values: Any) -> Field:
-        own = illumination.with_values((illumination.values * values).astype(np.complex64))
+        own = illumination.with_values((illumination.values * values).astype(np.complex64, copy=False))
         there = as_passed(own, directions)
         return there.with_values(scratch.held(there.values, "a field that the lens passes"))
 

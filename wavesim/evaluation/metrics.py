@@ -180,10 +180,10 @@ def object_correlation(found: Field, truth: Field, illumination: Field, support:
     for name, one in (("found", found), ("truth", truth)):
         if one.grid.shape != illumination.grid.shape or one.grid.pitch_mm != illumination.grid.pitch_mm:
             raise InputError(f"{name}: its grid {one.grid} is not the illumination's {illumination.grid}")
-    power = np.abs(illumination.values) ** 2
-    inside = power > 1e-6 * power.max(initial=0.0) if support is None else np.asarray(support, bool)
-    if inside.shape != power.shape:
-        raise InputError(f"support: its shape {inside.shape} is not that of the fields, {power.shape}")
+    inside = _lit(illumination) if support is None else np.asarray(support, bool)
+    if inside.shape != illumination.values.shape:
+        shape = illumination.values.shape
+        raise InputError(f"support: its shape {inside.shape} is not that of the fields, {shape}")
     products = np.zeros((3, 3), complex)
     for rows in row_blocks(len(inside)):
         products += _products(rows, inside, (illumination, found, truth))
@@ -199,11 +199,17 @@ def object_correlation(found: Field, truth: Field, illumination: Field, support:
     return float(abs(left[1, 2])) / math.sqrt(sizes[0] * sizes[1])
 
 
+def _lit(illumination: Field) -> Mask:
+    """Where its intensity is not next to nothing."""
+    power = np.abs(illumination.values) ** 2
+    return np.asarray(power > 1e-6 * power.max(initial=0.0))
+
+
 def _products(rows: slice, inside: Mask, fields: tuple[Field, ...]) -> NDArray:
     """All inner products of some fields, in a part of the rows."""
     chosen = inside[rows]
-    parts = np.stack([np.asarray(one.values[rows][chosen], complex) for one in fields])
-    return np.asarray(parts.conj() @ parts.T)
+    parts = [np.asarray(one.values[rows][chosen], complex) for one in fields]
+    return np.array([[np.vdot(one, other) for other in parts] for one in parts])
 
 
 def _intensity(picture: Picture, grid: Grid) -> Array:

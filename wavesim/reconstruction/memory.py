@@ -18,6 +18,7 @@ from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.reconstruction.retrieval.steps import BLOCK_BYTES
+from wavesim.runtime import threads
 from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
 from wavesim.scene.engine import Engine
@@ -32,12 +33,12 @@ TILTED_WAYS, TILTED_FIELDS = 6, 3
 READ_BYTES = 24
 """For each sample of the object, while a true object is read. Measured."""
 
-REFOCUSED_BYTES, CARRIED_BYTES, JUDGED_BYTES, DRAWN_BYTES = 330, 85, 30, 30
-"""For each sample whose sharpness is asked for, that is carried along the axis with these, compared with the
-truth, and drawn. Measured."""
+REFOCUSED_BYTES, CARRIED_BYTES, PSNR_BYTES, PRODUCT_BYTES, SIMILARITY_BYTES = 330, 85, 12, 64, 160
+"""For each sample whose sharpness is asked for, that is carried along the axis with these, or compared with
+the truth; and for each of a block of rows that is. Measured."""
 
-PLANE_BYTES = 20
-"""For each pixel, while residuals of a plane are drawn. Measured."""
+PICTURE_BYTES, DRAWN_BYTES, PLANE_BYTES = 450_000_000, 12, 9
+"""Of pictures with their libraries, and for each sample of the object or pixel of a plane. Measured."""
 
 BLOCKS = 6
 """Of rows or columns, that a thread of Appendix A has at one time."""
@@ -349,8 +350,7 @@ def run_arrays(
     modes, tilted
         As of :func:`reconstruction_bytes`.
     """
-    sizes = Sizes.of(engine, distances_mm)
-    of_object = method == "object"
+    sizes, of_object = Sizes.of(engine, distances_mm), method == "object"
     own = descent_arrays(sizes, kind, active_width, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
     source = math.prod(sizes.source)
@@ -362,11 +362,8 @@ def run_arrays(
         work("all that is given, as it was read", sum(one.bytes_of_all for one in given), Phase.MOVING),
     )
     # A new checkpoint is written before the earlier one goes.
-    state, kept = (
-        ("a step", ITERATING)
-        if method == "object"
-        else ("the field sought, and the one before", Phase.PASSING)
-    )
+    passing = ("the field sought, and the one before", Phase.PASSING)
+    state, kept = ("a step", ITERATING) if of_object else passing
     files = (Listed("checkpoints", (named(own, state).bytes_of_all,), np.uint8, kept, 2, lies="file"),)
     return before + given + own + files + _results(sizes, method, shown, carried, truth)
 
@@ -384,16 +381,19 @@ def _paper_arrays(sizes: Sizes) -> Inventory:
 
 def _results(sizes: Sizes, method: str, shown: tuple[int, ...], carried: int, truth: bool) -> Inventory:
     """What is held from the last iteration on; all but `sizes` as of :func:`run_arrays`."""
-    dtype, part = sizes.dtype, math.prod(shown)
+    dtype, part, of_object = sizes.dtype, math.prod(shown), method == "object"
+    block = part // shown[0] * min(shown[0], threads.BLOCK)
+    judged = max(2 * COMPLEX64 * part, COMPLEX64 * part + PRODUCT_BYTES * block)
+    compared = COMPLEX64 * part + max(PSNR_BYTES * part, SIMILARITY_BYTES * block)
+    drawn = PICTURE_BYTES + max(DRAWN_BYTES * part, PLANE_BYTES * math.prod(sizes.behind))
     return (
         Listed("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
-        Listed("what was found", sizes.source if method == "object" else sizes.behind, dtype, RESULTS),
-        Listed("the part that is shown", shown, dtype, RESULTS),
-        Listed("a field that the lens passes", shown, dtype, RESULTS, 3 * truth, lies="scratch"),
-        Listed("fields, and what the lens passes of them", shown, dtype, Phase.JUDGING, 2 * truth),
-        work("a comparison", JUDGED_BYTES * part, Phase.COMPARING),
+        Listed("what was found", sizes.source if of_object else sizes.behind, dtype, RESULTS),
+        Listed("the part that is shown", shown, dtype, RESULTS, int(carried > 0 or not of_object)),
+        Listed("a field that the lens passes", shown, dtype, Phase.JUDGING, 2 * truth, lies="scratch"),
+        work("fields, and what the lens passes of them", truth * judged, Phase.JUDGING),
+        work("a comparison", truth * compared, Phase.COMPARING),
         work("sharpness", REFOCUSED_BYTES * min(carried, MOST_JUDGED**2), Phase.SHARPNESS),
         work("what is carried along the axis", CARRIED_BYTES * carried, Phase.CARRYING),
-        work("pictures of the object", DRAWN_BYTES * part, Phase.DRAWING),
-        work("pictures of a plane", PLANE_BYTES * math.prod(sizes.behind), Phase.DRAWING),
+        work("pictures", drawn, Phase.DRAWING),
     )
