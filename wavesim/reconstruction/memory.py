@@ -37,8 +37,9 @@ REFOCUSED_BYTES, CARRIED_BYTES, PSNR_BYTES, PRODUCT_BYTES, SIMILARITY_BYTES = 33
 """For each sample whose sharpness is asked for, that is carried along the axis with these, or compared with
 the truth; and for each of a block of rows that is. Measured."""
 
-PICTURE_BYTES, DRAWN_BYTES, PLANE_BYTES = 450_000_000, 12, 9
-"""Of pictures with their libraries, and for each sample of the object or pixel of a plane. Measured."""
+PICTURE_BYTES, SCREEN_BYTES, SCREEN, DRAWN_BYTES, PLANE_BYTES = 60_000_000, 100, 4_000_000, 12, 9
+"""Of what draws pictures, of each sample as far as it is drawn by itself (`SCREEN` of them at most), and of
+each of the object, or pixel of a plane. Measured."""
 
 BLOCKS = 6
 """Of rows or columns, that a thread of Appendix A has at one time."""
@@ -382,10 +383,10 @@ def _paper_arrays(sizes: Sizes) -> Inventory:
 def _results(sizes: Sizes, method: str, shown: tuple[int, ...], carried: int, truth: bool) -> Inventory:
     """What is held from the last iteration on; all but `sizes` as of :func:`run_arrays`."""
     dtype, part, of_object = sizes.dtype, math.prod(shown), method == "object"
-    block = part // shown[0] * min(shown[0], threads.BLOCK)
+    block, behind = part // shown[0] * min(shown[0], threads.BLOCK), math.prod(sizes.behind)
     judged = max(2 * COMPLEX64 * part, COMPLEX64 * part + PRODUCT_BYTES * block)
     compared = COMPLEX64 * part + max(PSNR_BYTES * part, SIMILARITY_BYTES * block)
-    drawn = PICTURE_BYTES + max(DRAWN_BYTES * part, PLANE_BYTES * math.prod(sizes.behind))
+    drawn = PICTURE_BYTES + SCREEN_BYTES * min(part, SCREEN) + max(DRAWN_BYTES * part, PLANE_BYTES * behind)
     return (
         Listed("maps of residuals", sizes.behind, sizes.real, RESULTS, sizes.planes),
         Listed("what was found", sizes.source if of_object else sizes.behind, dtype, RESULTS),

@@ -30,6 +30,7 @@ from wavesim.reconstruction.memory import (
     DRAWN_BYTES,
     PICTURE_BYTES,
     REFOCUSED_BYTES,
+    SCREEN_BYTES,
     STARTING,
     STEPPING,
     Phase,
@@ -339,7 +340,7 @@ def test_a_comparison_keeps_within_what_is_told_and_to_files_where_there_is_no_r
 def test_what_is_told_at_the_end_is_what_is_still_held(engine: Nothing) -> None:
     """When pictures are drawn, what the lens passes of fields is gone, and what is shown is no copy."""
     most, least = told(engine, during=Phase.DRAWING, truth=True)
-    drawn = (PICTURE_BYTES + DRAWN_BYTES * engine.scene.object_grid.size) / engine.scene.object_grid.size
+    drawn = PICTURE_BYTES / engine.scene.object_grid.size + SCREEN_BYTES + DRAWN_BYTES
     assert most - drawn == pytest.approx(48.0)
     assert least - drawn == pytest.approx(16.0)
 
