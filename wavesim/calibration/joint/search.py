@@ -35,6 +35,9 @@ ROUNDS = 6
 BEHIND = 2
 """Rounds of the field behind the lens in an iteration: more of them take longer than the way through it."""
 
+CHECKED = 2
+"""Times as many iterations tell, through tiles of its own, what the bench that was found leaves."""
+
 FOLLOWED = 2
 """Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
 
@@ -181,13 +184,13 @@ class JointSearch:
             stand = self._descended(stand, sure or self.parameters).stand
             stand = replace(stand, stage=1, stretch=FIRST[1])
         end = self._descended(stand, self.parameters)
-        names, misfit = [p.name for p in self.parameters], end.here.misfit
+        names = [p.name for p in self.parameters]
         joint = self._joint(end.here, self.parameters, end.columns)
         left = joint.told_curvature(FOLLOWED if self.known is None else 0)
         return Told(
             end.stand.unknowns.changed(names, end.stand.unknowns.of(names).tolist()),
-            np.asarray(np.linalg.inv(left) * _variance(misfit), float),
-            misfit,
+            np.asarray(np.linalg.inv(left) * _variance(end.here.misfit), float),
+            replace(self, iterations=CHECKED * self.iterations)._tried(end.stand.unknowns).misfit,
             end.stand.trail,
             end.reason,
         )
