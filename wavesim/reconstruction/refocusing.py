@@ -108,13 +108,13 @@ def refocus_field(
     InputError
         If the interval or the step is not usable, or the field is no plane.
     """
+    from scipy.optimize import minimize_scalar
+
     low, high = interval_mm
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InputError(f"interval_mm = {interval_mm}: must be finite, the first below the second")
     if not (math.isfinite(step_mm) and 0.0 < step_mm < high - low):
         raise InputError(f"step_mm = {step_mm!r}: must be above 0 and below the interval's {high - low:g} mm")
-    from scipy.optimize import minimize_scalar
-
     if field.grid.is_line:
         raise InputError("refocusing by SVFG: needs a field on a plane")
     judged = _middle(field)

@@ -22,7 +22,7 @@ from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay, axial_wavenumbers, fft_frequencies
 from wavesim.fields.slight_tilts import TiltedWay, Way, band_wavenumbers
-from wavesim.reconstruction.recording.bands import Change, Told, change_in_bands
+from wavesim.reconstruction.recording.bands import Change, Rows, Told, change_in_bands
 from wavesim.reconstruction.recording.kernel import (
     add_columns,
     carried_columns,
@@ -34,7 +34,6 @@ from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
-Rows = tuple[ComplexArray, ComplexArray]
 
 TAPS = 3
 """Pairs of samples, at 1/2, 1 and 3/2 of a pixel from its middle, that with it make the mean over it."""
