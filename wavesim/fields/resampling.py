@@ -106,38 +106,52 @@ def transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], ND
 
 
 def add_interpolated(
-    coarse: NDArray, ways: tuple[Weights, Weights], carried: NDArray, result: NDArray, threads: int = THREADS
+    coarse: NDArray,
+    ways: tuple[Weights, Weights],
+    carried: NDArray,
+    plane: NDArray,
+    place: tuple[int, int] = (0, 0),
+    threads: int = THREADS,
 ) -> None:
-    """Add a field on a coarse plane, interpolated and times a carrier, to one on a fine plane.
+    """Add a field on a coarse plane, interpolated and times a carrier, to a part of a fine plane.
 
     Parameters
     ----------
     coarse
-        Values, C-contiguous.
+        Values.
     ways
         Along y and x.
     carried
-        Factor of each fine sample.
-    result
-        Changed in place; of the shape of `carried`.
+        Factor of each fine sample of the part.
+    plane
+        Changed in place; C-contiguous.
+    place
+        Its row and column where the part begins.
     threads
         That share the work, at most.
     """
-    (y, x), real = ways, result.real.dtype
-    along = (y.first, y.weight), (x.first, x.weight)
-    fixed = (coarse.view(real), *along, carried.view(real), result.view(real))
+    (y, x), real = ways, plane.real.dtype
+    columns = np.ascontiguousarray(coarse.T).view(real)
+    fixed = (columns, (y.first, y.weight), (x.first, x.weight), carried.view(real), plane.view(real), place)
     for_blocks(lambda begin, end: expand(*fixed, begin, end), carried.shape[1], BLOCK, threads)
 
 
 def gathered(
-    field: NDArray, ways: tuple[Weights, Weights], carried: NDArray, threads: int = THREADS
+    plane: NDArray,
+    ways: tuple[Weights, Weights],
+    carried: NDArray,
+    place: tuple[int, int] = (0, 0),
+    threads: int = THREADS,
 ) -> NDArray:
     """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
     (y, x), real = ways, carried.real.dtype
-    fixed = (field.view(real), carried.view(real), (y.first, y.weight), x.first, transposed(x), y.coarse)
-    strips = for_blocks(lambda begin, end: collect(*fixed, begin, end), carried.shape[1], BLOCK, threads)
-    coarse = np.zeros((y.coarse, x.coarse), carried.dtype)
-    for left, strip in zip(x.first[::BLOCK], strips, strict=True):
-        part = strip.view(carried.dtype)
-        coarse[:, left : left + part.shape[1]] += part
-    return coarse
+    fixed = (plane.view(real), place, carried.view(real), transposed(y), transposed(x))
+
+    def part(begin: int, end: int) -> tuple[int, NDArray]:
+        left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
+        return left, collect(*fixed, left, right, begin, end).view(carried.dtype)
+
+    columns = np.zeros((x.coarse, y.coarse), carried.dtype)
+    for left, found in for_blocks(part, carried.shape[1], BLOCK, threads):
+        columns[left : left + len(found)] += found
+    return np.ascontiguousarray(columns.T)

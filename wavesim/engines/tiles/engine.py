@@ -233,7 +233,7 @@ class EikonalTiles(Engine):
             yield tile, self._map(tile.centre_mm), operator
 
     def _adjoint(self, values: Any) -> Any:
-        field = _usable(values)
+        field = np.ascontiguousarray(_usable(values))
         dtype = field.dtype
         if self.plane.beyond is not None:
             field = self.plane.beyond.adjoint(field.astype(complex)).astype(dtype)

@@ -191,6 +191,11 @@ class TileOperator:
             self._weights = None if sensor is None else sensor.astype(self._dtype)
         self._point_at(self._on_points(carrier.maps)[2:])
 
+    @property
+    def _place(self) -> tuple[int, int]:
+        """Row and column of the plane where its window begins."""
+        return self.window[0].start, self.window[-1].start
+
     def turned(self, carrier: RayMap, changes: SmoothMap, wavenumber_per_mm: float) -> TileOperator:
         """The tile behind a slightly different lens.
 
@@ -231,7 +236,7 @@ class TileOperator:
         along_y, along_x = (interpolation(c, f, kernel) for c, f in zip(coarse, fine, strict=True))
         touched = [replace(way, weight=(way.weight != 0.0).astype(np.float32)) for way in (along_y, along_x)]
         lit = (carried != 0.0).astype(np.complex64)
-        self._needed = gathered(lit, (touched[0], touched[1]), lit, 1).real > 0.0
+        self._needed = gathered(lit, (touched[0], touched[1]), lit, threads=1).real > 0.0
         real = np.float32 if self._dtype == np.complex64 else np.float64
         self._ways = along_y.astype(real), along_x.astype(real)
 
@@ -255,15 +260,16 @@ class TileOperator:
         if self._ways is None:
             result[self.window] += field
         else:
-            add_interpolated(field, self._ways, self._carried, result[self.window])
+            add_interpolated(field, self._ways, self._carried, result, self._place)
 
     def back(self, values: NDArray, threads: int = 1) -> NDArray:
         """The conjugate transpose of :meth:`carried` and :meth:`add`: values on the object."""
         if self._plans is None:
             return np.zeros((), self._dtype)
-        field = values[self.window]
-        if self._ways is not None:
-            field = gathered(field, self._ways, self._carried, threads)
+        if self._ways is None:
+            field = values[self.window]
+        else:
+            field = gathered(values, self._ways, self._carried, self._place, threads)
         strength = field[self._needed]
         count = len(self._tile_factors)
         if self._weights is not None:
