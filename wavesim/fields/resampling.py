@@ -118,7 +118,7 @@ def add_interpolated(
     Parameters
     ----------
     coarse
-        Values.
+        Values, C-contiguous.
     ways
         Along y and x.
     carried
@@ -131,8 +131,14 @@ def add_interpolated(
         That share the work, at most.
     """
     (y, x), real = ways, plane.real.dtype
-    columns = np.ascontiguousarray(coarse.T).view(real)
-    fixed = (columns, (y.first, y.weight), (x.first, x.weight), carried.view(real), plane.view(real), place)
+    fixed = (
+        coarse.view(real),
+        (y.first, y.weight),
+        (x.first, x.weight),
+        carried.view(real),
+        plane.view(real),
+        place,
+    )
     for_blocks(lambda begin, end: expand(*fixed, begin, end), carried.shape[1], BLOCK, threads)
 
 
@@ -151,7 +157,7 @@ def gathered(
         left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
         return left, collect(*fixed, left, right, begin, end).view(carried.dtype)
 
-    columns = np.zeros((x.coarse, y.coarse), carried.dtype)
+    coarse = np.zeros((y.coarse, x.coarse), carried.dtype)
     for left, found in for_blocks(part, carried.shape[1], BLOCK, threads):
-        columns[left : left + len(found)] += found
-    return np.ascontiguousarray(columns.T)
+        coarse[:, left : left + found.shape[1]] += found
+    return coarse

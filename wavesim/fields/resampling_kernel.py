@@ -1,8 +1,8 @@
 """Compiled loops of :mod:`wavesim.fields.resampling`; each does some columns of the fine plane for a thread.
 
-Along both axes samples are sums of lines that lie beside each other: coarse columns first, which come as the
-rows of a transposed field, then what they make down its rows. Complex lines come as their float views, real
-and imaginary part in turn, where vector instructions take neighbours whatever part they are.
+Along both axes samples are sums of lines that lie beside each other: of columns first, some rows of them at
+a time, then of the rows that these make; back, of rows first. Rows hold real parts before imaginary ones,
+columns both in turn: every loop is of a kind that vector instructions take.
 """
 
 # mypy: disable-error-code="misc"
@@ -19,32 +19,95 @@ _jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, er
 BLOCK = 256
 """Columns of the fine plane at a time."""
 
-_APART = 16
-"""Numbers between lines: lines a power of two apart share few places of a cache."""
+BAND = 32
+"""Coarse rows at a time."""
 
-_ROOM = 4
-"""Fine lines that are held, of those that a coarse one takes."""
+APART = 16
+"""Numbers between lines: lines a power of two apart share few places of a cache."""
 
 
 @_jit
-def _sum_of_lines(lines: NDArray, first: int, count: int, weight: NDArray, line: NDArray) -> None:
-    """So many lines from the first on, each times its weight; four at a time, for it waits for loads."""
+def sum_of_lines(lines: NDArray, first: int, count: int, weight: NDArray, line: NDArray) -> None:
+    """So many lines from the first on, each times its weight; four at a time: it is loads that take time."""
     line[:] = 0.0
     for t in range(0, count - 3, 4):
-        p, q, r, s = weight[t], weight[t + 1], weight[t + 2], weight[t + 3]
-        at = first + t
-        one, two, three, four = lines[at], lines[at + 1], lines[at + 2], lines[at + 3]
+        p, q, r, s, at = weight[t], weight[t + 1], weight[t + 2], weight[t + 3], first + t
         for c in range(line.shape[0]):
-            line[c] += p * one[c] + q * two[c] + r * three[c] + s * four[c]
+            line[c] += p * lines[at, c] + q * lines[at + 1, c] + r * lines[at + 2, c] + s * lines[at + 3, c]
     for t in range(count - count % 4, count):
-        own, one = weight[t], lines[first + t]
         for c in range(line.shape[0]):
-            line[c] += own * one[c]
+            line[c] += weight[t] * lines[first + t, c]
+
+
+@_jit
+def make_rows(
+    coarse: NDArray,
+    low: int,
+    high: int,
+    along_x: tuple[NDArray, NDArray],
+    begin: int,
+    end: int,
+    rows: NDArray,
+    at: int,
+) -> None:
+    """Coarse rows from `low` to `high` in columns of the fine plane, on lines from `at` on."""
+    first, weight = along_x
+    left, taps, count = first[begin], weight.shape[1], high - low
+    columns = empty((first[end - 1] + taps - left, 2 * count), rows.dtype)
+    column = empty(2 * count, rows.dtype)
+    for k in range(count):
+        for c in range(columns.shape[0]):
+            columns[c, 2 * k] = coarse[low + k, 2 * (left + c)]
+            columns[c, 2 * k + 1] = coarse[low + k, 2 * (left + c) + 1]
+    for j in range(end - begin):
+        sum_of_lines(columns, first[begin + j] - left, taps, weight[begin + j], column)
+        for k in range(count):
+            rows[at + k, j] = column[2 * k]
+            rows[at + k, end - begin + j] = column[2 * k + 1]
+
+
+@_jit
+def moved_up(lines: NDArray, first: int, made: int, top: int) -> None:
+    """Lines from `first` to `made`, the one at `top` the uppermost, to where the uppermost are."""
+    for i in range(first, made):
+        lines[i - first] = lines[i - top]
+
+
+@_jit
+def put_column(line: NDArray, columns: NDArray, at: int) -> None:
+    """A line of a block as a row of its columns."""
+    width = line.shape[0] // 2
+    for j in range(width):
+        columns[j, 2 * at] = line[j]
+        columns[j, 2 * at + 1] = line[width + j]
+
+
+@_jit
+def put_band(
+    columns: NDArray,
+    back_x: tuple[NDArray, NDArray, NDArray],
+    left: int,
+    begin: int,
+    end: int,
+    low: int,
+    high: int,
+    result: NDArray,
+) -> None:
+    """Coarse rows from `low` to `high`, in a block's columns, onto coarse columns from `left` on."""
+    first, last, weight = back_x
+    column = empty(2 * (high - low), result.dtype)
+    for c in range(result.shape[1] // 2):
+        start, stop = max(first[left + c], begin), min(last[left + c], end)
+        own = weight[left + c, start - first[left + c] :]
+        sum_of_lines(columns, start - begin, max(stop - start, 0), own, column)
+        for k in range(high - low):
+            result[low + k, 2 * c] = column[2 * k]
+            result[low + k, 2 * c + 1] = column[2 * k + 1]
 
 
 @_jit
 def expand(
-    columns: NDArray,
+    coarse: NDArray,
     along_y: tuple[NDArray, NDArray],
     along_x: tuple[NDArray, NDArray],
     carried: NDArray,
@@ -55,27 +118,29 @@ def expand(
 ) -> None:
     """Add columns of a coarse field, interpolated and times a carrier, to those of a fine one.
 
-    `columns` is the coarse field transposed; `along_y` and `along_x` are the first coarse sample and its
-    weights for each fine one. Fields and carrier come as their float views; `place` is row and column of the
-    plane where the fine field begins.
+    `along_y` and `along_x` are the first coarse sample and its weights for each fine one. Fields and carrier
+    come as their float views; `place` is row and column of the plane where the fine field begins.
     """
-    (first_y, weight_y), (first_x, weight_x) = along_y, along_x
-    count, width = columns.shape[1] // 2, 2 * (end - begin)
-    rows = empty((count, width + _APART), plane.dtype)
-    column, line = empty(2 * count, plane.dtype), empty(width, plane.dtype)
-    for j in range(end - begin):
-        weight = weight_x[begin + j]
-        _sum_of_lines(columns, first_x[begin + j], weight.shape[0], weight, column)
-        for k in range(count):
-            rows[k, 2 * j] = column[2 * k]
-            rows[k, 2 * j + 1] = column[2 * k + 1]
+    first_y, weight_y = along_y
+    taps, count, width = weight_y.shape[1], coarse.shape[0], end - begin
+    rows = empty((2 * (taps + BAND), 2 * width + APART), plane.dtype)
+    line = empty(2 * width, plane.dtype)
+    top = made = 0
     for i in range(first_y.shape[0]):
-        _sum_of_lines(rows, first_y[i], weight_y.shape[1], weight_y[i], line)
+        first = first_y[i]
+        while made < first + taps:
+            if made + BAND - top > rows.shape[0]:
+                moved_up(rows, first, made, top)
+                top = first
+            more = min(made + BAND, count)
+            make_rows(coarse, made, more, along_x, begin, end, rows, made - top)
+            made = more
+        sum_of_lines(rows, first - top, taps, weight_y[i], line)
         wave = carried[i, 2 * begin : 2 * end]
         onto = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-        for j in range(end - begin):
-            onto[2 * j] += wave[2 * j] * line[2 * j] - wave[2 * j + 1] * line[2 * j + 1]
-            onto[2 * j + 1] += wave[2 * j] * line[2 * j + 1] + wave[2 * j + 1] * line[2 * j]
+        for j in range(width):
+            onto[2 * j] += wave[2 * j] * line[j] - wave[2 * j + 1] * line[width + j]
+            onto[2 * j + 1] += wave[2 * j] * line[width + j] + wave[2 * j + 1] * line[j]
 
 
 @_jit
@@ -90,36 +155,31 @@ def collect(
     begin: int,
     end: int,
 ) -> NDArray:
-    """The transpose of `expand`: what columns add to the coarse ones from `left` to `right`, as their rows.
+    """The transpose of `expand`: what columns add to the coarse ones from `left` to `right`.
 
     `back_y` and `back_x` are the transposes of the weights: for each coarse sample the first fine one that
     counts, one past the last, and weights. The result is a float view.
     """
-    (first_y, last_y, weight_y), (first_x, last_x, weight_x) = back_y, back_x
-    count, width, room = first_y.shape[0], 2 * (end - begin), _ROOM * weight_y.shape[1]
-    fine, line = empty((room, width + _APART), plane.dtype), empty(width, plane.dtype)
-    columns = empty((end - begin, 2 * count + _APART), plane.dtype)
+    first_y, last_y, weight_y = back_y
+    count, width = first_y.shape[0], end - begin
+    fine = empty((2 * (weight_y.shape[1] + BAND), 2 * width + APART), plane.dtype)
+    line, columns = empty(2 * width, plane.dtype), empty((width, 2 * BAND + APART), plane.dtype)
+    result = empty((count, 2 * (right - left)), plane.dtype)
     top = made = 0
     for k in range(count):
         first, last = first_y[k], last_y[k]
-        if last - top > room:
-            for i in range(first, made):
-                fine[i - first] = fine[i - top]
+        if last - top > fine.shape[0]:
+            moved_up(fine, first, made, top)
             top, made = first, max(made, first)
         for i in range(made, last):
             wave, own = carried[i, 2 * begin : 2 * end], fine[i - top]
             value = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-            for j in range(end - begin):
-                own[2 * j] = wave[2 * j] * value[2 * j] + wave[2 * j + 1] * value[2 * j + 1]
-                own[2 * j + 1] = wave[2 * j] * value[2 * j + 1] - wave[2 * j + 1] * value[2 * j]
+            for j in range(width):
+                own[j] = wave[2 * j] * value[2 * j] + wave[2 * j + 1] * value[2 * j + 1]
+                own[width + j] = wave[2 * j] * value[2 * j + 1] - wave[2 * j + 1] * value[2 * j]
         made = max(made, last)
-        _sum_of_lines(fine, first - top, last - first, weight_y[k], line)
-        for j in range(end - begin):
-            columns[j, 2 * k] = line[2 * j]
-            columns[j, 2 * k + 1] = line[2 * j + 1]
-    result = empty((right - left, 2 * count), plane.dtype)
-    for c in range(left, right):
-        start, stop = max(first_x[c], begin), min(last_x[c], end)
-        weight = weight_x[c, start - first_x[c] :]
-        _sum_of_lines(columns, start - begin, max(stop - start, 0), weight, result[c - left])
+        sum_of_lines(fine, first - top, last - first, weight_y[k], line)
+        put_column(line, columns, k % BAND)
+        if k % BAND == BAND - 1 or k == count - 1:
+            put_band(columns, back_x, left, begin, end, k - k % BAND, k + 1, result)
     return result

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.engines.whole_field.kernel import BLOCK, collector, expander
+from wavesim.engines.whole_field.kernel import collect, expand
 from wavesim.fields.resampling import Kernel, Weights, interpolation, transposed
+from wavesim.fields.resampling_kernel import BLOCK
 from wavesim.runtime.threads import for_blocks
+
+Back = tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +27,15 @@ class Ways:
         Along y and x, in float32.
     first, share : two ndarrays each
         First of four samples and their shares, along y and x, on the grid of what is smooth.
-    back : tuple of ndarray
-        Transpose along x: for each coarse sample the first fine one that counts, one past the last, and
+    back : two tuples of ndarray
+        Transposes of `field`: for each coarse sample the first fine one that counts, one past the last, and
         weights from the first on, shape (coarse, most).
     """
 
     field: tuple[Weights, Weights]
     first: tuple[NDArray[np.int64], NDArray[np.int64]]
     share: tuple[Array, Array]
-    back: tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
+    back: tuple[Back, Back]
 
 
 def ways_between(
@@ -42,7 +45,7 @@ def ways_between(
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
     first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
-    return Ways((field[0], field[1]), first, share, transposed(field[1]))
+    return Ways((field[0], field[1]), first, share, (transposed(field[0]), transposed(field[1])))
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
@@ -82,30 +85,29 @@ class Carried:
             return
         ways = self._ways_of(start, stop)
         (y, x), place = ways.field, (start - first_row, across.start)
-        carrier = self._carrier(ways)
-        fixed = ((y.first, y.weight), (x.first, x.weight), carrier, fine.view(np.float32), place)
-        expand = expander(y.weight.shape[1])
-        for_blocks(lambda begin, end: expand(coarse, *fixed, begin, end), len(x.first), BLOCK, threads)
+        along, carrier = ((y.first, y.weight), (x.first, x.weight)), self._carrier(ways)
+        fixed = (coarse.view(np.float32), *along, carrier, fine.view(np.float32), place)
+        for_blocks(lambda begin, end: expand(*fixed, begin, end), len(x.first), BLOCK, threads)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
         y, x = self.ways.field
         place = self.window[0].start, self.window[1].start
-        ways = ((y.first, y.weight), (x.first, x.weight), self.ways.back, self._carrier(self.ways))
-        collect = collector(y.weight.shape[1])
+        fixed = (fine.view(np.float32), place, *self.ways.back, self._carrier(self.ways))
 
-        def columns(begin: int, end: int) -> NDArray[np.complex64]:
-            return np.asarray(collect(fine.view(np.float32), place, *ways, y.coarse, begin, end))
+        def part(begin: int, end: int) -> tuple[int, NDArray[np.complex64]]:
+            left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
+            return left, collect(*fixed, left, right, begin, end).view(np.complex64)
 
-        strips = for_blocks(columns, len(x.first), BLOCK, threads)
         coarse = np.zeros((y.coarse, x.coarse), np.complex64)
-        for left, strip in zip(x.first[::BLOCK], strips, strict=True):
-            coarse[:, left : left + strip.shape[1]] += strip
+        for left, found in for_blocks(part, len(x.first), BLOCK, threads):
+            coarse[:, left : left + found.shape[1]] += found
         return coarse
 
     def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
         """What the loops take of it."""
-        return self.turns, self.edge, ways.first[0], ways.share[0], ways.first[1], ways.share[1]
+        (first_y, first_x), (share_y, share_x) = ways.first, ways.share
+        return self.turns, self.edge, first_y, share_y, first_x, share_x, share_x.astype(np.float32)
 
     def _ways_of(self, start: int, stop: int) -> Ways:
         """To some of the fine grid's rows."""
