@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.special import i0
 
 from lensdesign.common.arrays import Array
-from wavesim.fields.resampling_kernel import BLOCK, collect, expand
+from wavesim.fields.resampling_kernel import block_width, collect, expand
 from wavesim.runtime.threads import THREADS, for_blocks
 
 OVERSAMPLING = 1.6
@@ -139,7 +139,8 @@ def add_interpolated(
         plane.view(real),
         place,
     )
-    for_blocks(lambda begin, end: expand(*fixed, begin, end), carried.shape[1], BLOCK, threads)
+    columns = carried.shape[1]
+    for_blocks(lambda begin, end: expand(*fixed, begin, end), columns, block_width(columns), threads)
 
 
 def gathered(
@@ -157,7 +158,7 @@ def gathered(
         left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
         return left, collect(*fixed, left, right, begin, end).view(carried.dtype)
 
-    coarse = np.zeros((y.coarse, x.coarse), carried.dtype)
-    for left, found in for_blocks(part, carried.shape[1], BLOCK, threads):
+    coarse, columns = np.zeros((y.coarse, x.coarse), carried.dtype), carried.shape[1]
+    for left, found in for_blocks(part, columns, block_width(columns), threads):
         coarse[:, left : left + found.shape[1]] += found
     return coarse

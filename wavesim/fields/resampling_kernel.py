@@ -9,6 +9,8 @@ columns both in turn: every loop is of a kind that vector instructions take.
 
 from __future__ import annotations
 
+import math
+
 from numpy import empty
 from numpy.typing import NDArray
 
@@ -16,14 +18,21 @@ from lensdesign.tracing.kept_kernels import kept_njit
 
 _jit = kept_njit(nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
-BLOCK = 256
-"""Columns of the fine plane at a time."""
+BLOCK, BLOCKS = 1024, 2
+"""Columns of the fine plane at a time, at most, and what the number of blocks is a multiple of: threads
+share them evenly."""
 
 BAND = 32
 """Coarse rows at a time."""
 
 APART = 16
 """Numbers between lines: lines a power of two apart share few places of a cache."""
+
+
+def block_width(columns: int) -> int:
+    """Columns at a time: how many threads there are does not change what is added up in which turn."""
+    blocks = BLOCKS * math.ceil(columns / (BLOCKS * BLOCK))
+    return math.ceil(columns / blocks)
 
 
 @_jit

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collect, expand
 from wavesim.fields.resampling import Kernel, Weights, interpolation, transposed
-from wavesim.fields.resampling_kernel import BLOCK
+from wavesim.fields.resampling_kernel import block_width
 from wavesim.runtime.threads import for_blocks
 
 Back = tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
@@ -87,7 +87,8 @@ class Carried:
         (y, x), place = ways.field, (start - first_row, across.start)
         along, carrier = ((y.first, y.weight), (x.first, x.weight)), self._carrier(ways)
         fixed = (coarse.view(np.float32), *along, carrier, fine.view(np.float32), place)
-        for_blocks(lambda begin, end: expand(*fixed, begin, end), len(x.first), BLOCK, threads)
+        columns = len(x.first)
+        for_blocks(lambda begin, end: expand(*fixed, begin, end), columns, block_width(columns), threads)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
@@ -99,8 +100,8 @@ class Carried:
             left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
             return left, collect(*fixed, left, right, begin, end).view(np.complex64)
 
-        coarse = np.zeros((y.coarse, x.coarse), np.complex64)
-        for left, found in for_blocks(part, len(x.first), BLOCK, threads):
+        coarse, columns = np.zeros((y.coarse, x.coarse), np.complex64), len(x.first)
+        for left, found in for_blocks(part, columns, block_width(columns), threads):
             coarse[:, left : left + found.shape[1]] += found
         return coarse
 
