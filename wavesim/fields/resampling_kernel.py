@@ -38,14 +38,21 @@ def block_width(columns: int) -> int:
 @_jit
 def sum_of_lines(lines: NDArray, first: int, count: int, weight: NDArray, line: NDArray) -> None:
     """So many lines from the first on, each times its weight; four at a time: it is loads that take time."""
-    line[:] = 0.0
-    for t in range(0, count - 3, 4):
+    rest = count % 4
+    if rest > 1:
+        p, q = weight[0], weight[1]
+        for c in range(line.shape[0]):
+            line[c] = p * lines[first, c] + q * lines[first + 1, c]
+    else:
+        line[:] = 0.0
+    if rest % 2:
+        p, at = weight[rest - 1], first + rest - 1
+        for c in range(line.shape[0]):
+            line[c] += p * lines[at, c]
+    for t in range(rest, count, 4):
         p, q, r, s, at = weight[t], weight[t + 1], weight[t + 2], weight[t + 3], first + t
         for c in range(line.shape[0]):
             line[c] += p * lines[at, c] + q * lines[at + 1, c] + r * lines[at + 2, c] + s * lines[at + 3, c]
-    for t in range(count - count % 4, count):
-        for c in range(line.shape[0]):
-            line[c] += weight[t] * lines[first + t, c]
 
 
 @_jit
