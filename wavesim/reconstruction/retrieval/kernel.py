@@ -87,17 +87,25 @@ def carry(
     """Spectrum times a carrier, conjugate on the way back; returns the sum of the result's |values|^2.
 
     Of the carrier a quarter is given, the same for frequencies of either sign; the folds tell where in it.
+    All but the folds are float views.
     """
-    rows, columns = spectrum.shape
-    power = 0.0
-    for i in range(rows):
-        row = fold_y[i]
+    columns = len(fold_x)
+    ways = empty((quarter.shape[0], 2 * columns), quarter.dtype)
+    for k in range(ways.shape[0]):
         for j in range(columns):
-            way, value = quarter[row, fold_x[j]], spectrum[i, j]
-            c, s = way.real, -way.imag if back else way.imag
-            real, imaginary = value.real * c - value.imag * s, value.imag * c + value.real * s
-            power += float64(real) * float64(real) + float64(imaginary) * float64(imaginary)
-            result[i, j] = complex(real, imaginary)
+            ways[k, 2 * j] = quarter[k, 2 * fold_x[j]]
+            turn = quarter[k, 2 * fold_x[j] + 1]
+            ways[k, 2 * j + 1] = -turn if back else turn
+    power, zero = 0.0, ways[0, 0] - ways[0, 0]
+    for i in range(spectrum.shape[0]):
+        way, values, carried, here = ways[fold_y[i]], spectrum[i], result[i], zero
+        for j in range(columns):
+            real = values[2 * j] * way[2 * j] - values[2 * j + 1] * way[2 * j + 1]
+            imaginary = values[2 * j + 1] * way[2 * j] + values[2 * j] * way[2 * j + 1]
+            here += real * real + imaginary * imaginary
+            carried[2 * j] = real
+            carried[2 * j + 1] = imaginary
+        power += float64(here)  # of few columns: there is no vector of numbers of two sizes
     return power
 
 
@@ -125,10 +133,9 @@ def add_smoothed(field: NDArray, first: int, floor: Any, half_step: Any, anew: b
     if first > 0:
         _steps(field[first - 1], floor, half_step, above)
     for i in range(count):
-        row = field[first + i]
+        row, total = field[first + i], result[i]
         upper = field[max(first + i - 1, 0)]
         lower = field[min(first + i + 1, field.shape[0] - 1)]
-        total = result[i]
         if anew:
             total[:] = zero
         if half_step == zero:
@@ -136,12 +143,17 @@ def add_smoothed(field: NDArray, first: int, floor: Any, half_step: Any, anew: b
                 total[j] += row[j]
             continue
         _steps(row, floor, half_step, here)
-        for j in range(width):
+        for j in range(2, width - 2):
+            down, right = lower[j] - row[j], row[j + 2] - row[j]
+            up, left = row[j] - upper[j], row[j] - row[j - 2]
+            total[j] += row[j] + here[j] * (down + right) - above[j] * up - here[j - 2] * left
+        for j in range(2):
             total[j] += row[j] + here[j] * (lower[j] - row[j]) - above[j] * (row[j] - upper[j])
-        for j in range(width - 2):
-            total[j] += here[j] * (row[j + 2] - row[j])
-        for j in range(2, width):
-            total[j] -= here[j - 2] * (row[j] - row[j - 2])
+            if width > 2:
+                k = width - 2 + j
+                total[j] += here[j] * (row[j + 2] - row[j])
+                total[k] += row[k] + here[k] * (lower[k] - row[k]) - above[k] * (row[k] - upper[k])
+                total[k] -= here[k - 2] * (row[k] - row[k - 2])
         here, above = above, here
 
 

@@ -312,7 +312,8 @@ def _carry(spectrum: ComplexArray, plane: Plane, block: Block, back: bool, resul
     """Carry columns of a spectrum to a plane or back; the sum of |values|^2 of the result."""
     assert plane.carrier is not None
     way, columns = plane.carrier, plane.carrier.columns[block.own]
-    return float(kernel.carry(spectrum, way.factor, way.rows, columns, back, result))
+    fields = _floats(spectrum), _floats(way.factor)
+    return float(kernel.carry(*fields, way.rows, columns, back, _floats(result)))
 
 
 def _compared(field: ComplexArray, plane: Plane, block: Block) -> Sums:
