@@ -30,7 +30,11 @@ SPREAD_PASSES = 60
 """Complex products that take as long as one nonuniform point."""
 
 SPREAD_OUT = {True: 1.0, False: 2.4}
-"""What windows that do not fit a processor's cache cost beyond their operations, on a line and on a plane."""
+"""What transforms beyond a processor's cache cost besides their operations, on a line and on a plane."""
+
+CARRY_PASSES, TAP_PASSES = 2.0, 0.55
+"""Complex products as which count, for each sample of a window: its carrier and the plane; one tap of what
+brings a coarse field there."""
 
 PLACES_BYTES = 24
 """Of both transforms of a tile, for each point and dimension."""
@@ -73,10 +77,11 @@ def tiles_cost(
     one = rank * (
         fft_seconds(4 * size.modes, scene.object_grid.is_line) + pass_seconds(SPREAD_PASSES * size.points)
     )
-    one += pass_seconds(10 * size.window)
-    if size.taps:
-        one += pass_seconds(2 * size.taps * size.window + size.coarse)
+    if not size.taps:
+        one += pass_seconds(10 * size.window)
     one *= SPREAD_OUT[scene.object_grid.is_line]
+    if size.taps:
+        one += pass_seconds(round((CARRY_PASSES + TAP_PASSES * size.taps) * size.window)) / THREADS
     setup = MAP_SECONDS[scene.object_grid.is_line] + exponential_seconds(size.window)
     setup += 40.0 * pass_seconds(size.window + size.points)
     probing = PROBE_SECONDS[scene.object_grid.is_line]
