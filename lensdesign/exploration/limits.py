@@ -11,6 +11,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.local_search import Budget, search_from
 from lensdesign.optimization.problem import DesignProblem
@@ -71,8 +72,17 @@ def find_limits(
     tolerances = specification.tolerances
     if specification.constraints.min_yield is not None and tolerances is not None and tolerances.cost is None:
         kinds.append(("tolerances", "times", 1.0, _with_tolerances))
+    specification = _without_dear_goal(specification)
     starts = _ends(specification, 1.0, lambda s, _: s)
     return tuple(_limit(specification, *kind, starts, report) for kind in kinds)
+
+
+def _without_dear_goal(specification: Specification) -> Specification:
+    """With another goal in place of one of lenses as built: constraints alone are to be met."""
+    if specification.optimize.goal not in AS_BUILT_GOALS:
+        return specification
+    settings = specification.optimize.replaced(goal="thinnest lens")
+    return specification.model_copy(update={"optimize": settings})
 
 
 def _of_object(key: str) -> Callable[[Specification, float], Specification]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from places import DESIGNS
 
+from lensdesign.exploration import limits as limits_module
 from lensdesign.exploration.limits import _with_pitch, find_limits
-from lensdesign.optimization import Specification, optimize
+from lensdesign.optimization import Specification, load_specification, optimize
 from lensdesign.optimization.asked.sections import Settings
 
 
@@ -36,3 +38,17 @@ def test_a_coarser_pixel_leaves_the_sensor_as_large(specification: Specification
 def test_a_specification_that_is_not_met_reaches_nowhere(specification: Specification) -> None:
     limits = specification.constraints.replaced(max_lens_thickness_mm=3.0)
     assert all(one.reached is None for one in find_limits(specification.replaced(constraints=limits)))
+
+
+def test_a_goal_of_lenses_as_built_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only constraints are to be met, and predictions take most of a search."""
+    asked = load_specification(DESIGNS / "as_built_spec.toml")
+    assert asked.asks_as_built
+
+    def refused(*_: object) -> None:
+        raise AssertionError("nothing asks for this")
+
+    monkeypatch.setattr(type(asked.as_built), "evaluate", refused)
+    monkeypatch.setattr(limits_module, "MOST", 1.0)  # what is asked can be met; no more is tried
+    found = find_limits(asked)
+    assert [one.reached for one in found] == [one.asked for one in found]
