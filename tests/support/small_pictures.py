@@ -11,7 +11,11 @@ from wavesim.pictures import frames
 
 
 def draw_few_dots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let commands of this process draw small pictures."""
+    """Let commands of this process draw small pictures, whose parts stand where Matplotlib first puts them.
+
+    To find a place for each, it draws all words up to three times.
+    """
     monkeypatch.setattr(plots, "DOTS_PER_INCH", 40)
     monkeypatch.setattr(plots, "render_lens", partial(scene3d.render_lens, window_size_px=(300, 200)))
     monkeypatch.setattr(frames, "DPI", 40)
+    monkeypatch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: {})
