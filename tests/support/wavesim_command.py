@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_pictures import draw_few_dots
 
 from lensdesign import load_design, save_design, scaled
 from lensdesign.lens.poses import Pose
@@ -20,7 +21,6 @@ from wavesim.cli.commands import main
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.files import write_field
 from wavesim.objects.patch import make_illumination, make_target, object_patch
-from wavesim.pictures import frames as pictures
 
 PATCH_MM, PLANES_MM, PIXELS = 0.05, (0.0625, 0.6875), 216
 
@@ -32,7 +32,7 @@ def run_wavesim(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
 ) -> tuple[object, str, str]:
     """Exit status, standard output and standard error; pictures are of few dots, which are drawn sooner."""
-    monkeypatch.setattr(pictures, "DPI", 40)
+    draw_few_dots(monkeypatch)
     monkeypatch.setattr(sys, "argv", ["wavesim", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         main()
