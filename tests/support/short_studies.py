@@ -17,7 +17,7 @@ LEFT_OUT = "contrast_1p55um"
 
 
 def copy_designs(folder: Path) -> None:
-    """The designs into a folder's own: three merits, four perturbations, two sweep values; twins; frames."""
+    """The designs into a folder's own: three merits, four perturbations, small pupils; twins; frames."""
     designs = folder / "designs"
     shutil.copytree(DESIGNS, designs)
     shutil.copytree(GOLDEN / "through_focus", folder / "through_focus")
@@ -29,6 +29,8 @@ def copy_designs(folder: Path) -> None:
         study = tomllib.loads(path.read_text(encoding="utf-8"))
         if "trials" not in study:
             continue
+        if "pupil_samples" in study.get("sampling", {}):
+            study["sampling"]["pupil_samples"] //= 2
         every = study["perturbation"]
         study["perturbation"] = every[:3] + [p for p in every[3:] if (p["target"], p["parameter"]) == NAMED]
         study["merit"] = [m for m in study.get("merit", []) if m.get("name") != LEFT_OUT]
