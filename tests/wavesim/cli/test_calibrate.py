@@ -17,6 +17,7 @@ from wavesim.calibration.calibrated import read_calibration
 from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import from_frames
+from wavesim.reconstruction.doubts.trials import Doubts
 from wavesim.scene.bench import Bench
 
 POSE = Pose(decenter_x_mm=1e-3, tilt_y_deg=0.8)
@@ -67,7 +68,8 @@ def test_a_known_target_calibrates_and_the_reconstruction_takes_it(
         data,
     )
     figures = []
-    # Frames that the nominal lens does not explain are said not to be.
+    # Frames that the nominal lens does not explain are said not to be; what else might has tests of its own.
+    monkeypatch.setattr(Doubts, "trials", lambda _: [])
     for ended, options in ((1, ()), (0, ("--calibration", tmp_path / "calibration.json"))):
         code, out, err = run_wavesim(
             monkeypatch, capsys, "reconstruct", *quick, *options, "-o", tmp_path / "out", "--json"
