@@ -19,6 +19,7 @@ SCRIPTS = (
     "eikonal_speed",
     "terms_transform",
     "full_field",
+    "carry_limit",
     "field_scaling",
     "large_field",
     "gpu_field",
