@@ -7,7 +7,9 @@ window; see A. V. Oppenheim and R. W. Schafer, "Discrete-Time Signal Processing"
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -139,8 +141,7 @@ def add_interpolated(
         plane.view(real),
         place,
     )
-    columns = carried.shape[1]
-    for_blocks(lambda begin, end: expand(*fixed, begin, end), columns, block_width(columns), threads)
+    in_columns(partial(expand, *fixed), carried.shape[1], threads)
 
 
 def gathered(
@@ -154,11 +155,37 @@ def gathered(
     (y, x), real = ways, carried.real.dtype
     fixed = (plane.view(real), place, carried.view(real), transposed(y), transposed(x))
 
+    return onto_coarse(partial(collect, *fixed), ways, carried.dtype, threads)
+
+
+def in_columns(work: Callable[[int, int], Any], columns: int, threads: int) -> list[Any]:
+    """What a loop gives for every block of a fine plane's columns, from one to another."""
+    return for_blocks(work, columns, block_width(columns), threads)
+
+
+def onto_coarse(
+    work: Callable[[int, int, int, int], NDArray], ways: tuple[Weights, Weights], dtype: Any, threads: int
+) -> NDArray:
+    """A coarse plane from what every block of a fine one's columns adds to it.
+
+    Parameters
+    ----------
+    work
+        Gives, as floats, what the last two, columns, add to coarse columns from the first to the second.
+    ways
+        From the coarse plane to the fine one, along y and x.
+    dtype
+        Of the values.
+    threads
+        That share the work, at most.
+    """
+    y, x = ways
+
     def part(begin: int, end: int) -> tuple[int, NDArray]:
         left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
-        return left, collect(*fixed, left, right, begin, end).view(carried.dtype)
+        return left, work(left, right, begin, end).view(dtype)
 
-    coarse, columns = np.zeros((y.coarse, x.coarse), carried.dtype), carried.shape[1]
-    for left, found in for_blocks(part, columns, block_width(columns), threads):
+    coarse = np.zeros((y.coarse, x.coarse), dtype)
+    for left, found in in_columns(part, len(x.first), threads):
         coarse[:, left : left + found.shape[1]] += found
     return coarse

@@ -90,35 +90,60 @@ def moved_up(lines: NDArray, first: int, made: int, top: int) -> None:
 
 
 @_jit
-def put_column(line: NDArray, columns: NDArray, at: int) -> None:
-    """A line of a block as a row of its columns."""
-    width = line.shape[0] // 2
-    for j in range(width):
-        columns[j, 2 * at] = line[j]
-        columns[j, 2 * at + 1] = line[width + j]
+def rows_from(
+    coarse: NDArray,
+    along_x: tuple[NDArray, NDArray],
+    begin: int,
+    end: int,
+    first: int,
+    last: int,
+    rows: NDArray,
+    kept: tuple[int, int],
+) -> tuple[int, int]:
+    """Make coarse rows in a block's columns, so that those from `first` to `last` are there.
+
+    `kept` is the row on the uppermost line, and the next that is not made; so is what comes back.
+    """
+    top, made = kept
+    if made < first:
+        top = made = first
+    while made < last:
+        if made + BAND - top > rows.shape[0]:
+            moved_up(rows, first, made, top)
+            top = first
+        more = min(made + BAND, coarse.shape[0])
+        make_rows(coarse, made, more, along_x, begin, end, rows, made - top)
+        made = more
+    return top, made
 
 
 @_jit
-def put_band(
+def put_row(
+    line: NDArray,
+    row: int,
     columns: NDArray,
     back_x: tuple[NDArray, NDArray, NDArray],
     left: int,
     begin: int,
     end: int,
-    low: int,
-    high: int,
     result: NDArray,
 ) -> None:
-    """Coarse rows from `low` to `high`, in a block's columns, onto coarse columns from `left` on."""
+    """A coarse row in a block's columns; `BAND` of them at a time, and the last, go onto coarse columns."""
     first, last, weight = back_x
-    column = empty(2 * (high - low), result.dtype)
+    at, width = row % BAND, end - begin
+    for j in range(width):
+        columns[j, 2 * at] = line[j]
+        columns[j, 2 * at + 1] = line[width + j]
+    if at < BAND - 1 and row < result.shape[0] - 1:
+        return
+    column = empty(2 * (at + 1), result.dtype)
     for c in range(result.shape[1] // 2):
         start, stop = max(first[left + c], begin), min(last[left + c], end)
         own = weight[left + c, start - first[left + c] :]
         sum_of_lines(columns, start - begin, max(stop - start, 0), own, column)
-        for k in range(high - low):
-            result[low + k, 2 * c] = column[2 * k]
-            result[low + k, 2 * c + 1] = column[2 * k + 1]
+        for k in range(at + 1):
+            result[row - at + k, 2 * c] = column[2 * k]
+            result[row - at + k, 2 * c + 1] = column[2 * k + 1]
 
 
 @_jit
@@ -138,19 +163,13 @@ def expand(
     come as their float views; `place` is row and column of the plane where the fine field begins.
     """
     first_y, weight_y = along_y
-    taps, count, width = weight_y.shape[1], coarse.shape[0], end - begin
+    taps, width = weight_y.shape[1], end - begin
     rows = empty((2 * (taps + BAND), 2 * width + APART), plane.dtype)
     line = empty(2 * width, plane.dtype)
     top = made = 0
     for i in range(first_y.shape[0]):
         first = first_y[i]
-        while made < first + taps:
-            if made + BAND - top > rows.shape[0]:
-                moved_up(rows, first, made, top)
-                top = first
-            more = min(made + BAND, count)
-            make_rows(coarse, made, more, along_x, begin, end, rows, made - top)
-            made = more
+        top, made = rows_from(coarse, along_x, begin, end, first, first + taps, rows, (top, made))
         sum_of_lines(rows, first - top, taps, weight_y[i], line)
         wave = carried[i, 2 * begin : 2 * end]
         onto = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
@@ -195,7 +214,5 @@ def collect(
                 own[width + j] = wave[2 * j] * value[2 * j + 1] - wave[2 * j + 1] * value[2 * j]
         made = max(made, last)
         sum_of_lines(fine, first - top, last - first, weight_y[k], line)
-        put_column(line, columns, k % BAND)
-        if k % BAND == BAND - 1 or k == count - 1:
-            put_band(columns, back_x, left, begin, end, k - k % BAND, k + 1, result)
+        put_row(line, k, columns, back_x, left, begin, end, result)
     return result

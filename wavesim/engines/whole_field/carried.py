@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collect, expand
-from wavesim.fields.resampling import Kernel, Weights, interpolation, transposed
-from wavesim.fields.resampling_kernel import block_width
-from wavesim.runtime.threads import for_blocks
+from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation, onto_coarse, transposed
 
 Back = tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
 
@@ -87,23 +86,13 @@ class Carried:
         (y, x), place = ways.field, (start - first_row, across.start)
         along, carrier = ((y.first, y.weight), (x.first, x.weight)), self._carrier(ways)
         fixed = (coarse.view(np.float32), *along, carrier, fine.view(np.float32), place)
-        columns = len(x.first)
-        for_blocks(lambda begin, end: expand(*fixed, begin, end), columns, block_width(columns), threads)
+        in_columns(partial(expand, *fixed), len(x.first), threads)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
-        y, x = self.ways.field
-        place = self.window[0].start, self.window[1].start
-        fixed = (fine.view(np.float32), place, *self.ways.back, self._carrier(self.ways))
-
-        def part(begin: int, end: int) -> tuple[int, NDArray[np.complex64]]:
-            left, right = int(x.first[begin]), int(x.first[end - 1]) + x.weight.shape[1]
-            return left, collect(*fixed, left, right, begin, end).view(np.complex64)
-
-        coarse, columns = np.zeros((y.coarse, x.coarse), np.complex64), len(x.first)
-        for left, found in for_blocks(part, columns, block_width(columns), threads):
-            coarse[:, left : left + found.shape[1]] += found
-        return coarse
+        ways, place = self.ways, (self.window[0].start, self.window[1].start)
+        fixed = (fine.view(np.float32), place, *ways.back, self._carrier(ways))
+        return onto_coarse(partial(collect, *fixed), ways.field, np.complex64, threads)
 
     def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
         """What the loops take of it."""

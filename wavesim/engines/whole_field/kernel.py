@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 from wavesim.fields import resampling_kernel
-from wavesim.fields.resampling_kernel import (
-    APART,
-    BAND,
-    make_rows,
-    moved_up,
-    put_band,
-    put_column,
-    sum_of_lines,
-)
+from wavesim.fields.resampling_kernel import APART, BAND, moved_up, put_row, rows_from, sum_of_lines
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
@@ -169,7 +161,7 @@ def expand(
         Columns of the fine field.
     """
     first_y, weight_y = along_y
-    taps, count, width = weight_y.shape[1], coarse.shape[0], end - begin
+    taps, width = weight_y.shape[1], end - begin
     rows = empty((2 * (taps + BAND), 2 * width + APART), float32)
     line, waves = empty(2 * width, float32), _room(width)
     cosine, sine = waves[3], waves[4]
@@ -178,15 +170,7 @@ def expand(
         if not _carrier_row(carrier, i, begin, waves):
             continue
         first = first_y[i]
-        if made < first:
-            top = made = first
-        while made < first + taps:
-            if made + BAND - top > rows.shape[0]:
-                moved_up(rows, first, made, top)
-                top = first
-            more = min(made + BAND, count)
-            make_rows(coarse, made, more, along_x, begin, end, rows, made - top)
-            made = more
+        top, made = rows_from(coarse, along_x, begin, end, first, first + taps, rows, (top, made))
         sum_of_lines(rows, first - top, taps, weight_y[i], line)
         onto = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
         for j in range(width):
@@ -236,9 +220,7 @@ def collect(
         made = max(made, last)
         start, stop = max(first, light), min(last, dark)
         sum_of_lines(fine, start - top, max(stop - start, 0), weight_y[k, start - first :], line)
-        put_column(line, columns, k % BAND)
-        if k % BAND == BAND - 1 or k == count - 1:
-            put_band(columns, back_x, left, begin, end, k - k % BAND, k + 1, result)
+        put_row(line, k, columns, back_x, left, begin, end, result)
     return result
 
 
