@@ -32,7 +32,7 @@ APART = 16
 def block_width(columns: int) -> int:
     """Columns at a time: how many threads there are does not change what is added up in which turn."""
     blocks = BLOCKS * math.ceil(columns / (BLOCKS * BLOCK))
-    return math.ceil(columns / blocks)
+    return math.ceil(columns / blocks) if blocks else 1
 
 
 @_jit

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wavesim.fields.resampling import (
     OVERSAMPLING,
@@ -12,7 +14,7 @@ from wavesim.fields.resampling import (
     interpolation,
     kernel_for,
 )
-from wavesim.fields.resampling_kernel import BLOCK
+from wavesim.fields.resampling_kernel import BLOCK, BLOCKS, block_width
 
 FINE_Y, FINE_X = np.linspace(-1.0, 1.2, 61), np.linspace(-0.7, 0.9, 47)
 BAND = 40.0
@@ -85,3 +87,12 @@ def test_a_part_of_a_plane_of_many_blocks(step: float) -> None:
     np.testing.assert_allclose(back, y.matrix().T @ (carried.conj() * plane[part]) @ x.matrix(), atol=1e-11)
     add_interpolated(coarse, (y, x), carried, plane, (4, 7))
     np.testing.assert_allclose(plane, expected, atol=1e-12)
+
+
+@given(columns=st.integers(0, 20_000))
+def test_blocks_of_columns_are_even(columns: int) -> None:
+    width = block_width(columns)
+    widths = [min(start + width, columns) - start for start in range(0, columns, width)]
+    assert 1 <= width <= BLOCK
+    assert sum(widths) == columns
+    assert len(widths) <= 1 or widths[-1] > width - BLOCKS * (1 + columns // BLOCK)
