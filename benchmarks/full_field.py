@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import resource
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,12 +28,8 @@ def main() -> None:
         rows, seconds = whole_field(lens, diameter)
         times.append(seconds)
         print_table(f"Field of {diameter:g} mm, first sensor plane, pixels of 3.2 um, error 0.01", rows)
-    areas = np.log(np.square(DIAMETERS_MM))
-    exponents = [float(np.polyfit(areas, np.log(t), 1)[0]) for t in np.transpose(times)]
-    rows = [
-        Row(f"exponent of {name} over field area", exponent, at_most=MOST_EXPONENT)
-        for name, exponent in zip(("forward", "adjoint"), exponents, strict=True)
-    ]
+    rows = growth(DIAMETERS_MM, times, MOST_EXPONENT)
+    exponents = [row.value for row in rows]
     largest = [
         t * (10.0 / DIAMETERS_MM[-1]) ** (2.0 * max(e, 1.0))
         for t, e in zip(times[-1], exponents, strict=True)
@@ -45,15 +42,29 @@ def main() -> None:
     print_table("Growth", rows + against_one_level(lens))
 
 
+def growth(diameters_mm: Sequence[float], times: Sequence[tuple[float, float]], at_most: float) -> list[Row]:
+    """With which powers of the field's area seconds forward and back grow."""
+    areas = np.log(np.square(diameters_mm))
+    return [
+        Row(f"exponent of {way} over field area", float(np.polyfit(areas, np.log(t), 1)[0]), at_most=at_most)
+        for way, t in zip(("forward", "adjoint"), np.transpose(times), strict=True)
+    ]
+
+
+def noisy_fields(scene: Scene) -> tuple[Field, Field]:
+    """Noise that fills the object, and the plane."""
+    rng = np.random.default_rng(1)
+    before, behind = (
+        Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
+    )
+    return before, behind
+
+
 def whole_field(lens: Lens, diameter_mm: float) -> tuple[list[Row], tuple[float, float]]:
     """Forward, adjoint and their dot-product test on noise that fills the field."""
     scene, paper = field_scene(lens, diameter_mm), diameter_mm == DIAMETERS_MM[-1]
-    wavelength, count = scene.wavelength_um, scene.object_grid.shape[0]
-    rng = np.random.default_rng(1)
-    engine = engine_for(scene, "two-level")
-    field, other = (
-        Field(grid, noise(rng, grid), wavelength) for grid in (scene.object_grid, scene.exit_grid)
-    )
+    count = scene.object_grid.shape[0]
+    engine, (field, other) = engine_for(scene, "two-level"), noisy_fields(scene)
     started = time.perf_counter()
     predicted = engine.cost()
     setup = time.perf_counter() - started

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from benchmarks.full_field import MISMATCH, dot_product_mismatch, field_scene, noise
+from benchmarks.full_field import MISMATCH, dot_product_mismatch, field_scene, noisy_fields
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
-from wavesim import Field, Scene, engine_for
+from wavesim import Scene, engine_for
 from wavesim.engines.slices.compensation import centre_rays, compensation
 from wavesim.engines.slices.samples import Reached, SlicedSurface, sliced
 from wavesim.engines.slices.steps import through_surface
@@ -93,10 +93,7 @@ def tiles(lens: Lens, device: Device, field_mm: float, side: int) -> list[Row]:
     scene = field_scene(lens, field_mm, side)
     engine = engine_for(scene, "two-level", error=1e-2)
     assert isinstance(engine, WholeFieldEngine)
-    rng = np.random.default_rng(1)
-    starts = [
-        Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
-    ]
+    starts = noisy_fields(scene)
     engine.groups  # noqa: B018
     rows, results = [], []
     for name, carry, start in zip(

@@ -15,10 +15,10 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from benchmarks.full_field import dot_product_mismatch, field_scene, noise
+from benchmarks.full_field import dot_product_mismatch, field_scene, growth, noisy_fields
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design, scaled
-from wavesim import Field, Scene, engine_for
+from wavesim import Field, engine_for
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.scene.engine import Engine
 
@@ -33,29 +33,23 @@ MOST_GB, MISMATCH, MOST_EXPONENT = 12.0, 1e-6, 1.0
 def main() -> None:
     """Measure and print."""
     lens = scaled(load_design(DESIGNS / "paper_singlet.toml"), FIELD_MM / PAPER_MM)
-    both_ways(*carried(field_scene(lens, COMPILED_MM, SIDE)))
-    times = [both_ways(*carried(field_scene(lens, mm, SIDE)))[1] for mm in SMALLER_MM]
+    scenes = [field_scene(lens, mm, SIDE) for mm in (COMPILED_MM, *SMALLER_MM)]
+    times = [both_ways(engine_for(one, "two-level"), *noisy_fields(one))[1] for one in scenes][1:]
     scene = field_scene(lens, FIELD_MM, SIDE)
-    engine, field, other = carried(scene)
-    (there, back), seconds = both_ways(engine, field, other)
+    field, other = noisy_fields(scene)
+    (there, back), seconds = both_ways(engine_for(scene, "two-level"), field, other)
     times.append(seconds)
     peak_gb = 1.024e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     mismatch = dot_product_mismatch(field, there, other, back)
     del back
-    areas = np.log(np.square([*SMALLER_MM, FIELD_MM]))
-    exponents = np.polyfit(areas, np.log(times), 1)[0]
+    fields_mm = (*SMALLER_MM, FIELD_MM)
     rows = [
         *(
-            Row(f"{way}, field of {mm:g} mm", taken[way == "adjoint"], "s")
-            for mm, taken in zip(SMALLER_MM, times, strict=False)
-            for way in ("forward", "adjoint")
+            Row(f"{way}, field of {mm:g} mm", taken, "s")
+            for mm, both in zip(fields_mm, times, strict=True)
+            for way, taken in zip(("forward", "adjoint"), both, strict=True)
         ),
-        Row(f"forward, {field.grid.shape[0]}^2 samples to {SIDE}^2 pixels", seconds[0], "s"),
-        Row("adjoint", seconds[1], "s"),
-        *(
-            Row(f"exponent of {way} over field area", exponent, at_most=MOST_EXPONENT)
-            for way, exponent in zip(("forward", "adjoint"), exponents, strict=True)
-        ),
+        *growth(fields_mm, times, MOST_EXPONENT),
         Row("most memory of the process", peak_gb, "GB", at_most=MOST_GB),
         Row("dot-product test, of the sizes", mismatch, at_most=MISMATCH),
     ]
@@ -68,16 +62,7 @@ def main() -> None:
         Row("adjoint", seconds[1], "s"),
         Row("difference from the field made here", off, at_most=1e-5),
     ]
-    print_table(f"A field of {FIELD_MM:g} mm, first sensor plane, error 0.01", rows)
-
-
-def carried(scene: Scene) -> tuple[Engine, Field, Field]:
-    """The engine, and noise that fills the object and the plane."""
-    rng = np.random.default_rng(1)
-    field, other = (
-        Field(grid, noise(rng, grid), scene.wavelength_um) for grid in (scene.object_grid, scene.exit_grid)
-    )
-    return engine_for(scene, "two-level"), field, other
+    print_table(f"A field of {FIELD_MM:g} mm, first sensor plane, {SIDE}^2 pixels, error 0.01", rows)
 
 
 def both_ways(
