@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,18 @@ class Weights:
         rows = np.arange(fine + 1) * taps
         return csr_array((self.weight.ravel(), columns.ravel(), rows), shape=(fine, self.coarse))
 
+    @cached_property
+    def back(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
+        """For each coarse sample the first fine one that counts, one past the last, and all their weights."""
+        taps, coarse = self.weight.shape[1], np.arange(self.coarse)
+        first = np.searchsorted(self.first, coarse - taps + 1)
+        last = np.searchsorted(self.first, coarse, side="right")
+        fine = first[:, None] + np.arange(int(np.max(last - first)))
+        inside = np.minimum(fine, len(self.first) - 1)
+        counts = fine < last[:, None]
+        tap = np.where(counts, coarse[:, None] - self.first[inside], 0)
+        return first, last, np.where(counts, self.weight[inside, tap], self.weight.dtype.type(0))
+
     def astype(self, dtype: type[np.floating[Any]]) -> Weights:
         """With weights of another precision."""
         return Weights(self.first, self.weight.astype(dtype), self.coarse)
@@ -93,18 +105,6 @@ def interpolation(coarse: Array, fine: Array, kernel: Kernel) -> Weights:
     inside = np.maximum(1.0 - (2.0 * distance / kernel.taps) ** 2, 0.0)
     weight = np.sinc(distance) * i0(kernel.beta * np.sqrt(inside)) / i0(kernel.beta)
     return Weights(first, weight, len(coarse))
-
-
-def transposed(along: Weights) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
-    """First fine sample that counts for each coarse one, one past the last, and weights from the first on."""
-    taps, coarse = along.weight.shape[1], np.arange(along.coarse)
-    first = np.searchsorted(along.first, coarse - taps + 1)
-    last = np.searchsorted(along.first, coarse, side="right")
-    fine = first[:, None] + np.arange(int(np.max(last - first)))
-    inside = np.minimum(fine, len(along.first) - 1)
-    counts = fine < last[:, None]
-    tap = np.where(counts, coarse[:, None] - along.first[inside], 0)
-    return first, last, np.where(counts, along.weight[inside, tap], along.weight.dtype.type(0))
 
 
 def add_interpolated(
@@ -153,7 +153,7 @@ def gathered(
 ) -> NDArray:
     """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
     (y, x), real = ways, carried.real.dtype
-    fixed = (plane.view(real), place, carried.view(real), transposed(y), transposed(x))
+    fixed = (plane.view(real), place, carried.view(real), y.back, x.back)
 
     return onto_coarse(partial(collect, *fixed), ways, carried.dtype, threads)
 

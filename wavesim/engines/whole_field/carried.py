@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collect, expand
-from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation, onto_coarse, transposed
-
-Back = tuple[NDArray[np.int64], NDArray[np.int64], NDArray]
+from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation, onto_coarse
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +24,11 @@ class Ways:
         Along y and x, in float32.
     first, share : two ndarrays each
         First of four samples and their shares, along y and x, on the grid of what is smooth.
-    back : two tuples of ndarray
-        Transposes of `field`: for each coarse sample the first fine one that counts, one past the last, and
-        weights from the first on, shape (coarse, most).
     """
 
     field: tuple[Weights, Weights]
     first: tuple[NDArray[np.int64], NDArray[np.int64]]
     share: tuple[Array, Array]
-    back: tuple[Back, Back]
 
 
 def ways_between(
@@ -44,7 +38,7 @@ def ways_between(
     field = [interpolation(c, f, kernel).astype(np.float32) for c, f in zip(coarse, fine, strict=True)]
     cubic = [_cubic(s, f) for s, f in zip(smooth, fine, strict=True)]
     first, share = (cubic[0][0], cubic[1][0]), (cubic[0][1], cubic[1][1])
-    return Ways((field[0], field[1]), first, share, (transposed(field[0]), transposed(field[1])))
+    return Ways((field[0], field[1]), first, share)
 
 
 def _cubic(coarse: Array, fine: Array) -> tuple[NDArray[np.int64], Array]:
@@ -91,7 +85,8 @@ class Carried:
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
         ways, place = self.ways, (self.window[0].start, self.window[1].start)
-        fixed = (fine.view(np.float32), place, *ways.back, self._carrier(ways))
+        (y, x), carrier = ways.field, self._carrier(ways)
+        fixed = (fine.view(np.float32), place, y.back, x.back, carrier)
         return onto_coarse(partial(collect, *fixed), ways.field, np.complex64, threads)
 
     def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
@@ -104,4 +99,4 @@ class Carried:
         w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
         along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
         first, part = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
-        return Ways((along_y, w.field[1]), first, part, w.back)
+        return Ways((along_y, w.field[1]), first, part)

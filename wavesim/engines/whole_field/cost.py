@@ -55,6 +55,6 @@ def whole_field_cost(scene: Scene, settings: WholeFieldSettings, groups: Sequenc
 def carried_bytes(carried: Carried) -> int:
     """What a super-tile keeps of its way to the plane."""
     ways = carried.ways
-    arrays = [*ways.first, *ways.share, *ways.back[0], *ways.back[1], carried.turns, carried.edge]
-    arrays += [a for weights in ways.field for a in (weights.first, weights.weight)]
+    arrays = [*ways.first, *ways.share, carried.turns, carried.edge]
+    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.back)]
     return sum(int(array.nbytes) for array in arrays)
