@@ -13,20 +13,21 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.full_field import field_scene, noise
 from benchmarks.timing import DESIGNS, Row, print_table
 from lensdesign import load_design
 from wavesim import Field, engine_for
 from wavesim.engines.whole_field.engine import WholeFieldEngine
+from wavesim.engines.whole_field.executors import ThisComputer
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Grid
-from wavesim.scene.engine import Task, Way
 
 FIELDS_MM = (0.25, 0.5, 1.0, 2.0, 3.0)
 APERTURES = (0.2, 0.3, 0.4, 0.5)
@@ -74,51 +75,59 @@ def own_process(point: dict[str, float]) -> dict[str, Any]:
     found: dict[str, Any] = point | json.loads(done.stdout)
     print(
         f"field {found['field_mm']:g} mm, NA {found['aperture']:g}, {found['side']}^2 pixels: "
-        f"forward {found['forward']:.3g} s ({found['level_one']:.3g} s for super-tiles), "
+        f"forward {found['forward']:.3g} s ({found['carrying']:.3g} s for super-tiles, "
+        f"{found['adding']:.3g} s for adding them), "
         f"adjoint {found['adjoint']:.3g} s, {1e-9 * found['bytes']:.3g} GB",
         flush=True,
     )
     return found
 
 
+class Timed(OnCpu):
+    """Knows how long super-tiles' own work took, and adding them up."""
+
+    carrying = adding = 0.0
+
+    def carry(self, *given: Any) -> NDArray[np.complex64]:
+        started = time.perf_counter()
+        result = super().carry(*given)
+        self.carrying += time.perf_counter() - started
+        return result
+
+    def add(self, *given: Any) -> None:
+        started = time.perf_counter()
+        super().add(*given)
+        self.adding += time.perf_counter() - started
+
+
 def measured(field_mm: float, aperture: float, side: int) -> dict[str, float]:
-    """Seconds forward and back, seconds of super-tiles' own work, and the process's most memory."""
+    """Seconds forward and back, of it what super-tiles and adding them take, and the process's memory."""
     lens = load_design(DESIGNS / "paper_singlet.toml")
     lens = lens.replaced(object=lens.object.replaced(numerical_aperture=aperture))
     scene = field_scene(lens, field_mm, side)
     rng = np.random.default_rng(1)
     engine = engine_for(scene, "two-level")
     assert isinstance(engine, WholeFieldEngine)
-    tiles = 0.0
-
-    def perform(way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
-        nonlocal tiles
-        for number, values in tasks:
-            started = time.perf_counter()
-            result = OnCpu().carry(way, engine.groups[number], values)
-            tiles += time.perf_counter() - started
-            yield number, result
-
     started = time.perf_counter()
     groups = len(engine.groups)
     setup = time.perf_counter() - started
-    seconds, level_one = [], []
-    engine.perform = perform
-    for carried, grid in ((engine.forward, scene.object_grid), (engine.adjoint, scene.exit_grid)):
+    seconds, workers = [], [Timed(), Timed()]
+    ways = (engine.forward, scene.object_grid), (engine.adjoint, scene.exit_grid)
+    for worker, (carried, grid) in zip(workers, ways, strict=True):
         warm_up(engine, grid)
         values = Field(grid, noise(rng, grid), scene.wavelength_um)
-        tiles, started = 0.0, time.perf_counter()
+        engine.elsewhere = ThisComputer(engine.groups, scene.exit_grid.shape, worker)
+        started = time.perf_counter()
         carried(values)
         seconds.append(time.perf_counter() - started)
-        level_one.append(tiles)
-    sums = sum(8 * group.shape[0] * group.shape[1] for group in engine.groups)
     return {
         "forward": seconds[0],
         "adjoint": seconds[1],
-        "level_one": level_one[0],
+        "carrying": workers[0].carrying,
+        "adding": workers[0].adding,
         "setup": setup,
         "groups": groups,
-        "sums_bytes": sums,
+        "sums_bytes": engine.sums_bytes,
         "bytes": 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
     }
 
@@ -145,18 +154,20 @@ def large_field(points: Sequence[dict[str, Any]]) -> list[Row]:
         power = exponent([p["field_mm"] for p in points[-3:]], figures[-3:])
         return float(figures[-1] * grow**power)
 
-    tiles = then([p["level_one"] for p in points])
-    rest = then([p["forward"] - p["level_one"] for p in points])
-    sent = last["sums_bytes"] * grow**2
-    object_bytes = 8.0 * (LARGE_MM / last["field_mm"]) ** 2 * 7056**2
+    carrying, adding = (then([p[name] for p in points]) for name in ("carrying", "adding"))
+    rest = then([p["forward"] - p["carrying"] - p["adding"] for p in points])
+    sums_bytes = last["sums_bytes"] * grow**2
+    object_bytes, plane_bytes = (8.0 * side**2 for side in (LARGE_MM / last["field_mm"] * 7056, last["side"]))
     rows = [
-        Row("here", (tiles + rest + last["setup"]) / 60.0, "min"),
-        Row("  of it super-tiles' own work", tiles / 60.0, "min"),
-        Row("  fields of super-tiles, in files", 1e-9 * sent, "GB"),
+        Row("here", (carrying + adding + rest + last["setup"]) / 60.0, "min"),
+        Row("  of it super-tiles' own work", carrying / 60.0, "min"),
+        Row("  adding them up", adding / 60.0, "min"),
+        Row("  fields of super-tiles", 1e-9 * sums_bytes, "GB"),
         Row("  the object itself", 1e-9 * object_bytes, "GB"),
     ]
     for workers in WORKERS:
-        seconds = last["setup"] + max(tiles / workers, rest, 1e-9 * sent / LINK_GB_PER_S)
+        link = max(sums_bytes / workers, object_bytes + plane_bytes) / (1e9 * LINK_GB_PER_S)
+        seconds = last["setup"] + rest + max((carrying + adding) / workers, link)
         rows.append(Row(f"with {workers} workers like this machine, 10 Gbit/s", seconds / 60.0, "min"))
     return rows
 

@@ -6,10 +6,10 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from lensdesign.errors import InputError, TransferLensError
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Result = TypeVar("Result")
+Held_co = TypeVar("Held_co", covariant=True)
 
 CONNECT_SECONDS = 30.0
 """How long to wait for the scheduler, and for its first worker: on a busy machine one takes ten seconds."""
@@ -42,6 +43,15 @@ class ClusterError(TransferLensError):
     """Workers of a cluster died, or it went away; what was kept before stays."""
 
 
+class Held(Protocol[Held_co]):
+    """A result that lies in a cluster."""
+
+    @property
+    def status(self) -> str: ...
+
+    def result(self) -> Held_co: ...
+
+
 class Cluster:
     """A connection through which a cluster's workers, which may come and go, do tasks."""
 
@@ -50,13 +60,35 @@ class Cluster:
         self._executor = client.get_executor(retries=RETRIES, pure=False)
         self._threads, self._asked = 0, -COUNT_SECONDS
 
-    def send(self, parcel: Any) -> Any:
+    def send(self, parcel: Result) -> Held[Result]:
         """Keep something in the cluster, from where each worker that needs it fetches it once."""
         # A task's result, unlike scattered data, is made again when the workers that hold it die.
-        return self._client.submit(_unchanged, parcel, pure=False)
+        return self.hold(_unchanged, parcel)
+
+    def hold(self, work: Callable[..., Result], *arguments: Any) -> Held[Result]:
+        """Hand out a task whose result stays in the cluster, as long as something refers to it."""
+        held: Held[Result] = self._client.submit(work, *arguments, retries=RETRIES, pure=False)
+        return held
+
+    def finish(self, held: Iterable[Held[Any]]) -> None:
+        """Wait until results are there, in the cluster.
+
+        Raises
+        ------
+        ClusterError
+            As :func:`result_of`.
+        """
+        from distributed import wait
+
+        waiting = list(held)
+        with _in_plain_words(), self._client.as_current():
+            wait(waiting)
+            for one in waiting:
+                if one.status == "error":
+                    one.result()
 
     def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
-        """Hand out a task; what was sent stands among its arguments."""
+        """Hand out a task; what the cluster holds may stand among its arguments."""
         future: Future[Result] = self._executor.submit(work, *arguments)
         return future
 
@@ -71,7 +103,7 @@ class Cluster:
         self._executor.shutdown(wait=False)
 
 
-def result_of(future: Future[Result]) -> Result:
+def result_of(future: Future[Result] | Held[Result]) -> Result:
     """What a task came to.
 
     Raises
@@ -79,10 +111,16 @@ def result_of(future: Future[Result]) -> Result:
     ClusterError
         If the scheduler is gone, or the task ended several workers.
     """
+    with _in_plain_words():
+        return future.result()
+
+
+@contextmanager
+def _in_plain_words() -> Iterator[None]:
     from concurrent.futures import CancelledError
 
     try:
-        return future.result()
+        yield
     except CancelledError as error:
         raise ClusterError("the cluster's scheduler is gone") from error
     except Exception as error:

@@ -163,7 +163,7 @@ def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
     try:
         yield take(engine)
     finally:
-        engine.report = engine.perform = None
+        engine.report = None
 
 
 def _goes_on(case: FramesCase) -> str:

@@ -27,12 +27,6 @@ ComplexArray = NDArray[np.complexfloating]
 
 Way = Literal["forward", "adjoint"]
 
-Task = tuple[int, NDArray[np.complexfloating]]
-"""Number of a part of the object, and values on it (forward), or on its grid behind the lens (adjoint)."""
-
-Perform = Callable[[Way, Iterable[Task]], Iterator[Task]]
-"""Does tasks, in their order, with the same numbers in what comes back: values of the other kind."""
-
 SAFETY = 2.0
 """Makes 19 of 20 estimates upper bounds; measured by `python -m benchmarks.chooser`."""
 
@@ -247,18 +241,15 @@ class Engine(ABC):
 class Tiled(Engine):
     """An engine that does its work in parts of the object, on any plane alike.
 
-    Parts can be kept, told of as they are done, and done elsewhere.
+    Parts can be kept, and told of as they are done.
 
     Attributes
     ----------
     report : callable or None
         Told after every part how many are done and how many there are, as (done, all).
-    perform : callable or None
-        Does the work of parts elsewhere; None is here.
     """
 
     report: Callable[[int, int], None] | None = None
-    perform: Perform | None = None
 
     @property
     @abstractmethod

@@ -13,6 +13,7 @@ from dask_cluster import Cluster
 from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
+from wavesim.engines.whole_field.executors import ThisComputer
 from wavesim.reconstruction import from_frames, resumable
 
 Run = Callable[..., tuple[object, str, str]]
@@ -40,16 +41,24 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
     uses, most = [0], [1000]
 
+    class Away(ThisComputer):
+        def plane(self, *given: Any) -> Any:
+            self._use()
+            return super().plane(*given)
+
+        def parts(self, *given: Any) -> Any:
+            self._use()
+            return super().parts(*given)
+
+        def _use(self) -> None:
+            uses[0] += 1
+            if uses[0] > most[0]:
+                raise ClusterError("the cluster's scheduler is gone")
+
     @contextmanager
     def tiles(address: str | None) -> Iterator[Callable[[Any], Any]]:
         def take(engine: Any) -> Any:
-            def perform(way: Any, tasks: Any) -> Iterator[Any]:
-                uses[0] += 1
-                if uses[0] > most[0]:
-                    raise ClusterError("the cluster's scheduler is gone")
-                yield from engine._perform_here(way, tasks)
-
-            engine.perform = perform
+            engine.elsewhere = Away(engine.groups, engine.scene.exit_grid.shape, engine.worker)
             return engine
 
         yield take

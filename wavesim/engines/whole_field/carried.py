@@ -72,31 +72,36 @@ class Carried:
 
     def add(self, coarse: NDArray, fine: NDArray, first_row: int = 0, threads: int = 1) -> None:
         """Add a coarse field to a fine one, or to its rows from `first_row` on; fine is C-contiguous."""
-        inside, across = self.window
-        start, stop = max(inside.start, first_row), min(inside.stop, first_row + fine.shape[0])
-        if start >= stop:
-            return
-        ways = self._ways_of(start, stop)
-        (y, x), place = ways.field, (start - first_row, across.start)
-        along, carrier = ((y.first, y.weight), (x.first, x.weight)), self._carrier(ways)
-        fixed = (coarse.view(np.float32), *along, carrier, fine.view(np.float32), place)
+        part, needed = self.onto_rows(first_row, first_row + fine.shape[0])
+        (y, x), place = part.ways.field, (part.window[0].start - first_row, part.window[1].start)
+        along = (y.first, y.weight), (x.first, x.weight)
+        fixed = (coarse[needed].view(np.float32), *along, part._carrier(), fine.view(np.float32), place)
         in_columns(partial(expand, *fixed), len(x.first), threads)
+
+    def onto_rows(self, start: int, stop: int) -> tuple[Carried, slice]:
+        """The step to the fine grid's rows from `start` to `stop`, and the coarse rows that it takes.
+
+        There are none where it leads to no such row.
+        """
+        inside, across = self.window
+        start = min(max(start, inside.start), inside.stop)
+        stop = max(min(stop, inside.stop), start)
+        w, rows = self.ways, slice(start - inside.start, stop - inside.start)
+        y = w.field[0]
+        first, weight = y.first[rows], y.weight[rows]
+        low, high = (int(first[0]), int(first[-1]) + weight.shape[1]) if len(first) else (0, 0)
+        field = Weights(first - low, weight, high - low), w.field[1]
+        ways = Ways(field, (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1]))
+        return replace(self, ways=ways, window=(slice(start, stop), across)), slice(low, high)
 
     def collect(self, fine: NDArray, threads: int = 1) -> NDArray[np.complex64]:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
         ways, place = self.ways, (self.window[0].start, self.window[1].start)
-        (y, x), carrier = ways.field, self._carrier(ways)
+        (y, x), carrier = ways.field, self._carrier()
         fixed = (fine.view(np.float32), place, y.back, x.back, carrier)
         return onto_coarse(partial(collect, *fixed), ways.field, np.complex64, threads)
 
-    def _carrier(self, ways: Ways) -> tuple[NDArray, ...]:
+    def _carrier(self) -> tuple[NDArray, ...]:
         """What the loops take of it."""
-        (first_y, first_x), (share_y, share_x) = ways.first, ways.share
+        (first_y, first_x), (share_y, share_x) = self.ways.first, self.ways.share
         return self.turns, self.edge, first_y, share_y, first_x, share_x, share_x.astype(np.float32)
-
-    def _ways_of(self, start: int, stop: int) -> Ways:
-        """To some of the fine grid's rows."""
-        w, rows = self.ways, slice(start - self.window[0].start, stop - self.window[0].start)
-        along_y = replace(w.field[0], first=w.field[0].first[rows], weight=w.field[0].weight[rows])
-        first, part = (w.first[0][rows], w.first[1]), (w.share[0][rows], w.share[1])
-        return Ways((along_y, w.field[1]), first, part)

@@ -9,8 +9,9 @@ few polynomials. All values are complex64; phases are made in float64.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.tiles.rim_light import rim_light
 from wavesim.engines.whole_field.cost import whole_field_cost
+from wavesim.engines.whole_field.executors import Band, Executor, Part, Sums, Tell, ThisComputer
 from wavesim.engines.whole_field.factors import factors_over_object
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
@@ -42,7 +44,7 @@ from wavesim.rays.ray_bundles import FoldError
 from wavesim.runtime.device import Device, Precision, device_named
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.runtime.threads import one_blas_thread
-from wavesim.scene.engine import Cost, Neglected, Task, Tiled, Way
+from wavesim.scene.engine import Cost, Neglected, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.scene import Scene
 
@@ -86,6 +88,8 @@ class WholeFieldEngine(Tiled):
     ----------
     device : Device or None
         Does the work in place of the compiled loops.
+    elsewhere : Executor or None
+        Has super-tiles done by other computers; None is here.
 
     Parameters
     ----------
@@ -111,6 +115,8 @@ class WholeFieldEngine(Tiled):
     """
 
     name = "two-level"
+
+    elsewhere: Executor | None = None
 
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
@@ -238,48 +244,29 @@ class WholeFieldEngine(Tiled):
     def sums_bytes(self) -> int:
         return sum(COMPLEX64 * math.prod(group.shape) for group in self.groups)
 
+    @property
+    def worker(self) -> OnCpu | OnDevice:
+        """What does super-tiles' work on this computer."""
+        return OnCpu() if self.device is None else OnDevice(self.device)
+
+    @property
+    def _executor(self) -> Executor:
+        return self.elsewhere or ThisComputer(self.groups, self.scene.exit_grid.shape, self.worker)
+
     def _forward(self, values: Any) -> Any:
-        height, width = self.scene.exit_grid.shape
-        most_bytes = self._worker.memory_bytes
-        if COMPLEX64 * height * width > most_bytes:
-            rows = max(int(most_bytes) // (COMPLEX64 * width), 1)
-            return np.concatenate([band for _, band in self._in_bands(values, rows, {})])
-        result = self._zeros(height)
-        for number, total in self._performed("forward", self._parts_of(values)):
-            self._worker.add(self.groups[number].carried, total, result)
-        return self._finished(result)
+        plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._tell())
+        return self._per_cell(plane)
 
-    def _zeros(self, rows: int) -> Any:
-        """Rows of the exit grid, in the memory of what does the work."""
-        return self._worker.device.xp.zeros((rows, self.scene.exit_grid.shape[1]), dtype=np.complex64)
-
-    def _finished(self, rows: Any) -> NDArray[np.complex64]:
+    def _per_cell(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
         rows *= np.float32(self.scene.object_grid.cell)
-        return self._worker.device.to_host(rows)
+        return rows
 
-    def forward_in_bands(
-        self, field: Field, rows: int, sums: MutableMapping[int, NDArray]
-    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
+    def forward_in_bands(self, field: Field, rows: int, sums: Sums) -> Iterator[Band]:
         self._refuse_stranger(field, self.scene.object_grid, "object")
-        yield from self._in_bands(field.values, rows, sums)
-
-    def _in_bands(
-        self, values: Any, rows: int, sums: MutableMapping[int, NDArray]
-    ) -> Iterator[tuple[slice, NDArray[np.complex64]]]:
-        self._sum_all(values, sums)
-        height = self.scene.exit_grid.shape[0]
-        for start in range(0, height, rows):
-            band = self._zeros(min(rows, height - start))
-            for number, group in enumerate(self.groups):
-                self._worker.add(group.carried, sums[number], band, start)
-            yield slice(start, start + len(band)), self._finished(band)
-
-    def _sum_all(self, values: Any, sums: MutableMapping[int, NDArray]) -> None:
-        """Have the fields of all super-tiles in `sums`."""
-        lacking = [number for number in range(len(self.groups)) if number not in sums]
-        done = len(self.groups) - len(lacking)
-        for number, total in self._performed("forward", self._parts_of(values, lacking), done):
-            sums[number] = total
+        lacking = [number for number in range(self.parts) if number not in sums]
+        tell, parts = self._tell(self.parts - len(lacking)), self._parts_of(field.values, lacking)
+        for place, band in self._executor.bands(parts, sums, rows, tell):
+            yield place, self._per_cell(band)
 
     def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
         self._refuse_stranger(field, self.scene.exit_grid, "exit")
@@ -289,25 +276,19 @@ class WholeFieldEngine(Tiled):
 
     def _adjoint(self, values: Any, numbers: Sequence[int] | None = None) -> Any:
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
-        for number, part in self._performed("adjoint", self._collected(values, numbers)):
+        plane = np.ascontiguousarray(values, np.complex64)
+        wanted = range(self.parts) if numbers is None else numbers
+        for number, part in self._executor.parts(plane, wanted, self._tell()):
             place = self.groups[number].part
             result[place] += part * self._in_field(place)
         result *= np.float32(self.scene.exit_grid.cell)
         return result
 
-    def _parts_of(self, values: Any, numbers: Iterable[int] | None = None) -> Iterator[Task]:
+    def _parts_of(self, values: Any, numbers: Iterable[int]) -> Iterator[Part]:
         """What super-tiles hold of an object field."""
-        for number in range(len(self.groups)) if numbers is None else numbers:
+        for number in numbers:
             place = self.groups[number].part
             yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
-
-    def _collected(self, values: Any, numbers: Sequence[int] | None) -> Iterator[Task]:
-        """What super-tiles get of an exit field."""
-        field = np.asarray(values).astype(np.complex64, copy=False)
-        worker = self._worker
-        plane = field if field.nbytes > worker.memory_bytes else worker.device.to_device(field)
-        for number in range(len(self.groups)) if numbers is None else numbers:
-            yield number, worker.collect(self.groups[number].carried, plane)
 
     def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
         """Which samples of a part of the object lie within the field."""
@@ -315,26 +296,15 @@ class WholeFieldEngine(Tiled):
         radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
         return np.asarray(radius2 <= (region.half_mm[0] ** 2 if region.is_disc else math.inf))
 
-    def _performed(self, way: Way, tasks: Iterable[Task], done: int = 0) -> Iterator[Task]:
-        """Have tasks done, and tell how many are."""
-        perform = self.perform or self._perform_here
-        for count, (number, values) in enumerate(perform(way, tasks), start=done + 1):
+    def _tell(self, done: int = 0) -> Tell:
+        """What reports one super-tile more than are done."""
+        counted = count(done + 1)
+
+        def tell() -> None:
             if self.report is not None:
-                self.report(count, len(self.groups))
-            yield number, values
+                self.report(next(counted), self.parts)
 
-    def _perform_here(self, way: Way, tasks: Iterable[Task]) -> Iterator[Task]:
-        for number, values in tasks:
-            yield number, self.carry(way, number, values)
-
-    def carry(self, way: Way, number: int, values: NDArray) -> NDArray[np.complex64]:
-        """Do one super-tile's task here, as :meth:`wavesim.engines.whole_field.on_cpu.OnCpu.carry`."""
-        return self._worker.carry(way, self.groups[number], values)
-
-    @property
-    def _worker(self) -> OnCpu | OnDevice:
-        """What does super-tiles' work."""
-        return OnCpu() if self.device is None else OnDevice(self.device)
+        return tell
 
     def settings(self) -> dict[str, Any]:
         return {

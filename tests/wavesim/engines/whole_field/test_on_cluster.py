@@ -17,7 +17,16 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
 from wavesim.engines.whole_field.engine import WholeFieldEngine
-from wavesim.engines.whole_field.on_cluster import ScenePacket, refuse_no_tiles, tiles_in, work
+from wavesim.engines.whole_field.on_cluster import (
+    ScenePacket,
+    add,
+    carry,
+    engine_of,
+    refuse_no_tiles,
+    rows_for,
+    tiles_in,
+)
+from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.scene.scene import Scene
 
@@ -43,32 +52,84 @@ def noise(grid: Grid, seed: int = 1) -> Field:
     return Field(grid, (rng.normal(size=grid.shape) + 0.5j).astype(np.complex64), 0.532)
 
 
+def engine_on(scene: Scene) -> WholeFieldEngine:
+    return WholeFieldEngine(scene, error=3e-2, tiles_across=2)
+
+
+@pytest.fixture
+def in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several rounds of super-tiles, and bands that end within super-tiles' footprints."""
+    monkeypatch.setattr(cluster_tiles, "ROUND", 4)
+    monkeypatch.setattr(cluster_tiles, "BAND_BYTES", 100_000)
+
+
+@pytest.mark.usefixtures("in_rounds")
 def test_a_worker_that_is_killed_half_way_changes_nothing(scene: Scene, cluster: Cluster) -> None:
+    """Bands of the first round are there already."""
     first, _ = cluster.worker(), cluster.worker()
-    here = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
-    away = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
-    away.report = lambda done, _: first.kill() if done == 3 else None
+    here, away = engine_on(scene), engine_on(scene)
+    told: list[tuple[int, int]] = []
+
+    def report(done: int, count: int) -> None:
+        told.append((done, count))
+        if len(told) == 7:
+            first.kill()
+
+    away.report = report
     field, back = noise(scene.object_grid), noise(scene.exit_grid)
     with tiles_in(cluster.address) as take:
         take(away)
         there = away.forward(field).values
         returned = away.adjoint(back).values
-    assert len(here.groups) > 3
+    assert away.elsewhere is None
+    count = len(here.groups)
+    assert count > 7
+    assert told == 2 * [(done, count) for done in range(1, count + 1)]
     assert first.wait(timeout=600) != 0
-    assert relative_error(there, here.forward(field).values) < 1e-5
-    assert relative_error(returned, here.adjoint(back).values) < 1e-5
+    assert relative_error(there, here.forward(field).values) < 1e-6
+    assert relative_error(returned, here.adjoint(back).values) < 1e-6
 
 
+@pytest.mark.usefixtures("in_rounds")
+def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The computer that asks carries no tile and adds none; what it has kept is not carried again."""
+    cluster.worker()
+    field, back, here = noise(scene.object_grid), noise(scene.exit_grid), engine_on(scene)
+    there, returned = here.forward(field).values, here.adjoint(back).values
+    sums: dict[int, Any] = {}
+    next(here.forward_in_bands(field, 100, sums))
+    del sums[1], sums[6]
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("done here")
+
+    for name in ("carry", "add", "collect"):
+        monkeypatch.setattr(OnCpu, name, refuse)
+    away = engine_on(scene)
+    with tiles_in(cluster.address) as take:
+        take(away)
+        assert relative_error(away.forward(field).values, there) < 1e-6
+        assert relative_error(away.adjoint(back).values, returned) < 1e-6
+        told: list[int] = []
+        away.report = lambda done, _: told.append(done)
+        bands = list(away.forward_in_bands(field, 100, sums))
+    count = len(away.groups)
+    assert told == [count - 1, count]
+    assert sorted(sums) == list(range(count))
+    assert [rows.start for rows, _ in bands] == [0, 100, 200]
+    assert relative_error(np.concatenate([values for _, values in bands]), there) < 1e-6
+
+
+@pytest.mark.usefixtures("in_rounds")
 def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene, cluster: Cluster) -> None:
     cluster.worker()
-    engine = WholeFieldEngine(scene, error=3e-2, tiles_across=2)
+    engine, field = engine_on(scene), noise(scene.object_grid)
     engine.report = lambda done, _: cluster.close() if done == 2 else None
     sums: dict[int, Any] = {}
     with tiles_in(cluster.address) as take:
         take(engine)
-        bands = engine.forward_in_bands(noise(scene.object_grid), 100, sums)
         with pytest.raises(ClusterError, match="scheduler is gone"):
-            next(bands)
+            next(engine.forward_in_bands(field, 100, sums))
     assert 0 < len(sums) < len(engine.groups)
 
 
@@ -77,15 +138,27 @@ def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
         refuse_no_tiles(engine_for(scene, "no-lens"))
 
 
-def test_a_worker_does_what_is_done_here(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = WholeFieldEngine(scene, error=3e-2)
-    packet = pickle.loads(pickle.dumps(ScenePacket("1.0", scene, engine.settings(), "key")))
+def test_a_worker_refuses_another_version(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    packet = pickle.loads(pickle.dumps(ScenePacket("1.0", scene, engine_on(scene).settings(), "key")))
     monkeypatch.setattr(cluster_tiles, "_engines", {})
-    part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)
     with pytest.raises(InputError, match=r"worker on .* has version .*, this is 1\.0"):
-        work(packet, "forward", 0, part)
+        engine_of(packet)
     packet = replace(packet, toolkit_version=cluster_tiles.toolkit_version())
-    done = work(packet, "forward", 0, part)
-    assert done.shape == engine.groups[0].shape
-    assert np.abs(done).max() > 0.0
+    assert engine_of(packet) is engine_of(packet)
     assert list(cluster_tiles._engines) == ["key"]
+
+
+def test_what_a_worker_adds_to_stays_as_it_is(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks are tried again."""
+    engine = engine_on(scene)
+    monkeypatch.setattr(cluster_tiles, "engine_of", lambda _: engine)
+    packet: Any = None
+    part = np.ones([p.stop - p.start for p in engine.groups[0].part], np.complex64)
+    field, band = carry(packet, 0, part), (40, 90)
+    needed = rows_for(packet, 0, band, field)
+    assert 0 < len(needed) < len(field)
+    before = np.ones((50, scene.exit_grid.shape[1]), np.complex64)
+    alone, after = add(packet, band, None, [0], [needed]), add(packet, band, before, [0], [needed])
+    assert np.array_equal(before, np.ones_like(before))
+    assert np.abs(alone).max() > 0.0
+    np.testing.assert_allclose(after, alone + before, atol=1e-6 * np.abs(alone).max())
