@@ -111,7 +111,7 @@ class ClusterExecutor:
             values = result_of(total)
             for start in range(place.start, place.stop, rows):
                 stop = min(start + rows, place.stop)
-                yield slice(start, stop), values[start - place.start : stop - place.start].copy()
+                yield slice(start, stop), values[start - place.start : stop - place.start]
 
     def parts(self, plane: Values, numbers: Sequence[int], tell: Tell) -> Iterator[Part]:
         there = self.cluster.send(plane)

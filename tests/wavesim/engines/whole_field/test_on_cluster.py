@@ -18,6 +18,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import on_cluster as cluster_tiles
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.on_cluster import (
+    ClusterExecutor,
     ScenePacket,
     add,
     carry,
@@ -113,6 +114,9 @@ def test_sums_are_made_by_workers(scene: Scene, cluster: Cluster, monkeypatch: p
         told: list[int] = []
         away.report = lambda done, _: told.append(done)
         bands = list(away.forward_in_bands(field, 100, sums))
+        assert isinstance(away.elsewhere, ClusterExecutor)
+        with pytest.raises(ValueError, match="no number"):
+            away.elsewhere.cluster.finish([away.elsewhere.cluster.hold(float, "no number")])
     count = len(away.groups)
     assert told == [count - 1, count]
     assert sorted(sums) == list(range(count))
