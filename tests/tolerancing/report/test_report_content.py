@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 
 from tolerancing.analysis.scorer import kurtosis
 from tolerancing.analysis.summary import summary_of
+from tolerancing.merits.rays import LargestSpread
 from tolerancing.perturbations.distributions import Normal, Uniform
 from tolerancing.report.blocks import (
     Cell,
     FigureBlock,
     Headline,
     Paragraph,
+    Report,
     Table,
     cut,
     joined,
@@ -33,7 +35,7 @@ from tolerancing.report.pdf.style import FONT, register_fonts
 from tolerancing.report.pdf.tables import broken_lines
 from tolerancing.report.report import report_of
 from tolerancing.report.sections.series import series_section
-from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section
+from tolerancing.report.sections.trials import SCALES, pictured_trials, scale_section, score_text
 from tolerancing.study.files import load_study
 from tolerancing.study.results import Picture, StepResults, TrialResults
 from tolerancing.study.sweep import SENSITIVITY, STEPS
@@ -224,10 +226,43 @@ def test_the_curve_of_all_limits_is_missing_where_a_merit_is_left_out(write_stud
     scores = np.column_stack([4.8 + values[:, 0], rng.normal(0.9, 0.05, 200)])
     blocks = scale_section(data_of(loaded, scores, values))
     (figure,) = [b.panels[0].figure for b in blocks if isinstance(b, FigureBlock)]
-    (line,) = figure.axes[0].get_lines()
-    assert line.get_label() == "largest_spread_deg"
+    (line,) = figure.axes[0].get_legend_handles_labels()[0]
+    assert line.get_label() == "largest spread (deg)"
     # The bold one is that of all limits.
     assert line.get_linewidth() < 2.0
+
+
+def test_points_beside_the_models_are_yields_of_the_trials(loaded):
+    values = np.random.default_rng(2).normal(size=(2000, 2)) * [0.02, 0.009]
+    scores = 4.82 + 0.4 * values[:, 0] + 3e4 * values[:, 1] ** 4  # which a parabola does not follow
+    data = data_of(loaded, scores[:, None], values)
+    axis = next(b for b in scale_section(data) if isinstance(b, FigureBlock)).panels[0].figure.axes[0]
+    share = 100.0 * np.mean(scores <= 4.83)
+    for container in axis.containers:  # of the merit, and of all limits, which are this one
+        point, _, (interval,) = container.lines
+        assert point.get_xydata() == pytest.approx(np.array([[1.0, share]]))
+        (low, high) = interval.get_segments()[0][:, 1]
+        assert low < share < high
+    assert len(axis.containers) == 2
+
+
+@given(st.floats(4.8, 5.0) | st.floats(4.9 - 1e-6, 4.9 + 1e-6))
+def test_a_score_shows_on_which_side_of_its_limit_it_is(score):
+    merit = LargestSpread(kind="largest_spread_deg", at_most=4.9)
+    assert (float(score_text(merit, score)) <= 4.9) == (score <= 4.9)
+
+
+def test_scores_have_no_more_digits_than_they_need():
+    merit = LargestSpread(kind="largest_spread_deg", at_most=4.9)
+    assert [score_text(merit, v) for v in (4.91234, 4.90004, 4.89996)] == ["4.912", "4.90004", "4.9"]
+    assert score_text(merit, np.nan) == "–"
+
+
+def test_long_texts_of_tables_keep_a_width_to_be_read_in():
+    rows = [["short", "a text " * 20, Cell("80 %", bar=(0.8, 0.7, 0.9))]]
+    page = html_page(Report("title", "subtitle", (table(["<A", "<B", "<C"], rows),), {}, "footer"))
+    assert page.count('<td class="left long">a text') == page.count('<td class="left">short') == 1
+    assert '<span class="barred">80 %</span>' in page
 
 
 def test_pictured_trials_are_the_worst_and_the_median(loaded):

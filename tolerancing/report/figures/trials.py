@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from tolerancing.analysis.summary import MeritSummary
+from tolerancing.analysis.yields import Yield
 from tolerancing.merits.base import Merit
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.report.blocks import Panel
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 Places = NDArray[np.intp]
 
 MOST_BINS, FEWEST_BINS = 60, 8
+ALL_LIMITS = "all limits"
 
 
 def distribution_panel(
@@ -158,38 +161,41 @@ def _scatter_panel(data: ReportData, column: int, k: int, merit: Merit) -> Panel
     return Panel(figure, f"{merit.column} against {perturbation.column}, trial by trial", points)
 
 
-def scale_panel(
-    scales: Array,
-    curves: Sequence[tuple[str, Array]],
-    whole: Array | None,
-    found: tuple[float, float, float] | None,
-) -> Panel:
-    """Yield against a common factor of all tolerances.
+@dataclass(frozen=True, eq=False)
+class ScaleCurve:
+    """Yield of one merit, or of all limits together, over a common factor of all tolerances.
 
-    Parameters
+    Attributes
     ----------
-    scales
-        The factors.
-    curves
-        Names of merits, and yields at the factors.
-    whole
-        Yield of all limits together, if it is known.
+    name
+        As the legend has it.
+    shares : ndarray
+        By the model, at each factor.
     found
-        Yield of the trials, and the ends of its interval.
+        Of the trials themselves, which is the yield at factor 1.
     """
+
+    name: str
+    shares: Array
+    found: Yield | None
+
+
+def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
+    """Yield against a common factor of all tolerances: lines tell of models, points at 1 of trials."""
     with styled():
         figure = styled_figure(6.2, 3.1)
         axis = figure.subplots()
-        for number, (name, shares) in enumerate(curves):
-            axis.plot(scales, 100.0 * shares, color=SERIES[number % len(SERIES)], linewidth=1.1, label=name)
-        if whole is not None:
-            axis.plot(scales, 100.0 * whole, color=INK, linewidth=2.0, label="all limits")
-        if found is not None:
-            share, low, high = (100.0 * v for v in found)
-            axis.errorbar(
-                [1.0], [share], yerr=[[share - low], [high - share]], fmt="o", color=RED, ms=4.5, capsize=3.0,
-                label="trials, all limits",
-            )  # fmt: skip
+        for number, curve in enumerate(curves):
+            together = curve.name == ALL_LIMITS
+            color = INK if together else SERIES[number % len(SERIES)]
+            width = 2.0 if together else 1.1
+            axis.plot(scales, 100.0 * curve.shares, color=color, linewidth=width, label=curve.name)
+            if curve.found is not None:
+                share, low, high = (100.0 * v for v in (curve.found.share, curve.found.low, curve.found.high))
+                axis.errorbar(
+                    [1.0], [share], yerr=[[share - low], [high - share]], fmt="o", color=color, ms=4.0,
+                    capsize=2.5,
+                )  # fmt: skip
         axis.set_xlabel("common factor of all tolerances")
         axis.set_ylabel("yield (%)")
         axis.set_ylim(-3.0, 103.0)

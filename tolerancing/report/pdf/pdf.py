@@ -64,7 +64,7 @@ LINE_CHARACTERS = 112
 
 LINES_OF_ONE_COLUMN, FEWEST_LINES = 20, 5
 
-LEAST_SHARE = 0.6
+LEAST_SHARE = 0.8
 """Of its size, to which a figure that stands alone shrinks so as to fit what is left of a page."""
 
 

@@ -83,7 +83,7 @@ def designed_section(
     """
     found = _prediction(data)
     blocks = [*_beside(data, before), *_predicted(data, found), *_on_front(data, front, found)]
-    return [Heading("Designed for it"), *blocks] if blocks else []
+    return [Heading("Predicted from the design"), *blocks] if blocks else []
 
 
 def _beside(data: ReportData, before: Summary | None) -> list[Block]:
@@ -152,9 +152,14 @@ def _predicted(data: ReportData, found: WavefrontPrediction | None) -> list[Bloc
             f"Predicted from the rays of the nominal lens, without trials: {percent_text(found.good)} of "
             "lenses have a wavefront within the limits at every object point, shift and focus taken out."
         ),
-        table(["<Object point (mm)", "Rms (waves)", "Limit", "Good"], points, "As predicted."),
         table(
-            ["<Perturbation", "Share of the square", "Good, if halved", "Good, if doubled"],
+            ["<Object point (mm)", "Rms (waves)", "Limit (waves)", "Good"],
+            points,
+            "The wavefront's root mean square over pupil and lenses, and its limit; a limit on the Strehl "
+            "ratio S counts as the root mean square of S = exp(−(2π rms)²).",
+        ),
+        table(
+            ["<Perturbation", "Share of rms squared", "Good, if halved", "Good, if doubled"],
             drivers,
             f"What drives the yield of {percent_text(found.good)}, at the worst object point; and the yield "
             "with each tolerance halved or doubled, all others as they are. What changes little when it is "

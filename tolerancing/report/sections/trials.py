@@ -13,6 +13,7 @@ from lensdesign.errors import InputError
 from tolerancing.analysis.correlation import MOST_TRIALS
 from tolerancing.analysis.response import Response, fit_response
 from tolerancing.analysis.summary import PERCENTILES, MeritSummary, merit_summary
+from tolerancing.merits.base import Merit
 from tolerancing.perturbations.draws import replicates
 from tolerancing.report.blocks import (
     Block,
@@ -27,9 +28,18 @@ from tolerancing.report.blocks import (
     table,
 )
 from tolerancing.report.data import ReportData
-from tolerancing.report.figures.trials import distribution_panel, scale_panel, scatter_panels
+from tolerancing.report.figures.style import merit_label
+from tolerancing.report.figures.trials import (
+    ALL_LIMITS,
+    ScaleCurve,
+    distribution_panel,
+    scale_panel,
+    scatter_panels,
+)
 
 WORST_TRIALS = 12
+DIGITS = (4, 6, 9, 17)
+"""Of a score; the most tell every number from every other."""
 MOST_SCATTERS = 8
 FIT_TRIALS = 5000
 """Trials that the response model is fitted to and predicts."""
@@ -102,11 +112,14 @@ def scale_section(data: ReportData) -> list[Block]:
         scaled = centre + scale * (values - centre)
         for label, model in models.items():
             kept[label].append(merits[label].passed(model.predict(scaled)[:, 0]))
-    curves = [(merits[label].column, np.mean(passed, axis=1)) for label, passed in kept.items()]
-    all_told = len(models) == len(merits)
-    whole = np.mean(np.all(list(kept.values()), axis=0), axis=1) if all_told else None
-    good = data.summary.good if all_told else None
-    found = None if good is None else (good.share, good.low, good.high)
+    own = {row.merit.label: row.good for row in data.summary.merits}
+    curves = [
+        ScaleCurve(merit_label(merits[label]), np.mean(passed, axis=1), own[label])
+        for label, passed in kept.items()
+    ]
+    if len(models) == len(merits):
+        together = np.mean(np.all(list(kept.values()), axis=0), axis=1)
+        curves.append(ScaleCurve(ALL_LIMITS, together, data.summary.good))
     qualities = [
         f"{merits[label].column} {model.cross_validated_r_squared[0]:.2f}" for label, model in models.items()
     ]
@@ -117,9 +130,8 @@ def scale_section(data: ReportData) -> list[Block]:
     )
     if faults:
         text += f" Left out: {joined(faults)}."
-    if found is not None:
-        text += " The point is the yield of the trials themselves."
-    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves, whole, found),))]
+    text += " Points: yields of the trials themselves, with their 95 % intervals."
+    return [*blocks, Paragraph(text, soft=True), FigureBlock((scale_panel(SCALES, curves),))]
 
 
 def _evenly(count: int) -> slice:
@@ -192,7 +204,7 @@ def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], 
             [
                 str(data.trial_numbers[place]),
                 *(
-                    Cell(number_text(v), failed=not bool(m.passed(v)))
+                    Cell(score_text(m, v), failed=not bool(m.passed(v)))
                     for m, v in zip(data.study.merits, scores, strict=True)
                 ),
                 Cell(cut(f"{causes}. Not scored: {message}"), failed=True) if message else causes,
@@ -205,6 +217,14 @@ def worst_section(data: ReportData, pictures: Callable[[ReportData, list[int]], 
     headings = ["<Trial", *(m.column for m in data.study.merits), "<Largest deviations"]
     blocks += [table(headings, rows, caption), *_failures(data), *pictures(data, pictured_trials(data))]
     return blocks
+
+
+def score_text(merit: Merit, score: float) -> str:
+    """A score with as many digits as show on which side of the limit it is."""
+    for digits in DIGITS:
+        if bool(merit.passed(float(f"{score:.{digits}g}"))) == bool(merit.passed(score)):
+            break
+    return number_text(score, digits)
 
 
 def pictured_trials(data: ReportData) -> list[int]:

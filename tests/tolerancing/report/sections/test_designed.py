@@ -80,7 +80,7 @@ def test_the_command_puts_a_start_and_a_front_beside_the_lens(
         main()
     assert not stop.value.code
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "Designed for it" in page
+    assert "Predicted from the design" in page
     assert "this lens" in page
     assert (tmp_path / "report.pdf").stat().st_size > 10_000
 
