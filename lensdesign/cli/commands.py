@@ -216,7 +216,7 @@ def _print_check(report: CheckReport) -> None:
         ("resolution", f"{report.resolution_um:.4g} um"),
         ("highest frequency of the sensor", f"{report.highest_frequency_lp_per_mm:.5g} lp/mm"),
         ("effective, back focal length", f"{report.efl_mm:.4f}, {report.bfl_mm:.4f} mm"),
-        (f"RMS spots {report.spot_plane_mm:g} mm behind, heights {heights} mm", f"{spots} mm"),
+        (f"RMS spot diameter {report.spot_plane_mm:g} mm behind, at {heights} mm", f"{spots} mm"),
         ("exit beam diameter", f"{report.exit_beam_diameter_mm:.3f} mm"),
         ("narrowest beam that the etendue bound allows", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
         ("share of its beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),

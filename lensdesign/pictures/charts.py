@@ -71,9 +71,7 @@ def spread_figure(lens: Lens) -> Figure:
     axes.set_axisbelow(True)
     label_axes(axes, "field height (mm)", "largest spread angle (deg)")
     title_figure(figure, lens, f"Spread behind the lens; pixels of {lens.sensor.pixel_pitch_um:g} µm")
-    figure.legend(
-        loc="outside lower center", ncols=max(2, min(3, len(wavelengths))), frameon=False, fontsize=9
-    )
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     return figure
 
 

@@ -118,7 +118,7 @@ def _facts(report: CheckReport, lens: Lens) -> str:
         ("narrowest allowed", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
         ("effective focal length", f"{report.efl_mm:.4f} mm"),
         ("back focal length", f"{report.bfl_mm:.4f} mm"),
-        (f"RMS spots at {report.spot_plane_mm:g} mm", f"{spots} mm"),
+        (f"RMS spot diameters at {report.spot_plane_mm:g} mm", f"{spots} mm"),
         ("thickness, track", f"{thickness:.4g}, {lens.track_mm:.4g} mm"),
     ]
     return "".join(f"<tr><td>{text(name)}</td><td>{text(value)}</td></tr>" for name, value in rows)

@@ -223,7 +223,7 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     how = f"{light}: method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
     title = f"{summary['design']}\n{how}"
     steps = range(1, len(found.curve) + 1)
-    curves: dict[str, Any] = {what: (steps, found.curve, "iteration")}
+    curves: dict[str, Any] = {"misfit of amplitudes (relative)": (steps, found.curve, "iteration")}
     # Pictures are drawn by one thread, files packed meanwhile by another.
     with new_results(output) as folder, ThreadPoolExecutor(1) as packing:
         packed = packing.submit(_pack, transmission, folder)
@@ -296,7 +296,7 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         for plane in summary["planes"]
     ]
     print()
-    print_table((), ("plane (mm)", "residual", "of it noise", "correlation of amplitudes"), rows)
+    print_table((), ("plane (mm)", "residual", "noise alone", "correlation of amplitudes"), rows)
     print()
     for line in _figures(summary):
         print(line)

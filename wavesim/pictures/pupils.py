@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 COLOURS = {"x": "#1f5fa8", "y": "#d1622b"}
 PSF_DECADES = 4.0
+RIM = 1.04
+"""Half width of the wavefront's picture, in that of the pupil."""
 
 
 def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], title: str = "") -> Figure:
@@ -69,6 +71,8 @@ def _draw_wavefront(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> No
     _colour_bar(figure, picture, axes, "optical path difference (waves)")
     axes.set_title(f"Wavefront: {rms_waves(pupil):.4f} waves rms")
     axes.set(xlabel="direction cosine L at the object", ylabel="direction cosine M at the object")
+    shown = RIM * half  # the pupil's rim does not touch the frame
+    axes.set(xlim=(x - shown, x + shown), ylim=(y - shown, y + shown))
 
 
 def _draw_psf(figure: Figure, axes: Any, pupil: ReconstructionPupil) -> None:
