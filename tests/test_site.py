@@ -73,6 +73,22 @@ def test_equations_are_drawn(site: Path) -> None:
     assert "language-math" not in page
 
 
+def test_code_breaks_between_words_and_numbers_keep_their_units(site: Path) -> None:
+    page = (site / "accuracy.html").read_text(encoding="utf-8")
+    words = (f'<span class="whole">{word}</span>' for word in ("python", "-m", "benchmarks.optimizer"))
+    assert f"<code>{' '.join(words)}</code>" in page
+    assert '<td><span class="whole">1e-14 mm</span></td>' in page
+    assert '<span class="whole">1.9 ms</span>, time' in page
+
+
+def test_pictures_open_at_their_full_size(site: Path) -> None:
+    for name in ("engines", "theory", "gallery"):
+        page = (site / f"{name}.html").read_text(encoding="utf-8")
+        for picture in re.findall(r'<p>(?:<a href="([^"]+)">)?<img [^>]*src="(images/[^"]+)"', page):
+            assert picture[0] == picture[1]
+            assert (site / picture[1]).exists()
+
+
 def documented(site: Path) -> set[str]:
     """Names in the site's inventory (Sphinx's format: four lines, then one line a name, compressed)."""
     data = (site / "objects.inv").read_bytes()
