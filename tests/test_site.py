@@ -81,6 +81,12 @@ def test_code_breaks_between_words_and_numbers_keep_their_units(site: Path) -> N
     assert '<span class="whole">1.9 ms</span>, time' in page
 
 
+def test_lists_are_lists(site: Path) -> None:
+    for page in site.glob("*.html"):
+        paragraphs = re.findall(r"<p>.*?</p>", page.read_text(encoding="utf-8"), re.DOTALL)
+        assert not [text for text in paragraphs if "\n- " in text], page
+
+
 def test_pictures_open_at_their_full_size(site: Path) -> None:
     for name in ("engines", "theory", "gallery"):
         page = (site / f"{name}.html").read_text(encoding="utf-8")
