@@ -106,7 +106,7 @@ def _here(number: Number) -> str:
 def _value(value: float | str, unit: str, digits: int) -> str:
     if isinstance(value, str):
         return value
-    text = f"{value:.{digits}g}"
+    text = f"{value + 0.0:.{digits}g}"  # not -0
     if "e" in text:
         shown, power = text.split("e")
         text = f"{shown}e{int(power)}"

@@ -112,6 +112,16 @@ def test_a_number_that_differs_says_why() -> None:
         Number("correlation", 0.98, "", 0.99, relation=">=")
 
 
+def test_a_zero_has_no_sign(tmp_path: Path) -> None:
+    def zero(_: Work) -> Made:
+        return Made((Number("a number", -0.0, "mm"),), ("lensdesign check",), "None.", ())
+
+    elements = {"b": element("b", make=zero)}
+    make_all(elements, tmp_path, "quick")
+    page = write_pages(tmp_path, elements).read_text(encoding="utf-8")
+    assert "| a number |  | 0\u00a0mm |" in page
+
+
 def test_the_page_has_what_the_folder_has(tmp_path: Path) -> None:
     make_all(ELEMENTS, tmp_path, "quick", ["c"])
     page = write_pages(tmp_path, ELEMENTS, tmp_path / "docs").read_text(encoding="utf-8")

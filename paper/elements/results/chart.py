@@ -216,12 +216,14 @@ def _measured(panels: _Panels) -> Figure:
 def _curve(axes: Axes, focus: Refocusing) -> None:
     at = -1e3 * focus.distances_mm
     axes.plot(at, focus.svfg / focus.svfg.max(), color=BLUE)
-    axes.axvline(-1e3 * focus.distance_mm, color=RED, lw=1.0)
+    found = -1e3 * focus.distance_mm
+    axes.axvline(found, color=RED, lw=1.0)
     axes.annotate(
-        f"{-1e3 * focus.distance_mm:.2f} µm",
-        (-1e3 * focus.distance_mm, 1.0),
-        (6, 4),
+        f"{round(found, 2) + 0.0:.2f} µm",  # not -0.00
+        (found, 1.0),
+        (6, 0),
         textcoords="offset points",
+        va="top",
         color=RED,
         fontsize=8,
     )

@@ -104,7 +104,7 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
     told, paper = found.figures(), usaf_line_width_um(9, 2)
     finest = told["usaf"]["smallest_resolved"]
     there = finest is not None and finest["line_width_um"] <= paper * (1.0 + 1e-9)
-    reached = "none" if finest is None else f"{finest['group']}-{finest['element']}"
+    reached = "nor is any other" if finest is None else f"down to {finest['group']}-{finest['element']}"
     contrast = {one["line_width_um"]: one for one in told["usaf"]["elements"]}
     fine = contrast[min(contrast, key=lambda width: abs(width - paper))]
     return [
@@ -113,7 +113,7 @@ def _numbers(said: str, found: FoundObject) -> list[Number]:
             "yes" if there else "no",
             "",
             "yes",
-            remark="" if there else f"down to {reached}",
+            remark="" if there else reached,
         ),
         Number(
             f"contrast of {fine['line_width_um']:.3g} µm lines: {said}",

@@ -83,7 +83,7 @@ def _of(said: str, one: Shot, found: Field) -> list[Number]:
     element = finest(found, one.elements)
     there = element is not None and element.line_width_um <= usaf_line_width_um(9, 2) * (1.0 + 1e-9)
     here = "yes" if there else "no"
-    remark = "" if there else f"down to {told(element)}"
+    remark = "" if there else f"down to {told(element)}" if element else "nor is any other"
     return [
         Number(f"9-2 resolved: {said}", here, "", "yes", remark=remark),
         Number(f"correlation with the object: {said}", one.correlation(found)),
