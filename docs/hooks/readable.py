@@ -13,7 +13,7 @@ LONGEST = 40
 CELL = re.compile(r"(?<=<td>).*?(?=</td>)")
 TAGS = re.compile(r"(<code>.*?</code>|<[^>]*>)")
 UNIT = r" (?:%|×|[kMG]B|[mµn]m|ms|ns|s|min)(?!\w)"
-NUMBER = re.compile(rf"\d[\d.,]*(?:e-\d+(?:{UNIT})?|{UNIT})")
+NUMBER = re.compile(rf"\d[\d.,]*(?:e-\d+(?:{UNIT})?|{UNIT}|-\d\b)")
 
 PICTURE = re.compile(r'(?<=<p>)(<img [^>]*?src="(images/[^"]+)"[^>]*>)')
 
