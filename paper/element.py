@@ -170,6 +170,8 @@ class Element:
         Elements that are made before, and from whose parts it takes.
     designs
         Files of ``designs/`` that it reads.
+    documented
+        Budget of which the documentation tells, at the least.
     """
 
     key: str
@@ -180,3 +182,4 @@ class Element:
     seconds: Mapping[Budget, float] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     designs: tuple[str, ...] = (PAPER_DESIGN,)
+    documented: Budget = "quick"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import InputError, atomic_path
-from paper.element import Element, Number
+from paper.element import BUDGETS, Element, Number
 from paper.results import PAGE, PICTURES, Result, read_result
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -35,16 +35,34 @@ TABLE = "| | the paper | here | |\n| --- | --- | --- | --- |"
 
 
 def write_pages(folder: Path, elements: Mapping[str, Element], docs: Path | None = None) -> Path:
-    """Write the page of all results in a folder, and with `docs` the documentation's page and pictures."""
+    """Write the page of all results in a folder, and with `docs` the documentation's page and pictures.
+
+    Raises
+    ------
+    InputError
+        If there are no results; with `docs`, which stay as they are, if some lack or had too small a budget.
+    """
     results = {key: found for key in elements if (found := read_result(folder, key)) is not None}
     _write(folder / PAGE, elements, results, PICTURES)
     if docs is not None:
+        _refuse_less(folder, elements, results)
         for result in results.values():
             for picture in result.made.pictures:
                 with atomic_path(docs / DOCS_PICTURES / picture.file) as temporary:
                     shutil.copyfile(folder / PICTURES / picture.file, temporary)
         _write(docs / PAGE, elements, results, DOCS_PICTURES)
     return folder / PAGE
+
+
+def _refuse_less(folder: Path, elements: Mapping[str, Element], results: Mapping[str, Result]) -> None:
+    """Refuse results that would take something from the documentation."""
+    for key, element in elements.items():
+        least = element.documented
+        if key not in results or BUDGETS.index(results[key].budget) < BUDGETS.index(least):
+            quick = "--quick " if least == "quick" else ""
+            raise InputError(
+                f"--docs: {folder} lacks {key} as it is documented: python -m paper {quick}--only {key}"
+            )
 
 
 def _write(path: Path, elements: Mapping[str, Element], results: Mapping[str, Result], pictures: str) -> None:

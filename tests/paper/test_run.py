@@ -124,12 +124,24 @@ def test_a_zero_has_no_sign(tmp_path: Path) -> None:
 
 def test_the_page_has_what_the_folder_has(tmp_path: Path) -> None:
     make_all(ELEMENTS, tmp_path, "quick", ["c"])
-    page = write_pages(tmp_path, ELEMENTS, tmp_path / "docs").read_text(encoding="utf-8")
+    page = write_pages(tmp_path, ELEMENTS).read_text(encoding="utf-8")
     assert "| a number | 3\u00a0mm | 2\u00a0mm | fewer rays |" in page
     assert "| a number | 3\u00a0mm | 2\u00a0mm | no | [c](#c) |" in page
     assert "(Quick budget: rays 2.)" in page
     assert "![A line.](pictures/c.png)" in page
     assert "b: an element" not in page
+
+
+def test_the_documentation_has_all_of_it(tmp_path: Path) -> None:
+    docs, last = tmp_path / "docs", {"c": replace(ELEMENTS["c"], documented="full")}
+    make_all(ELEMENTS, tmp_path, "quick", ["c", "b"])
+    with pytest.raises(InputError, match=r"lacks a as .*: python -m paper --quick --only a$"):
+        write_pages(tmp_path, ELEMENTS, docs)
+    make_all(ELEMENTS, tmp_path, "quick")
+    with pytest.raises(InputError, match=r"lacks c as .*: python -m paper --only c$"):
+        write_pages(tmp_path, ELEMENTS | last, docs)
+    assert not docs.exists()
+    write_pages(tmp_path, ELEMENTS, docs)
     beside = (tmp_path / "docs" / "paper.md").read_text(encoding="utf-8")
     assert "![A line.](images/paper/c.png)" in beside
     assert (tmp_path / "docs" / "images" / "paper" / "c.png").exists()

@@ -160,4 +160,5 @@ FULL_SIZE = Element(
     full_size,
     SETTINGS,
     {"quick": 15.0, "full": 4000.0},
+    documented="full",
 )
