@@ -332,7 +332,8 @@ class WholeFieldEngine(Tiled):
     def _neglected_at_rim(self) -> Iterator[Neglected]:
         _, tiles, settings = self._prepared
         carrier, placed_mm = self._middle, settings.maps.edge_error_mm
-        rise = settings.rise_over(self.groups[0].steps_mm)
+        widest = np.max([group.steps_mm for group in self.groups], axis=0)
+        rise = settings.rise_over(widest)
         if carrier.tells_edge:
             what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
             error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
@@ -343,7 +344,7 @@ class WholeFieldEngine(Tiled):
             yield Neglected(
                 "diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True
             )
-            placed_mm += TAPER * TAPER_LOSS * float(np.max(self.groups[0].steps_mm))
+            placed_mm += TAPER * TAPER_LOSS * float(np.max(widest))
         place = math.sqrt(rim_share(carrier.rim_mm) * placed_mm)
         yield Neglected("place of the aperture's edge", min(1.0, place), at_rim=True)
 

@@ -26,6 +26,9 @@ REACH = 1.05
 """Share of the way to the aperture's edge up to which rays are fitted: interpolation looks beyond it."""
 
 SENSOR_ORDERS, OBJECT_ORDERS = (12, 16, 20, 24), (4, 6, 8, 10)
+SLOPE_ORDER = 2
+"""Of what tells the slopes of directions over the field: they grow evenly towards its border."""
+
 ARMS = 72
 HELD_OUT = 7
 """Object points that the polynomials have not seen, at which they are held against rays."""
@@ -162,8 +165,8 @@ class MapsOverObject:
     carriers : OverObject
         Of path V in mm, amplitude in 1/mm, cosines p along y and x, and the square of the share of the way to
         the aperture's edge.
-    slopes_per_mm : ndarray, shape (2, 2)
-        Largest |dp_i / ds_j| over field and footprint, in the order (y, x).
+    slopes : ndarray, shape (terms, 2, 2)
+        Polynomials of order `SLOPE_ORDER` in the object point, of :meth:`slopes_per_mm`.
     caustics : int
         Touched by the light on its way.
     errors : (path, amplitude, direction)
@@ -174,10 +177,15 @@ class MapsOverObject:
     """
 
     carriers: OverObject
-    slopes_per_mm: Array
+    slopes: Array
     caustics: int
     errors: tuple[float, float, float]
     edge_error_mm: float
+
+    def slopes_per_mm(self, points_mm: Array) -> Array:
+        """Largest |dp_i / ds_j| over the footprints of object points (y, x), in the order (y, x)."""
+        terms = object_terms(self.carriers.region.scaled(points_mm), SLOPE_ORDER)
+        return np.asarray(np.max(np.tensordot(terms, self.slopes, axes=1), axis=0))
 
 
 def maps_over_object(
@@ -226,7 +234,7 @@ def maps_over_object(
         )
         errors, edge_mm = _errors(carriers, checks, scene, reach_mm)
         best = MapsOverObject(
-            carriers, _slopes(nodes), nodes[0].caustics, (errors[0], errors[1], errors[2]), edge_mm
+            carriers, _slopes(region, nodes), nodes[0].caustics, (errors[0], errors[1], errors[2]), edge_mm
         )
         if np.all(np.array(errors) < limits):
             return best
@@ -307,11 +315,15 @@ def _errors(
     return (float(worst[0]), float(worst[1]), float(worst[2])), float(edge_mm)
 
 
-def _slopes(nodes: list[_Node]) -> Array:
-    largest = np.zeros((2, 2))
+def _slopes(region: Region, nodes: list[_Node]) -> Array:
+    """As of :class:`MapsOverObject`; no node's own slopes are larger."""
+    largest = []
     for node in nodes:
         b = node.bundle
         inside = b.ok & (node.edge <= 1.0)
         slopes = np.abs(b.cosine_jacobian[inside] @ np.linalg.inv(b.jacobian[inside]))
-        largest = np.maximum(largest, slopes.max(axis=0))
-    return largest
+        largest.append(slopes.max(axis=0).ravel())
+    terms = object_terms(region.scaled(np.array([node.point_mm for node in nodes])), SLOPE_ORDER)
+    over = solve(terms, np.array(largest))
+    over[0] += np.max(largest - terms @ over, axis=0)
+    return over.reshape(-1, 2, 2)

@@ -62,9 +62,9 @@ class WholeFieldSettings:
     kernel: Kernel
     precision: Precision
 
-    def steps_mm(self, reach_mm: Array) -> Array:
+    def steps_mm(self, reach_mm: Array, slopes_per_mm: Array) -> Array:
         """Sample spacings that hold the light of points within a reach (y, x) without their carrier."""
-        band = self.scene.wavenumber_per_mm * (reach_mm @ self.maps.slopes_per_mm)
+        band = self.scene.wavenumber_per_mm * (reach_mm @ slopes_per_mm)
         return np.asarray(math.pi / (OVERSAMPLING * BAND_MARGIN * band))
 
     def rise_over(self, steps_mm: Array) -> float:
@@ -78,11 +78,6 @@ class WholeFieldSettings:
         """Of every footprint, its margin included."""
         return self.maps.carriers.half_width
 
-    @property
-    def tile_steps_mm(self) -> Array:
-        """Sample spacings of a tile's own grid."""
-        return self.steps_mm(np.max(np.abs(self.factors.spans_mm), axis=1))
-
 
 class SuperTile:
     """Some neighbouring tiles, and the coarse grid on which they are summed.
@@ -93,6 +88,11 @@ class SuperTile:
         Of the field.
     tiles
         Its tiles.
+
+    Attributes
+    ----------
+    steps_mm, tile_steps_mm : ndarray
+        Sample spacings (y, x) of its grid, and of its tiles' own.
     """
 
     def __init__(self, settings: WholeFieldSettings, tiles: tuple[Tile, ...]) -> None:
@@ -101,8 +101,10 @@ class SuperTile:
         centres = np.array([t.centre_mm[::-1] for t in tiles])
         middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
         self.carrier: SmoothMap = settings.maps.carriers.at((float(middle[0]), float(middle[1])))
-        reach = np.max(np.abs(centres - middle), axis=0) + np.max(np.abs(settings.factors.spans_mm), axis=1)
-        self.steps_mm = settings.steps_mm(reach)
+        own_reach = np.max(np.abs(settings.factors.spans_mm), axis=1)
+        slopes_per_mm = settings.maps.slopes_per_mm(centres)
+        self.tile_steps_mm = settings.steps_mm(own_reach, slopes_per_mm)
+        self.steps_mm = settings.steps_mm(np.max(np.abs(centres - middle), axis=0) + own_reach, slopes_per_mm)
         others = np.array([settings.maps.carriers.middle((float(y), float(x))) for y, x in centres])
         low = others.min(axis=0) - settings.half_width_mm
         high = others.max(axis=0) + settings.half_width_mm
@@ -145,7 +147,7 @@ class SuperTile:
     @property
     def tile_shape(self) -> tuple[int, int]:
         """Of the own grid of one of its tiles, at most."""
-        ends = zip(self.settings.half_width_mm, self.settings.tile_steps_mm, strict=True)
+        ends = zip(self.settings.half_width_mm, self.tile_steps_mm, strict=True)
         rows, columns = (math.ceil(2.0 * h / s) + self.settings.kernel.taps + 1 for h, s in ends)
         return rows, columns
 
@@ -227,7 +229,7 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     carrier = settings.maps.carriers.at(centre)
     window = window_between(group.axes, carrier.middle - half_mm, carrier.middle + half_mm)
     fine = group.axes[0][window[0]], group.axes[1][window[1]]
-    steps = settings.tile_steps_mm
+    steps = group.tile_steps_mm
     y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
     # Coarse axes are centred on fine ones: how both lie to each other follows from the number of samples.
     lengths = len(fine[0]), len(fine[1])

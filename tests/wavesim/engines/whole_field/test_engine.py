@@ -203,6 +203,21 @@ def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
     assert path < 1e-4
     assert amplitude < 1e-3
     assert direction < 1e-4
+    for at in ([0.02, -0.01], [0.6, 0.4], [-1.2, 0.3], [0.9, -1.15]):  # slopes of directions, by differences
+        point = np.array(at)
+        carrier, step = maps.carriers.at((at[0], at[1])), 1e-3
+        side = np.linspace(-0.99, 0.99, 81)
+        unit = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = carrier.middle + carrier.half_width * unit
+        places = places[carrier.at(places)[4] <= 1.0]
+        found = [
+            np.max(np.abs(carrier.at(places + move)[2:4] - carrier.at(places - move)[2:4]), axis=1)
+            / (2.0 * step)
+            for move in (np.array([step, 0.0]), np.array([0.0, step]))
+        ]
+        told = maps.slopes_per_mm(point[None])
+        assert np.all(np.transpose(found) < 1.01 * told)
+        assert np.all(told.diagonal() < 1.05 * np.diagonal(found))
 
 
 def test_maps_that_cannot_be_so_accurate_are_refused(
