@@ -179,7 +179,8 @@ class TermsTransform:
         one_way: Any = scipy.fft.fft if self._kind == 2 else scipy.fft.ifft
         norm = "backward" if self._kind == 2 else "forward"
         found = one_way(given, axis=axis, norm=norm, overwrite_x=True, workers=1)
-        if found is not given:
+        # What comes back is another array over the same memory, as a rule.
+        if not np.may_share_memory(found, given):
             given[...] = found
 
 
