@@ -174,6 +174,37 @@ def _described(kind: int, shape: tuple[int, ...], precision: Precision) -> tuple
     return kind, shape[1:], shape[0], precision.transform_error, -1 if kind == 2 else 1
 
 
+def sum_of_terms(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
+    """Terms of a transform of type 2 of the same modes, each with factors of its own, weighted and added up.
+
+    Parameters
+    ----------
+    plan
+        A transform, its points set.
+    xp
+        Module of the arrays.
+    values
+        Modes, of the shape of one term.
+    factors
+        Of modes, shape (terms, modes).
+    weights
+        Of points, shape (terms, points).
+    """
+    if hasattr(plan, "weighted"):
+        return plan.weighted(values, factors, weights)
+    modes = xp.ascontiguousarray(factors * values)
+    return (weights * plan.execute(modes if len(modes) > 1 else modes[0])).sum(axis=0)
+
+
+def terms_back(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
+    """Conjugate transpose of :func:`sum_of_terms`, by a transform of type 1: modes from values at points."""
+    if hasattr(plan, "weighted"):
+        return plan.weighted(values, factors, weights)
+    strength = xp.ascontiguousarray(weights.conj() * values)
+    modes = plan.execute(strength if len(strength) > 1 else strength[0]).reshape(factors.shape)
+    return (factors.conj() * modes).sum(axis=0)
+
+
 def folded(angles: Any, dtype: np.dtype[Any]) -> Any:
     """Angles of points within half a turn; folded in float64, for the sake of single precision."""
     real = np.float32 if dtype == np.complex64 else np.float64

@@ -149,23 +149,46 @@ class TermsTransform:
             Modes, shape (terms, along y, along x), or values at points, shape (terms, points); of one term
             the first axis may be left out, as it is of what comes back.
         """
-        terms, grid = self._shape[0], _at_vectors(self._cells)
+        terms = self._shape[0]
+        given = data.reshape(self._shape) if self._kind == 2 else data.reshape(terms, -1)
+        result = self._carried(given, None, None)
+        return result if terms > 1 else result[0]
+
+    def weighted(
+        self, data: NDArray[np.complex64], factors: NDArray[np.complex64], weights: NDArray[np.complex64]
+    ) -> NDArray[np.complex64]:
+        """Type 2: the sum over terms of weights times the transform of factors times modes; type 1: its
+        conjugate transpose. Nothing of each term leaves the processor's cache but the grid.
+
+        Parameters
+        ----------
+        data
+            Modes that all terms share, shape (along y, along x), or values at points, shape (points,).
+        factors
+            Of modes, shape (terms, along y, along x).
+        weights
+            Of points, shape (terms, points).
+        """
+        return self._carried(*map(np.ascontiguousarray, (data[None], factors, weights)))[0]
+
+    def _carried(self, data: Any, factors: Any, weights: Any) -> NDArray[np.complex64]:
+        grid, count = _at_vectors(self._cells), self._shape[0] if factors is None else 1
         grid[...] = 0.0
         if self._kind == 2:
-            put_modes(data.reshape(self._shape), *self._onto, grid)
+            put_modes(data, factors, *self._onto, grid)
             for rows in self._rows_of_modes:
                 self._transform(grid, rows, 1)
             self._transform(grid, slice(None), 0)
-            result = np.empty((terms, len(self._points[0])), np.complex64)
-            gather(grid, *self._points, self._pieces, result)
+            result = np.empty((count, len(self._points[0])), np.complex64)
+            gather(grid, *self._points, self._pieces, weights, result)
         else:
-            spread(grid, *self._points, self._pieces, data.reshape(terms, -1))
+            spread(grid, *self._points, self._pieces, weights, data)
             self._transform(grid, slice(None), 0)
             for rows in self._rows_of_modes:
                 self._transform(grid, rows, 1)
-            result = np.empty(self._shape, np.complex64)
-            take_modes(result, *self._onto, grid)
-        return result if terms > 1 else result[0]
+            result = np.empty((count, *self._shape[1:]), np.complex64)
+            take_modes(result, factors, *self._onto, grid)
+        return result
 
     @property
     def _rows_of_modes(self) -> tuple[slice, slice]:

@@ -168,7 +168,14 @@ def _within(first: int, cells: int, width: int) -> bool:
 
 
 @_jit
-def gather(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], values: NDArray) -> None:
+def gather(
+    grid: NDArray,
+    y: NDArray,
+    x: NDArray,
+    pieces: tuple[Any, Any],
+    weights: NDArray | None,
+    values: NDArray,
+) -> None:
     """Values at points from those on a periodic grid.
 
     Parameters
@@ -179,8 +186,10 @@ def gather(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], value
         Angles of points.
     pieces
         Along y and along x; for each tap its polynomial's coefficients, the highest first.
+    weights
+        Shape (terms, points), with which terms are added up; None leaves them apart.
     values
-        Shape (terms, points), complex64; changed in place.
+        Shape (terms, points), or (1, points) of a sum, complex64; changed in place.
     """
     rows, columns, numbers = grid.shape
     width = len(pieces[0])
@@ -203,13 +212,28 @@ def gather(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], value
                         for k in range(numbers):
                             cell = grid[(top + t) % rows, (left + s) % columns, k]
                             own[k] += down[t, j] * across[s, j] * cell
-            for r in range(values.shape[0]):
-                values[r, start + j] = complex64(complex(own[2 * r], own[2 * r + 1]))
+            if weights is None:
+                for r in range(values.shape[0]):
+                    values[r, start + j] = complex64(complex(own[2 * r], own[2 * r + 1]))
+            else:
+                real = imaginary = float32(0.0)
+                for r in range(weights.shape[0]):
+                    weight = weights[r, start + j]
+                    real += weight.real * own[2 * r] - weight.imag * own[2 * r + 1]
+                    imaginary += weight.real * own[2 * r + 1] + weight.imag * own[2 * r]
+                values[0, start + j] = complex64(complex(real, imaginary))
 
 
 @_jit
-def spread(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], values: NDArray) -> None:
-    """The transpose of :func:`gather`: adds to the grid."""
+def spread(
+    grid: NDArray,
+    y: NDArray,
+    x: NDArray,
+    pieces: tuple[Any, Any],
+    weights: NDArray | None,
+    values: NDArray,
+) -> None:
+    """The conjugate transpose of :func:`gather`: adds to the grid."""
     rows, columns, numbers = grid.shape
     width = len(pieces[0])
     first_y, first_x = empty(_BLOCK, int64), empty(_BLOCK, int64)
@@ -221,9 +245,16 @@ def spread(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], value
         _weigh(x, start, stop, columns, pieces[1], first_x, across)
         for j in range(stop - start):
             top, left = first_y[j], first_x[j]
-            for r in range(values.shape[0]):
-                own[2 * r] = values[r, start + j].real
-                own[2 * r + 1] = values[r, start + j].imag
+            if weights is None:
+                for r in range(values.shape[0]):
+                    own[2 * r] = values[r, start + j].real
+                    own[2 * r + 1] = values[r, start + j].imag
+            else:
+                value = values[0, start + j]
+                for r in range(weights.shape[0]):
+                    weight = weights[r, start + j]
+                    own[2 * r] = weight.real * value.real + weight.imag * value.imag
+                    own[2 * r + 1] = weight.real * value.imag - weight.imag * value.real
             if _within(top, rows, width) and _within(left, columns, width):
                 for lane in range(0, numbers, LANES):
                     _spread_vector(pieces[0], grid, down, across, top, left, lane, j, own)
@@ -237,26 +268,50 @@ def spread(grid: NDArray, y: NDArray, x: NDArray, pieces: tuple[Any, Any], value
 
 @_jit
 def put_modes(
-    modes: NDArray, rows: NDArray, columns: NDArray, along_y: NDArray, along_x: NDArray, grid: NDArray
+    modes: NDArray,
+    factors: NDArray | None,
+    rows: NDArray,
+    columns: NDArray,
+    along_y: NDArray,
+    along_x: NDArray,
+    grid: NDArray,
 ) -> None:
-    """Modes, shape (terms, along y, along x), times a factor of each axis onto their cells of a grid."""
+    """Modes, shape (terms, along y, along x), times a factor of each axis onto their cells of a grid.
+
+    With factors of this shape the modes are one term, shape (1, along y, along x), which they multiply.
+    """
+    terms = modes.shape[0] if factors is None else factors.shape[0]
     for i in range(modes.shape[1]):
         for c in range(modes.shape[2]):
             row, column, factor = rows[i], columns[c], along_y[i] * along_x[c]
-            for r in range(modes.shape[0]):
-                grid[row, column, 2 * r] = factor * modes[r, i, c].real
-                grid[row, column, 2 * r + 1] = factor * modes[r, i, c].imag
+            for r in range(terms):
+                value = modes[r, i, c] if factors is None else factors[r, i, c] * modes[0, i, c]
+                grid[row, column, 2 * r] = factor * value.real
+                grid[row, column, 2 * r + 1] = factor * value.imag
 
 
 @_jit
 def take_modes(
-    modes: NDArray, rows: NDArray, columns: NDArray, along_y: NDArray, along_x: NDArray, grid: NDArray
+    modes: NDArray,
+    factors: NDArray | None,
+    rows: NDArray,
+    columns: NDArray,
+    along_y: NDArray,
+    along_x: NDArray,
+    grid: NDArray,
 ) -> None:
-    """The transpose of :func:`put_modes`: changes the modes."""
+    """The conjugate transpose of :func:`put_modes`: changes the modes."""
+    terms = modes.shape[0] if factors is None else factors.shape[0]
     for i in range(modes.shape[1]):
-        for r in range(modes.shape[0]):
+        if factors is not None:
+            modes[0, i] = 0.0
+        for r in range(terms):
             for c in range(modes.shape[2]):
                 factor = along_y[i] * along_x[c]
                 real = factor * grid[rows[i], columns[c], 2 * r]
                 imaginary = factor * grid[rows[i], columns[c], 2 * r + 1]
-                modes[r, i, c] = complex64(complex(real, imaginary))
+                value = complex64(complex(real, imaginary))
+                if factors is None:
+                    modes[r, i, c] = value
+                else:
+                    modes[0, i, c] += factors[r, i, c].conjugate() * value

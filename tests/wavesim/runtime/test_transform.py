@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavesim.runtime.device import Precision, device_named
+from wavesim.runtime.device import Precision, device_named, sum_of_terms, terms_back
 from wavesim.runtime.transform import TermsTransform, axes_for, pieces_of
 
 ROUNDING = 1e-6
@@ -87,6 +87,29 @@ def test_types_are_each_others_conjugate_transpose(terms: int, rows: int, column
     left = np.vdot(given_values.astype(complex), there)
     right = np.vdot(back.astype(complex), given_modes)
     assert abs(left - right) < ROUNDING * np.linalg.norm(there) * np.linalg.norm(given_values)
+
+
+@given(
+    terms=st.integers(1, 9),
+    rows=st.integers(10, 40),
+    columns=st.integers(10, 40),
+    points=st.integers(9, 600),
+)
+def test_weighted_terms_are_those_apart_added_up(terms: int, rows: int, columns: int, points: int) -> None:
+    """In one pass as in several, both ways."""
+    shape, places = (terms, rows, columns), scattered(points)
+    factors, weights = noise(shape, 3), noise((terms, points), 4)
+    there, back = (TermsTransform(kind, shape, 5e-4) for kind in (2, 1))
+    modes, values = noise(shape[1:], 1), noise((points,), 2)
+    for transform in (there, back):
+        transform.setpts(*places)
+    apart = there.execute(factors * modes).reshape(terms, -1)
+    found = sum_of_terms(there, np, modes, factors, weights)
+    assert relative(found, (weights * apart).sum(axis=0)) < ROUNDING
+    apart = back.execute(weights.conj() * values).reshape(shape)
+    assert (
+        relative(terms_back(back, np, values, factors, weights), (factors.conj() * apart).sum(0)) < ROUNDING
+    )
 
 
 def test_the_same_as_finufft_over_a_tile() -> None:

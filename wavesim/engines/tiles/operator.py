@@ -32,7 +32,7 @@ from wavesim.fields.resampling import (
 )
 from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.rays.ray_bundles import RayBundle
-from wavesim.runtime.device import Precision, folded, plan_of_terms
+from wavesim.runtime.device import Precision, folded, plan_of_terms, sum_of_terms, terms_back
 from wavesim.runtime.threads import THREADS, for_blocks
 from wavesim.scene.scene import Scene
 
@@ -159,7 +159,7 @@ class TileOperator:
         across = slice(int(lit[full, 0].min()), int(lit[full, 1].max()))
         self.window = (slice(int(rows[0]), int(rows[-1]) + 1), across) if len(axes) == 2 else (across,)
         self._fine = fine = tuple(axis[part] for axis, part in zip(axes, self.window, strict=True))
-        self._tile_factors = factors.tile_factors(list(tile.offsets_mm)).astype(self._dtype)
+        self._tile_factors = np.ascontiguousarray(factors.tile_factors(list(tile.offsets_mm)), self._dtype)
         k = scene.wavenumber_per_mm
         limit = np.pi / (k * tile.pitch_mm)
         width = tile.width_mm
@@ -184,11 +184,11 @@ class TileOperator:
                 sensor = self._on_points(factors.sensor_factors)
             else:
                 sensor = factors.sensor_factors.at(coarse[0][self._needed, None])
+        if sensor is None:
+            sensor = np.ones((1, np.count_nonzero(self._needed)))
         if self._ways is None:
-            weight = carried[self._needed][None]
-            self._weights = weight if sensor is None else (weight * sensor).astype(self._dtype)
-        else:
-            self._weights = None if sensor is None else sensor.astype(self._dtype)
+            sensor = carried[self._needed] * sensor
+        self._weights = sensor.astype(self._dtype)
         self._point_at(self._on_points(carrier.maps)[2:])
 
     @property
@@ -217,7 +217,6 @@ class TileOperator:
         if self._ways is not None:
             result._carried = self._carried * turn
         else:
-            assert self._weights is not None
             result._weights = self._weights * turn
         result._point_at(self._on_points(carrier.maps)[2:] + change[1:])
         return result
@@ -244,13 +243,8 @@ class TileOperator:
         """The tile's field as its transform gives it, of values on its part; None where it is dark."""
         if self._plans is None:
             return None
-        modes = np.ascontiguousarray(self._tile_factors * values)
-        spectrum = self._plans[0].execute(modes if len(modes) > 1 else modes[0])
-        spectrum = np.atleast_2d(spectrum)
-        if self._weights is not None:
-            spectrum = np.einsum("rn,rn->n", self._weights, spectrum)
         field = np.zeros(self._needed.shape, self._dtype)
-        field[self._needed] = spectrum.ravel()
+        field[self._needed] = sum_of_terms(self._plans[0], np, values, self._tile_factors, self._weights)
         return field
 
     def add(self, field: NDArray | None, result: NDArray) -> None:
@@ -271,15 +265,7 @@ class TileOperator:
         else:
             field = gathered(values, self._ways, self._carried, self._place, threads)
         strength = field[self._needed]
-        count = len(self._tile_factors)
-        if self._weights is not None:
-            strength = self._weights.conj() * strength
-        elif count > 1:
-            strength = np.broadcast_to(strength, (count, len(strength)))
-        strength = np.ascontiguousarray(strength.reshape(count, -1) if count > 1 else strength.ravel())
-        modes = self._plans[1].execute(strength)
-        modes = modes.reshape(self._tile_factors.shape)
-        return np.asarray(np.sum(self._tile_factors.conj() * modes, axis=0))
+        return np.asarray(terms_back(self._plans[1], np, strength, self._tile_factors, self._weights))
 
 
 def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:

@@ -23,7 +23,7 @@ from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import wave_factor
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
-from wavesim.runtime.device import Device, Precision
+from wavesim.runtime.device import Device, Precision, sum_of_terms, terms_back
 from wavesim.scene.engine import Way
 from wavesim.scene.scene import Scene
 
@@ -338,10 +338,9 @@ class ObjectTile:
         xp = self._device.xp
         if not len(self._places):
             return
-        modes = xp.ascontiguousarray(self._tile_factors * values)
-        spectrum = self._plan(2).execute(modes if len(modes) > 1 else modes[0])
         field = xp.zeros(self._shape, dtype=np.complex64)
-        field.ravel()[self._places] = (self._weights * spectrum).sum(axis=0)
+        spectrum = sum_of_terms(self._plan(2), xp, values, self._tile_factors, self._weights)
+        field.ravel()[self._places] = spectrum
         self._step.add(field, result)
 
     def collect(self, values: Any) -> Any:
@@ -349,10 +348,8 @@ class ObjectTile:
         xp = self._device.xp
         if not len(self._places):
             return xp.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
-        strength = self._weights.conj() * self._needed(self._step.collect(values))
-        strength = xp.ascontiguousarray(strength if len(strength) > 1 else strength[0])
-        modes = self._plan(1).execute(strength).reshape(self._tile_factors.shape)
-        return (self._tile_factors.conj() * modes).sum(axis=0)
+        strength = self._needed(self._step.collect(values))
+        return terms_back(self._plan(1), xp, strength, self._tile_factors, self._weights)
 
 
 def carry_tiles(
