@@ -19,8 +19,9 @@ from wavesim.fields.guards import SamplingWarning
 from wavesim.rays.maps import RayMap, RayMapError
 from wavesim.scene.scene import Scene
 
-RANK_SOUGHT = 5
-"""Terms that a tile may take before narrower tiles are cheaper."""
+RANK_SOUGHT, RANK_OF_MANY, MANY = 5, 8, 16
+"""Terms that a tile may take before narrower tiles are cheaper; and where these would be more than so many,
+each with rays of its own to be traced and fitted. Transforms carry eight terms in two vectors."""
 
 REFUSED = 3.0
 """Times the error allowed, beyond which a tile width asked for is refused."""
@@ -78,6 +79,11 @@ class Probe:
         """Most terms that a tile takes for an error."""
         return max(r.rank_for(error) for r in self.residuals)
 
+    def rank_sought(self, error: float) -> int:
+        """Terms beyond which narrower tiles are cheaper."""
+        narrower = len(self.tiles) * self.rank_for(error) / RANK_SOUGHT
+        return RANK_SOUGHT if narrower <= MANY else RANK_OF_MANY
+
     def error(self, quadratic: Quadratic, allowed: float) -> float:
         """Largest relative error that is left."""
         if quadratic == "mean":
@@ -133,7 +139,7 @@ def chosen_probe(scene: Scene, error: float, quadratic: Quadratic, mapper: Mappe
             if quadratic == "mean":
                 grow = math.sqrt(found.mean_error / error)
             else:
-                grow = math.sqrt(found.rank_for(error) / RANK_SOUGHT)
+                grow = math.sqrt(found.rank_for(error) / found.rank_sought(error))
             if grow <= 1.0:
                 return found
         if all(c == n for c, n in zip(counts, grid.shape, strict=True)):
