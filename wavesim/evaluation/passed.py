@@ -22,6 +22,7 @@ from wavesim.fields.field import Field, Grid
 from wavesim.objects.targets import band_limit
 from wavesim.rays.maps import inside_border
 from wavesim.rays.ray_bundles import open_pupil, trace_bundle
+from wavesim.runtime.threads import for_blocks
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 
@@ -128,7 +129,8 @@ def _by_directions(field: Field, by: OpenDirections) -> Field:
     cosines = 1e-3 * field.wavelength_um * scipy.fft.fftshift(scipy.fft.fftfreq(2 * half, grid.pitch_mm))
     first_mm = np.array([grid.y_mm[0], grid.x_mm[0]]) + grid.pitch_mm * (half - 0.5)
     result = np.zeros_like(values)
-    for row in range(-half, grid.shape[0], half):
+
+    def across(row: int) -> None:
         rows, own_rows = _cut(row, half, grid.shape[0])
         for column in range(-half, grid.shape[1], half):
             columns, own = _cut(column, half, grid.shape[1])
@@ -141,6 +143,10 @@ def _by_directions(field: Field, by: OpenDirections) -> Field:
             middle = first_mm + grid.pitch_mm * np.array([row, column])
             passed = _filtered(block, inside_border(by.border(middle), (cosines, cosines)))
             result[rows, columns] += passed[own_rows, own] * weight
+
+    starts = range(-half, grid.shape[0], half)
+    for some in (starts[::2], starts[1::2]):  # which have no samples in common
+        for_blocks(lambda number, _, some=some: across(some[number]), len(some), 1)  # type: ignore[misc]
     return field.with_values(result)
 
 
@@ -152,6 +158,6 @@ def _cut(start: int, half: int, count: int) -> tuple[slice, slice]:
 
 def _filtered(block: NDArray, open_waves: NDArray[np.bool_]) -> NDArray:
     """Some of a block's plane waves, told in the order of their cosines; uses the block up."""
-    spectrum = scipy.fft.fft2(block, workers=-1, overwrite_x=True)
+    spectrum = scipy.fft.fft2(block, overwrite_x=True)
     spectrum *= scipy.fft.ifftshift(open_waves)
-    return np.asarray(scipy.fft.ifft2(spectrum, workers=-1, overwrite_x=True))
+    return np.asarray(scipy.fft.ifft2(spectrum, overwrite_x=True))
