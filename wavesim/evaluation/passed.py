@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.fft
@@ -130,7 +131,8 @@ def _by_directions(field: Field, by: OpenDirections) -> Field:
     first_mm = np.array([grid.y_mm[0], grid.x_mm[0]]) + grid.pitch_mm * (half - 0.5)
     result = np.zeros_like(values)
 
-    def across(row: int) -> None:
+    def across(starts: range, number: int, _: int) -> None:
+        row = starts[number]
         rows, own_rows = _cut(row, half, grid.shape[0])
         for column in range(-half, grid.shape[1], half):
             columns, own = _cut(column, half, grid.shape[1])
@@ -146,7 +148,7 @@ def _by_directions(field: Field, by: OpenDirections) -> Field:
 
     starts = range(-half, grid.shape[0], half)
     for some in (starts[::2], starts[1::2]):  # which have no samples in common
-        for_blocks(lambda number, _, some=some: across(some[number]), len(some), 1)  # type: ignore[misc]
+        for_blocks(partial(across, some), len(some), 1)
     return field.with_values(result)
 
 
