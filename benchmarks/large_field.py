@@ -8,6 +8,7 @@ Smaller fields of the same lens tell how time grows with the field's area.
 
 from __future__ import annotations
 
+import os
 import resource
 import time
 from collections.abc import Iterator
@@ -28,6 +29,9 @@ SMALLER_MM, COMPILED_MM = (1.25, 2.5), 0.3
 """Fields of the same lens; one that compiles the loops, if they are not kept."""
 
 WORKERS = 2
+MEMORY = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
+"""Has workers keep memory for their next task, which Dask has them give back after every array."""
+
 MOST_GB, MISMATCH, MOST_EXPONENT = 12.0, 1e-6, 1.0
 
 
@@ -90,6 +94,7 @@ def workers() -> Iterator[str]:
     """A Dask scheduler on this machine, with processes of one thread each."""
     from distributed import LocalCluster
 
+    os.environ.update(MEMORY)
     with LocalCluster(
         n_workers=WORKERS,
         threads_per_worker=1,

@@ -32,6 +32,8 @@ from lensdesign.common.clusters import (
 from lensdesign.errors import InputError
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.executors import Band, Part, Sums, Tell, part_of
+from wavesim.engines.whole_field.on_cpu import OnCpu
+from wavesim.engines.whole_field.on_gpu import OnDevice
 from wavesim.runtime.memory import COMPLEX64
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -263,7 +265,7 @@ def engine_of(packet: ScenePacket) -> WholeFieldEngine:
 def carry(packet: ScenePacket, number: int, values: Values) -> Values:
     """Runs in a worker: a super-tile's field on its own grid."""
     engine = engine_of(packet)
-    return engine.worker.carry("forward", engine.groups[number], values)
+    return _worker_of(engine).carry("forward", engine.groups[number], values)
 
 
 def rows_for(packet: ScenePacket, number: int, band: tuple[int, int], field: Values) -> Values:
@@ -281,7 +283,7 @@ def add(
 ) -> Values:
     """Runs in a worker: a band of the plane with some super-tiles more; `before` stays as it is."""
     engine = engine_of(packet)
-    worker, shape = engine.worker, (band[1] - band[0], engine.scene.exit_grid.shape[1])
+    worker, shape = _worker_of(engine), (band[1] - band[0], engine.scene.exit_grid.shape[1])
     total = worker.device.to_device(np.zeros(shape, np.complex64) if before is None else before.copy())
     for number, field in zip(numbers, fields, strict=True):
         part, _ = engine.groups[number].carried.onto_rows(*band)
@@ -292,4 +294,9 @@ def add(
 def collect(packet: ScenePacket, number: int, plane: Values) -> Values:
     """Runs in a worker: a super-tile's part of the object, from the plane."""
     engine = engine_of(packet)
-    return part_of(engine.worker, engine.groups[number], plane)
+    return part_of(_worker_of(engine), engine.groups[number], plane)
+
+
+def _worker_of(engine: WholeFieldEngine) -> OnCpu | OnDevice:
+    """What does a task: one thread, since the cluster's own are as many as its processors'."""
+    return OnCpu(threads=1) if engine.device is None else engine.worker

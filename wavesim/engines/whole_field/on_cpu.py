@@ -25,12 +25,17 @@ class OnCpu:
         Whose arrays it works on.
     memory_bytes : float
         That a plane may take.
+
+    Parameters
+    ----------
+    threads
+        That share a super-tile's work; all by default.
     """
 
     memory_bytes = math.inf
 
-    def __init__(self) -> None:
-        self.device = device_named("cpu")
+    def __init__(self, threads: int = THREADS) -> None:
+        self.device, self.threads = device_named("cpu"), threads
 
     def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
         """Do one super-tile's task.
@@ -56,20 +61,20 @@ class OnCpu:
             # Forward, the fields of tiles overlap; back, each has a part of its own.
             result = np.zeros(shape, np.complex64) if way == "forward" else back
             alike: dict[Any, Any] = {}
-            frames = (tile_frame(group, tile, alike) for tile in group.tiles[thread::THREADS])
+            frames = (tile_frame(group, tile, alike) for tile in group.tiles[thread :: self.threads])
             carry_tiles(self.device, lambda carried: carried, way, frames, values, result)
             return result
 
-        with one_blas_thread(), ThreadPoolExecutor(THREADS) as pool:
-            first, *others = pool.map(one_thread, range(THREADS))
+        with one_blas_thread(), ThreadPoolExecutor(self.threads) as pool:
+            first, *others = pool.map(one_thread, range(self.threads))
         for other in others if way == "forward" else ():
             first += other
         return first
 
     def add(self, carried: Carried, total: NDArray, plane: NDArray, first_row: int = 0) -> None:
         """Add a super-tile's field to rows of the plane."""
-        carried.add(total, plane, first_row, THREADS)
+        carried.add(total, plane, first_row, self.threads)
 
     def collect(self, carried: Carried, plane: NDArray) -> NDArray[np.complex64]:
         """Conjugate transpose of :meth:`add`: a super-tile's field from the plane."""
-        return carried.collect(plane, THREADS)
+        return carried.collect(plane, self.threads)
