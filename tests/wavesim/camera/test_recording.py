@@ -24,7 +24,7 @@ from wavesim.camera.recording import PARTS, Recording, drop_parts, image_patch
 from wavesim.camera.windows import OVERSAMPLING, exit_scene, light_window, sensor_window
 from wavesim.engines.choosing import engine_for
 from wavesim.engines.whole_field import kept as kept_tiles
-from wavesim.engines.whole_field.engine import WholeFieldEngine
+from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.fields.field import relative_error
 from wavesim.objects.patch import make_illumination, make_target, object_patch
 from wavesim.runtime.inventory import need_of
@@ -97,20 +97,20 @@ def test_a_run_that_was_cut_off_goes_on(
 ) -> None:
     recording = Recording(PLANES_MM[:1], CAMERA, 3)
     whole, _ = scenery.imaged("two-level", recording)
-    carry, carried = WholeFieldEngine.carry, list[int]()
+    carry, carried = OnCpu.carry, list[Any]()
 
-    def counted(self: WholeFieldEngine, way: Any, number: int, values: Any) -> Any:
+    def counted(self: OnCpu, way: Any, group: Any, values: Any) -> Any:
         if len(carried) == 3:
             raise KeyboardInterrupt
-        carried.append(number)
-        return carry(self, way, number, values)
+        carried.append(group)
+        return carry(self, way, group, values)
 
-    monkeypatch.setattr(WholeFieldEngine, "carry", counted)
+    monkeypatch.setattr(OnCpu, "carry", counted)
     with pytest.raises(KeyboardInterrupt):
         scenery.imaged("two-level", recording, folder=tmp_path)
     assert len(list((tmp_path / PARTS / "plane_1").glob("*.npy"))) == 3
     carried.clear()
-    monkeypatch.setattr(WholeFieldEngine, "carry", carry)
+    monkeypatch.setattr(OnCpu, "carry", carry)
     told: list[tuple[str, int, int]] = []
     again, _ = scenery.imaged(
         "two-level", recording, folder=tmp_path, progress=lambda *what: told.append(what)
