@@ -231,8 +231,9 @@ def tile_frame(group: SuperTile, tile: Tile, alike: dict[Any, Any]) -> TileFrame
     fine = group.axes[0][window[0]], group.axes[1][window[1]]
     steps = group.tile_steps_mm
     y, x = (coarse_axis(f, float(h), settings.kernel) for f, h in zip(fine, steps, strict=True))
-    # Coarse axes are centred on fine ones: how both lie to each other follows from the number of samples.
-    lengths = len(fine[0]), len(fine[1])
+    # Coarse axes are centred on fine ones: how both lie to each other follows from the numbers of samples. Of
+    # as many fine ones these may differ by one, by rounding.
+    lengths = len(fine[0]), len(fine[1]), len(y), len(x)
     if lengths not in alike:
         alike[lengths] = ways_between((y, x), (y, x), fine, settings.kernel)
     expansion, offsets = settings.factors.at(centre), list(tile.offsets_mm)
