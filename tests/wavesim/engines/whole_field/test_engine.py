@@ -18,6 +18,7 @@ from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.whole_field import cost, on_cpu, ray_maps
 from wavesim.engines.whole_field.engine import WholeFieldEngine
 from wavesim.engines.whole_field.ray_maps import maps_over_object, region_of_object
+from wavesim.engines.whole_field.tiles import tile_frame
 from wavesim.fields.field import Field, Grid, relative_error
 from wavesim.rays.maps import RayMapError
 from wavesim.rays.ray_bundles import FoldError
@@ -218,6 +219,20 @@ def test_maps_follow_rays_that_they_have_not_seen(paper_lens: Lens) -> None:
         told = maps.slopes_per_mm(point[None])
         assert np.all(np.transpose(found) < 1.01 * told)
         assert np.all(told.diagonal() < 1.05 * np.diagonal(found))
+
+
+def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) -> None:
+    """Here some grids have one sample more than others of as many fine samples, by rounding."""
+    twin = scaled(paper_lens, 1.0 / 32.0)
+    before, behind = Grid((120, 120), 0.4256e-3, twin.object_z_mm), Grid((432, 432), 1.6e-3, 0.994625)
+    engine = WholeFieldEngine(Scene(twin, before, behind, WAVELENGTH_UM), error=0.03, tile_width_mm=0.006)
+    for group in engine.groups:
+        alike: dict[Any, Any] = {}
+        for tile in group.tiles:
+            shared, own = tile_frame(group, tile, alike), tile_frame(group, tile, {})
+            for one, other in zip(shared.ways.field, own.ways.field, strict=True):
+                assert one.coarse == other.coarse
+                np.testing.assert_allclose(one.weight, other.weight, atol=1e-5)
 
 
 def test_maps_that_cannot_be_so_accurate_are_refused(
