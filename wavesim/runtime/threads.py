@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -47,13 +48,18 @@ def for_blocks(
         That share the work.
     """
     starts = range(0, count, block)
+    found: list[Any] = [None] * len(starts)
+    left = iter(enumerate(starts))  # the next goes to whoever is free: cores are not all as fast
 
-    def one_thread(first: int) -> list[Part]:
-        return [work(start, min(start + block, count)) for start in starts[first::threads]]
+    def one_thread(_: int) -> None:
+        try:
+            for number, start in left:
+                found[number] = work(start, min(start + block, count))
+        finally:  # where one failed, none begins another
+            deque(left, 0)
 
-    threads = max(1, min(most_threads, len(starts)))
-    found = _each(one_thread, threads)
-    return [found[number % threads][number // threads] for number in range(len(starts))]
+    _each(one_thread, max(1, min(most_threads, len(starts))))
+    return found
 
 
 def _each(work: Callable[[int], Part], threads: int) -> list[Part]:

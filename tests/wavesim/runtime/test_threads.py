@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 
 import numpy as np
@@ -51,6 +52,34 @@ def test_what_goes_wrong_in_a_thread_is_told_when_all_have_ended(
     with pytest.raises(ZeroDivisionError):
         for_blocks(work, 10, 1)
     assert not running
+
+
+def test_after_a_failure_no_block_begins() -> None:
+    failed, late = threading.Event(), []
+
+    def work(start: int, _: int) -> None:
+        if start == 0:
+            failed.set()
+            raise ZeroDivisionError
+        failed.wait(10.0)
+        time.sleep(0.05)  # the other thread says so meanwhile
+        late.append(start)
+
+    with pytest.raises(ZeroDivisionError):
+        for_blocks(work, 100, 1, 2)
+    assert len(late) <= 1
+
+
+def test_a_slow_block_keeps_only_one_thread() -> None:
+    others = threading.Semaphore(0)
+
+    def work(start: int, _: int) -> None:
+        if start == 0:
+            assert all(others.acquire(timeout=10.0) for _ in range(9))
+        else:
+            others.release()
+
+    for_blocks(work, 10, 1, 2)
 
 
 def test_work_in_a_thread_may_share_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
