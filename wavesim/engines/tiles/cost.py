@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wavesim.engines.tiles.operator import Tile, coarse_is_used, coarse_steps_mm, precision_for
+from wavesim.engines.tiles.operator import GROUP, Tile, coarse_is_used, coarse_steps_mm, precision_for
 from wavesim.engines.tiles.residual import FACTOR_ORDER
 from wavesim.fields.resampling import kernel_for
 from wavesim.rays.exit_planes import ExitPlane
@@ -94,7 +94,7 @@ def tiles_cost(
         beyond_bytes = plane.beyond.peak_bytes + COMPLEX128 * math.prod(shape)
 
     def peak_bytes(value_bytes: int) -> int:
-        kept, passing = _bytes(size, rank, low_rank, len(shape), min(count, THREADS), value_bytes)
+        kept, passing = _bytes(size, rank, low_rank, len(shape), count, value_bytes)
         return max(LEAST_BYTES[scene.object_grid.is_line], count * kept + max(passing, beyond_bytes))
 
     return Cost(
@@ -125,9 +125,9 @@ def _sizes(scene: Scene, plane: ExitPlane, tile: Tile, carrier: RayMap, error: f
 
 
 def _bytes(
-    size: _Size, rank: int, low_rank: bool, dimensions: int, at_once: int, value_bytes: int
+    size: _Size, rank: int, low_rank: bool, dimensions: int, count: int, value_bytes: int
 ) -> tuple[int, int]:
-    """Kept by one tile, and held beside while one is made or some are used at once."""
+    """Kept by one of so many tiles, and held beside while one is made or some are used at once."""
     # Both transforms keep the places of their points, in double precision, and an order of them.
     kept = value_bytes * rank * (size.modes + size.points) + PLACES_BYTES * dimensions * size.points
     kept += value_bytes * size.window + size.coarse if size.taps else size.window
@@ -141,5 +141,6 @@ def _bytes(
     elif size.taps:
         making = max(making, (FLOAT32 + 1) * size.window)
     own = size.coarse if size.taps else size.window
-    using = value_bytes * (2 * rank * size.points + rank * size.modes + 2 * own)
-    return kept, max(making, at_once * using + value_bytes * size.between) + BASE_BYTES
+    using = min(count, THREADS) * value_bytes * (2 * rank * size.points + rank * size.modes + own)
+    waiting = value_bytes * (min(count, GROUP) * own + size.between)
+    return kept, max(making, using + waiting) + BASE_BYTES

@@ -57,6 +57,9 @@ WITHIN_BAND = 0.99
 POINTS_PER_THREAD = 2**16
 """Of a transform that has threads of its own: with fewer, they wait for each other longer than they work."""
 
+GROUP = 4 * THREADS
+"""Tiles whose fields may wait for each other: between groups, threads wait."""
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -270,8 +273,8 @@ class TileOperator:
 
 def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
     """Add the fields of all tiles of the object to the field on the plane."""
-    for start in range(0, len(operators), THREADS):
-        some = operators[start : start + THREADS]
+    for start in range(0, len(operators), GROUP):
+        some = operators[start : start + GROUP]
         fields = at_once([partial(one.carried, values[one.part]) for one in some])
         for operator, field in zip(some, fields, strict=True):
             operator.add(field, result)
@@ -279,8 +282,8 @@ def add_tiles(operators: Sequence[TileOperator], values: NDArray, result: NDArra
 
 def add_tiles_back(operators: Sequence[TileOperator], values: NDArray, result: NDArray) -> None:
     """The conjugate transpose of :func:`add_tiles`: adds to the object."""
-    for start in range(0, len(operators), THREADS):
-        some = operators[start : start + THREADS]
+    for start in range(0, len(operators), GROUP):
+        some = operators[start : start + GROUP]
         parts = at_once([partial(one.back, values, max(1, THREADS // len(some))) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
