@@ -29,7 +29,7 @@ SCENE = patch_scene(TWIN, 0.02, plane_distance_mm=0.125, meridional=True)
 
 
 def test_takes_the_cheapest_that_holds() -> None:
-    for error in (1.9, 0.2, 0.03, 0.01):
+    for error in (1.9, 0.2, 0.03, 0.012):
         choice = choose(SCENE, error)
         holding = [p for p in choice.predictions if p.relative_error <= error and not p.refused]
         assert choice.chosen in holding
@@ -38,7 +38,7 @@ def test_takes_the_cheapest_that_holds() -> None:
 
 
 def test_less_error_is_never_cheaper() -> None:
-    seconds = [choose(SCENE, error).chosen.total_seconds(2) for error in (0.5, 0.1, 0.01)]
+    seconds = [choose(SCENE, error).chosen.total_seconds(2) for error in (0.5, 0.1, 0.012)]
     assert seconds[0] <= 3.0 * seconds[1] <= 9.0 * seconds[2]
 
 
@@ -71,6 +71,17 @@ def test_predictions_hold() -> None:
     assert np.mean(near) >= 0.75
 
 
+@pytest.mark.parametrize("thing", ["even", "spots"])
+def test_slices_tell_of_light_that_the_rim_turns_aside(thing: str) -> None:
+    """With many slices hardly anything else is left."""
+    lens = stopped_down(TWIN, 0.35)
+    scene = patch_scene(lens, 0.03, plane_distance_mm=0.125, meridional=True)
+    field = object_field(thing, scene, 74)
+    engine = engine_for(scene, "slices", slices=100, compensation="oblique")
+    found = relative_error(engine.forward(field).values, reference_for(scene).forward(field).values)
+    assert found <= engine.predicted_error(Light(field)) <= 5.0 * found
+
+
 def test_prediction_is_the_sum_of_squares() -> None:
     engine = engine_for(SCENE, "slices", slices=100, compensation="oblique")
     parts = [part.relative_error for part in engine.neglected()]
@@ -81,11 +92,11 @@ def test_prediction_is_the_sum_of_squares() -> None:
 
 
 def test_memory_and_time_allowed_are_kept() -> None:
-    free = choose(SCENE, 0.01)
+    free = choose(SCENE, 0.012)
     with pytest.raises(SamplingError, match="GB allowed"):
-        choose(SCENE, 0.01, memory_gb=1e-5)
+        choose(SCENE, 0.012, memory_gb=1e-5)
     with pytest.raises(SamplingError, match="s allowed"):
-        choose(SCENE, 0.01, seconds=1e-9)
+        choose(SCENE, 0.012, seconds=1e-9)
     assert free.chosen.peak_bytes > 1e4
 
 
@@ -175,7 +186,7 @@ def test_a_new_engine_is_a_class_and_a_line(monkeypatch: pytest.MonkeyPatch) -> 
         engine_for(SCENE, "mirror", shares=1)
     weighed = [p.settings["share"] for p in choose(SCENE, 0.06).predictions if p.engine == "mirror"]
     assert weighed == [1.0, 0.5, 0.25]  # up to the first that holds
-    weighed = [p.settings["share"] for p in choose(SCENE, 0.01).predictions if p.engine == "mirror"]
+    weighed = [p.settings["share"] for p in choose(SCENE, 0.012).predictions if p.engine == "mirror"]
     assert weighed == [1.0, 0.5, 0.25, 0.24]  # up to the first that brings no gain
     found = engine_for(SCENE, error=0.06)
     assert (found.name, found.settings()) == ("mirror", {"share": 0.25})

@@ -212,6 +212,9 @@ class AnnularSlices(Engine):
             Neglected(f"{self.compensation} compensation within slices", _misfit(self._phases)),
             Neglected("borders of slices", self._border_error()),
             Neglected("transmission other than that of the object's middle", other_transmission(self.scene)),
+            Neglected(
+                "light that the rim turns beyond the grid's band", math.sqrt(self.light.spared), at_rim=True
+            ),
         ]
         if self._oblique:
             found.append(Neglected("angles of light from beside the object's middle", self._other_angles()))
