@@ -8,7 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from bokeh.io import curdoc
 from panel.custom import JSComponent
+from panel.io.document import hold
+from tornado.ioloop import IOLoop
 
 from lensdesign.common.text import visible
 from lensdesign.lens.lens import Lens
@@ -53,8 +56,6 @@ def follow(bench: Workbench, owner: Any, update: Callable[[], None]) -> None:
     update
         What to do.
     """
-    from bokeh.io import curdoc
-
     document = curdoc()
     alive = weakref.ref(owner)
     if document.session_context is None:
@@ -81,18 +82,18 @@ class _Turns:
         self.updates: list[Callable[[], None]] = []
         self.document = weakref.ref(document)
         self.pending = False
-        end = bench.listen(self.heard)
+        self.loop = IOLoop.current()
+        end = bench.listen(lambda: self.loop.add_callback(self.ask))
         document.on_session_destroyed(lambda _: end())
 
-    def heard(self) -> None:
+    def ask(self) -> None:
+        """In the server's thread: Bokeh loses what another asks for while the page holds its messages."""
         document = self.document()
         if document is not None and not self.pending:
             self.pending = True
             document.add_next_tick_callback(self.turn)
 
     def turn(self) -> None:
-        from panel.io.document import hold
-
         self.pending = False
         with hold(self.document()):
             for update in self.updates:
