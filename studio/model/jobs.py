@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import queue
 import threading
 from collections.abc import Callable
@@ -84,7 +85,16 @@ class Job:
 
 def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) -> None:
     """In the process."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         messages.put(("done", work(*arguments, lambda line: messages.put(("line", line)))))
     except TransferLensError as error:
         messages.put(("failed", str(error)))
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed ends no child; without one, nobody waits for the result."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

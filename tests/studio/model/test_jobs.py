@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +41,14 @@ def wait(until: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+def gone(process: Path) -> bool:
+    """Whether a process of /proc has ended."""
+    try:
+        return ") Z " in (process / "stat").read_text()
+    except OSError:
+        return True
+
+
 def test_lines_come_before_the_result() -> None:
     told: list[int] = []
     job = Job(doubled, (21,), lambda: told.append(1))
@@ -61,3 +72,19 @@ def test_what_is_cancelled_ends() -> None:
     assert job.state == "cancelled"
     wait(lambda: not job._process.is_alive())
     assert job.state == "cancelled"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc on this system")
+def test_what_a_killed_parent_began_ends() -> None:
+    here = Path(__file__)
+    code = (
+        f"import sys, time; sys.path.insert(0, {str(here.parent)!r}); from {here.stem} import Job, endless\n"
+        "job = Job(endless, (), lambda: print(job._process.pid, flush=True))\n"
+        "time.sleep(600.0)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        process = Path("/proc") / parent.stdout.readline().strip()
+        assert process.exists()
+        parent.kill()
+    wait(lambda: gone(process))
