@@ -231,8 +231,8 @@ def test_tiles_share_an_interpolation_only_from_grids_alike(paper_lens: Lens) ->
         for tile in group.tiles:
             shared, own = tile_frame(group, tile, alike), tile_frame(group, tile, {})
             for one, other in zip(shared.ways.field, own.ways.field, strict=True):
-                assert one.coarse == other.coarse
-                np.testing.assert_allclose(one.weight, other.weight, atol=1e-5)
+                # Where a fine sample lies on a coarse one, rounding says which of them is its first.
+                np.testing.assert_allclose(*(ways.matrix().toarray() for ways in (one, other)), atol=1e-5)
 
 
 def test_maps_that_cannot_be_so_accurate_are_refused(
