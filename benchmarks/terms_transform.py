@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import Row, interleaved, print_table
 from wavesim.runtime.device import Precision, fourier_plan
-from wavesim.runtime.transform import TermsTransform
+from wavesim.runtime.fourier.terms import TermsTransform
 
 SAMPLES, TERMS, ERROR = 294, (1, 4, 8), 5e-4
 ACROSS, REACH = 499, 2.6

@@ -2,7 +2,7 @@
 
 Code for a device is written against its array module alone, so that the same lines run with NumPy and with
 CuPy. Nonuniform Fourier transforms come from FINUFFT, from cuFINUFFT or, of several terms on a plane in
-single precision, from :mod:`wavesim.runtime.transform`; all have the same methods.
+single precision, from :mod:`wavesim.runtime.fourier.terms`; all have the same methods.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def plan_of_terms(kind: int, shape: tuple[int, ...], precision: Precision, threa
     """The quickest transform in so many threads, as :func:`fourier_plan`."""
     if precision.dtype != np.complex64 or len(shape) != 3 or threads > WORTH_THREADS:
         return fourier_plan(kind, shape, precision, threads)
-    from wavesim.runtime.transform import TermsTransform
+    from wavesim.runtime.fourier.terms import TermsTransform
 
     return TermsTransform(kind, shape, precision.transform_error)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wavesim.runtime.device import Precision, device_named, sum_of_terms, terms_back
-from wavesim.runtime.transform import TermsTransform, axes_for, pieces_of
+from wavesim.runtime.fourier.terms import TermsTransform, axes_for, pieces_of
 
 ROUNDING = 1e-6
 """Of float32, in sums of some hundred products."""

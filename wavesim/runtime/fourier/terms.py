@@ -24,7 +24,14 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from lensdesign.common.arrays import Array
-from wavesim.runtime.transform_kernel import LANES, MORE_COEFFICIENTS, gather, put_modes, spread, take_modes
+from wavesim.runtime.fourier.terms_kernel import (
+    LANES,
+    MORE_COEFFICIENTS,
+    gather,
+    put_modes,
+    spread,
+    take_modes,
+)
 
 OVERSAMPLING = 1.25
 """Cells of the grid over modes."""

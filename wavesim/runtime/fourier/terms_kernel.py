@@ -1,4 +1,4 @@
-"""Compiled loops of :mod:`wavesim.runtime.transform`: between points and a grid, all terms at once.
+"""Compiled loops of :mod:`wavesim.runtime.fourier.terms`: between points and a grid, all terms at once.
 
 A cell of the grid holds real and imaginary part of every term, one after the other, filled up to whole
 vectors of eight numbers. Weights of taps are made for a block of points at a time, in loops over the points.
