@@ -256,8 +256,7 @@ def _met(field: Field, plane: Recorded) -> tuple[Match, ComplexArray]:
     with passes_for(field.grid, field.wavelength_um, [plane], now.dtype) as passes:
         passes.begin(now)
         passes.arrive()
-        met = passes.match(now, passes.planes[0])
-        there = now if passes.planes[0].carrier is None else passes.planes[0].there
+        met, there = passes.match(now, passes.planes[0])
     return met, there.reshape(values.shape)
 
 
@@ -292,7 +291,9 @@ def replace_amplitude(
     """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
     from wavesim.reconstruction.retrieval.kernel import replace
 
-    replace(*(None if values is None else np.atleast_2d(values) for values in (field, amplitude, known)))
+    rows, wanted, told = (None if v is None else np.atleast_2d(v) for v in (field, amplitude, known))
+    assert rows is not None
+    replace(rows.view(rows.real.dtype), wanted, told)
 
 
 def refuse_planes(recorded: Sequence[Recorded], shape: tuple[int, ...], whose: str) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 from wavesim.objects.patch import LIGHT_BYTES
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.reconstruction.retrieval.steps import BLOCK_BYTES
+from wavesim.reconstruction.retrieval.steps import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
+from wavesim.runtime.fourier.panels import bytes_of_panels
 from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
 from wavesim.scene.engine import Engine
@@ -40,9 +41,6 @@ the truth; and for each of a block of rows that is. Measured."""
 PICTURE_BYTES, SCREEN_BYTES, SCREEN, DRAWN_BYTES, PLANE_BYTES = 60_000_000, 100, 4_000_000, 12, 9
 """Of what draws pictures, of each sample as far as it is drawn by itself (`SCREEN` of them at most), and of
 each of the object, or pixel of a plane. Measured."""
-
-BLOCKS = 6
-"""Of rows or columns, that a thread of Appendix A has at one time."""
 
 
 class Phase(Flag):
@@ -289,14 +287,16 @@ def reconstruction_bytes(
 def retrieval_arrays(sizes: Sizes, masked: bool = True) -> Inventory:
     """What :func:`wavesim.retrieve` holds beside its arguments; `masked`: not all pixels are known."""
     behind, dtype, passing = sizes.behind, sizes.dtype, Phase.PASSING
-    blocks = math.prod(behind) * np.dtype(dtype).itemsize // BLOCK_BYTES
+    plane = math.prod(behind[:-1]), behind[-1]
+    blocks = plane[0] // rows_of_block(plane, np.dtype(dtype).itemsize, with_neighbours=True)
+    on_plane, way = (bytes_of_panels((rows, plane[1]), dtype) for rows in (plane[0], plane[0] // 2 + 1))
     return (
         Listed("the field sought, and the one before", behind, dtype, passing, 2),
-        Listed("fields on planes", behind, dtype, passing, sizes.far),
-        Listed("ways to planes", sizes.quarter, dtype, passing, sizes.far),
+        work("fields on planes", sizes.far * on_plane, passing),
+        work("ways to planes", sizes.far * way, passing),
         Listed("pixels that are known", behind, bool, passing, sizes.planes * masked),
         Listed("rows beside blocks", behind[-1:], dtype, passing, 2 * blocks),
-        work("blocks", (os.cpu_count() or 1) * BLOCKS * BLOCK_BYTES, passing),
+        work("blocks", (os.cpu_count() or 1) * bytes_at_work(plane, dtype), passing),
     )
 
 

@@ -255,7 +255,6 @@ def test_blocks_and_compiled_loops_do_what_whole_arrays_do(
 ) -> None:
     """Whatever the numbers of samples, planes and blocks; pixels that are not known; the plane sought."""
     monkeypatch.setattr(retrieval_steps, "BLOCK_BYTES", 1)
-    monkeypatch.setattr(retrieval_steps, "LEAST_BLOCK", 5)
     rng, grid = np.random.default_rng(9), Grid(shape, 4e-3, 0.0)
     start = 64.0 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     planes = [

@@ -1,6 +1,6 @@
-"""Compiled loops of Appendix A over a block of rows or columns that fits a processor's cache.
+"""Compiled loops of Appendix A over a block of rows, or a panel of columns, that fits a processor's cache.
 
-Complex blocks come as their float views, real and imaginary part in turn, where vector instructions take
+Complex rows come as their float views, real and imaginary part in turn, where vector instructions take
 neighbours whatever part they are.
 """
 
@@ -14,26 +14,58 @@ from typing import Any
 from numpy import empty, float64
 from numpy.typing import NDArray
 
-from lensdesign.tracing.kept_kernels import kept_njit
+from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from wavesim.runtime.fourier import lanes
+from wavesim.runtime.fourier.lanes import LANES, alike, load, store
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
 
+SUMMED = 64
+"""Rows of a panel that are added up in its own precision."""
+
+LEAST_SQUARE = 1e-30
+"""Of a modulus, that is precise in single precision."""
+
 
 @_jit
 def replace(field: NDArray, amplitude: NDArray, known: NDArray | None) -> None:
-    """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
-    rows, columns = field.shape
+    """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0.
+
+    In the field's own precision, but for rows in which squares might vanish.
+    """
+    rows, columns = amplitude.shape
     for i in range(rows):
+        row, wanted = field[i], amplitude[i]
+        one = wanted.dtype.type(1.0)
+        small, least, vanishing = one - one, wanted.dtype.type(LEAST_SQUARE), one - one
         for j in range(columns):
-            if known is not None and not known[i, j]:
-                continue
-            real, imaginary = float64(field[i, j].real), float64(field[i, j].imag)
-            modulus = math.sqrt(real * real + imaginary * imaginary)
-            if modulus == 0.0:
-                real, modulus = float64(1.0), 1.0
-            factor = amplitude[i, j] / modulus
-            field[i, j] = complex(factor * real, factor * imaginary)
+            square = row[2 * j] * row[2 * j] + row[2 * j + 1] * row[2 * j + 1]
+            vanishing += one if square < least else small
+        if vanishing > small:
+            _replace_exactly(row, wanted, None if known is None else known[i])
+            continue
+        for j in range(columns):
+            real, imaginary = row[2 * j], row[2 * j + 1]
+            factor = wanted[j] / math.sqrt(real * real + imaginary * imaginary)
+            if known is not None:
+                factor = factor if known[i, j] else one
+            row[2 * j] = factor * real
+            row[2 * j + 1] = factor * imaginary
+
+
+@_jit
+def _replace_exactly(row: NDArray, amplitude: NDArray, known: NDArray | None) -> None:
+    for j in range(len(amplitude)):
+        if known is not None and not known[j]:
+            continue
+        real, imaginary = float64(row[2 * j]), float64(row[2 * j + 1])
+        modulus = math.sqrt(real * real + imaginary * imaginary)
+        if modulus == 0.0:
+            real, modulus = float64(1.0), 1.0
+        factor = amplitude[j] / modulus
+        row[2 * j] = factor * real
+        row[2 * j + 1] = factor * imaginary
 
 
 @_jit
@@ -41,14 +73,15 @@ def compare(
     field: NDArray, amplitude: NDArray, known: NDArray | None
 ) -> tuple[float, float, float, float, float, float, float]:
     """Sums over known pixels of 1, x, y, x x, y y, x y and (x - y)^2: x is the modulus, y the amplitude."""
-    rows, columns = field.shape
+    rows, columns = amplitude.shape
     count, sx, sy, sxx, syy, sxy, off = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(rows):
+        row, wanted = field[i], amplitude[i]
         for j in range(columns):
             share = 1.0 if known is None or known[i, j] else 0.0
-            real, imaginary = float64(field[i, j].real), float64(field[i, j].imag)
+            real, imaginary = float64(row[2 * j]), float64(row[2 * j + 1])
             x = share * math.sqrt(real * real + imaginary * imaginary)
-            y = share * float64(amplitude[i, j])
+            y = share * float64(wanted[j])
             count += share
             sx += x
             sy += y
@@ -62,50 +95,44 @@ def compare(
 @_jit
 def replaced_power(field: NDArray, amplitude: NDArray, known: NDArray | None) -> float:
     """Sum of |values|^2 that A2 would leave."""
-    rows, columns = field.shape
+    rows, columns = amplitude.shape
     power = 0.0
     for i in range(rows):
+        row, wanted = field[i], amplitude[i]
         for j in range(columns):
             if known is None or known[i, j]:
-                wanted = float64(amplitude[i, j])
-                power += wanted * wanted
+                power += float64(wanted[j]) * float64(wanted[j])
             else:
-                real, imaginary = float64(field[i, j].real), float64(field[i, j].imag)
+                real, imaginary = float64(row[2 * j]), float64(row[2 * j + 1])
                 power += real * real + imaginary * imaginary
     return power
 
 
 @_jit
-def carry(
-    spectrum: NDArray,
-    quarter: NDArray,
-    fold_y: NDArray,
-    fold_x: NDArray,
-    back: bool,
-    result: NDArray,
-) -> float:
-    """Spectrum times a carrier, conjugate on the way back; returns the sum of the result's |values|^2.
+def carry(spectrum: NDArray, ways: NDArray, back: bool, result: NDArray) -> float:
+    """A panel of a spectrum times a carrier, conjugate on the way back.
 
-    Of the carrier a quarter is given, the same for frequencies of either sign; the folds tell where in it.
-    All but the folds are float views.
+    Of the carrier one half is given, the same for frequencies of either sign down the columns. All are of
+    shape (rows, 2, 16); spectrum and result may be the same. Returns the sum of the result's |values|^2.
     """
-    columns = len(fold_x)
-    ways = empty((quarter.shape[0], 2 * columns), quarter.dtype)
-    for k in range(ways.shape[0]):
-        for j in range(columns):
-            ways[k, 2 * j] = quarter[k, 2 * fold_x[j]]
-            turn = quarter[k, 2 * fold_x[j] + 1]
-            ways[k, 2 * j + 1] = -turn if back else turn
-    power, zero = 0.0, ways[0, 0] - ways[0, 0]
-    for i in range(spectrum.shape[0]):
-        way, values, carried, here = ways[fold_y[i]], spectrum[i], result[i], zero
-        for j in range(columns):
-            real = values[2 * j] * way[2 * j] - values[2 * j + 1] * way[2 * j + 1]
-            imaginary = values[2 * j + 1] * way[2 * j] + values[2 * j] * way[2 * j + 1]
-            here += real * real + imaginary * imaginary
-            carried[2 * j] = real
-            carried[2 * j + 1] = imaginary
-        power += float64(here)  # of few columns: there is no vector of numbers of two sizes
+    rows = spectrum.shape[0]
+    values, carried, way = spectrum.reshape(-1), result.reshape(-1), ways.reshape(-1)
+    one = way.dtype.type(1.0)
+    sign = alike(-one if back else one)
+    sums, power = empty(LANES, way.dtype), 0.0
+    for start in range(0, rows, SUMMED):
+        total = alike(one - one)
+        for i in range(start, min(start + SUMMED, rows)):
+            at, k = 2 * LANES * i, 2 * LANES * min(i, rows - i)
+            real, imaginary = load(values, at), load(values, at + LANES)
+            c, s = load(way, k), sign * load(way, k + LANES)
+            straight, across = real * c - imaginary * s, imaginary * c + real * s
+            total = total + straight * straight + across * across
+            store(carried, at, straight)
+            store(carried, at + LANES, across)
+        store(sums, 0, total)
+        for j in range(LANES):
+            power += float64(sums[j])
     return power
 
 
@@ -164,3 +191,6 @@ def feed_back(mean: NDArray, own: Any, now: NDArray, a: Any, before: NDArray, b:
     for i in range(rows):
         for j in range(width):
             before[i, j] = own * mean[i, j] - a * now[i, j] - b * before[i, j]
+
+
+drop_outdated(carry, {__name__, lanes.__name__})

@@ -2,9 +2,9 @@
 
 At the size of a sensor the time goes into memory and not into arithmetic. Fourier transforms are therefore
 taken axis by axis, and whatever lies between two transforms along the same axis is done to a block of rows or
-columns as long as it is in the processor's cache: along columns to the carriers and back, along rows to the
-amplitudes and back, along rows to A4, the mean, A5 and the next iteration's first transform. A plane at
-distance 0 takes part in the last of them alone.
+a panel of columns as long as it is in the processor's cache: along columns to the carriers and back, along
+rows to the amplitudes and back, along rows to A4, the mean, A5 and the next iteration's first transform. A
+plane at distance 0 takes part in the last of them alone.
 
 Sums over blocks are taken in their order, so that results do not depend on the number of threads.
 """
@@ -19,12 +19,13 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy.fft
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import PlaneWay
 from wavesim.reconstruction.retrieval import kernel
+from wavesim.runtime.fourier.lanes import LANES
+from wavesim.runtime.fourier.panels import Panels, aligned, thread_room, transform_bytes
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -32,11 +33,7 @@ Sums = tuple[float, ...]
 T = TypeVar("T")
 
 BLOCK_BYTES = 2**20
-"""Of a block: about a core's second-level cache."""
-
-LEAST_BLOCK, AT_ONCE = 16, 8
-"""Rows or columns in a block, or a multiple: transforms take a few at once by vector instructions, and what
-is left over alone. And rows that make a block with neighbours on either side such a multiple."""
+"""Of a block of rows, about a core's second-level cache; they are a multiple of those transformed at once."""
 
 FLOOR = 1e-6
 """Of the root mean square: added to each modulus that A4 divides by."""
@@ -55,21 +52,23 @@ class Plane:
         Recorded.
     known : ndarray of bool or None
         Pixels that tell something; None where all do.
-    carrier : PlaneWay or None
-        None where the plane is the one sought.
-    there : ndarray
-        A field or its spectrum on the way; of no rows where there is no carrier.
+    carrier : ndarray or None
+        Factors of a spectrum's panels on the way to the plane, over the number of samples, for frequencies
+        that are not negative down the columns: shape (panels, rows // 2 + 1, 2, 16). None where the plane is
+        the one sought.
+    there : Panels or None
+        The field's spectrum along rows, or along both axes, on the way; None where there is no carrier.
     """
 
     amplitude: Array
     known: NDArray[np.bool_] | None
-    carrier: PlaneWay | None
-    there: ComplexArray
+    carrier: Array | None
+    there: Panels | None
 
 
 @dataclass(frozen=True)
 class Block:
-    """Rows or columns: `own`, and `wide` with a neighbour on either side where there is one."""
+    """Rows: `own`, and `wide` with a neighbour on either side where there is one."""
 
     own: slice
     wide: slice
@@ -96,6 +95,19 @@ def rows_of(values: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 
+def rows_of_block(shape: tuple[int, ...], value_bytes: int, with_neighbours: bool = False) -> int:
+    """Of a plane, given what one value takes; neighbours on either side are transformed with them."""
+    size = max(BLOCK_BYTES // (value_bytes * shape[-1]) // LANES, 1) * LANES
+    return max(size, 2 * LANES) - 2 if with_neighbours else size
+
+
+def bytes_at_work(shape: tuple[int, int], dtype: DTypeLike) -> int:
+    """Of each thread: three blocks of rows, a panel of a spectrum, and what transforms take."""
+    item = np.dtype(dtype).itemsize
+    block = rows_of_block(shape, item, with_neighbours=True) + 2
+    return (3 * block * shape[1] + LANES * shape[0]) * item + transform_bytes(shape, dtype)
+
+
 def plane_for(
     grid: Grid,
     wavelength_um: float,
@@ -106,10 +118,22 @@ def plane_for(
 ) -> Plane:
     """A plane with its work space, for fields of a complex type; distance from the plane sought."""
     way = PlaneWay(grid, wavelength_um, distance_mm, dtype)
-    carrier = None if way.is_none else way
+    carrier = None if way.is_none else _in_panels(way, grid.shape[-1])
     recorded = rows_of(amplitude).astype(np.zeros(0, dtype).real.dtype, copy=False)
-    there = np.empty((0, 0) if carrier is None else recorded.shape, dtype)
+    there = None if carrier is None else Panels(recorded.shape, dtype)
     return Plane(recorded, None if known is None else rows_of(known), carrier, there)
+
+
+def _in_panels(way: PlaneWay, columns: int) -> Array:
+    """A way's factors as a plane has them; transforms there and back multiply by the number of samples."""
+    count = -(-columns // LANES)
+    factors = aligned((count, len(way.factor), 2, LANES), way.factor.dtype)
+    factors[-1] = 0.0
+    for number in range(count):
+        own = way.columns[number * LANES : (number + 1) * LANES]
+        part = way.factor[:, own] * factors.dtype.type(1.0 / (len(way.rows) * columns))
+        factors[number, :, 0, : len(own)], factors[number, :, 1, : len(own)] = part.real, part.imag
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,31 +156,33 @@ class Passes:
     def begin(self, now: ComplexArray) -> None:
         """Take the first transform, along rows, of the field sought."""
         if self._carried:
-            self._over(lambda block: self._leave(now[block.own], block), self._blocks(0))
+            self._over(lambda block: self._leave(now[block.own], block), self._blocks())
 
     def arrive(self) -> None:
         """Carry what :meth:`begin` or :meth:`step` has left to all planes, but for transforms along rows."""
+        carried = [_panels(plane) for plane in self._carried]
 
-        def one(block: Block) -> None:
-            spectrum = scipy.fft.fft(self._carried[0].there[:, block.own], axis=0)
-            for plane in self._carried:
-                carried = spectrum if plane is self._carried[-1] else np.empty_like(spectrum)
-                _carry(spectrum, plane, block, False, carried)
-                plane.there[:, block.own] = scipy.fft.ifft(carried, axis=0, overwrite_x=True)
+        def one(number: int) -> None:
+            lead = carried[0]
+            spectrum = thread_room("spectrum", lead.values[number].shape, lead.dtype)
+            lead.along_columns(lead.values[number], spectrum, back=False)
+            for plane, panels in zip(self._carried, carried, strict=True):
+                _carry(spectrum, plane, number, False)
+                panels.along_columns(panels.values[number], panels.values[number], back=True)
 
-        if self._carried:
-            self._over(one, self._blocks(1))
+        if carried:
+            self._over(one, range(len(carried[0].values)))
 
-    def match(self, now: ComplexArray, plane: Plane) -> Match:
-        """How well a plane is met after :meth:`arrive`; its work space, if it has any, then has the field."""
+    def match(self, now: ComplexArray, plane: Plane) -> tuple[Match, ComplexArray]:
+        """How well a plane is met after :meth:`arrive`, and the field there."""
+        there = now if plane.carrier is None else np.empty_like(now)
 
         def one(block: Block) -> Sums:
-            if plane.carrier is None:
-                return _compared(now[block.own], plane, block)
-            plane.there[block.own] = field = scipy.fft.ifft(plane.there[block.own], axis=1)
-            return _compared(field, plane, block)
+            if plane.carrier is not None:
+                self._field(plane, block.own, there[block.own])
+            return _compared(there[block.own], plane, block)
 
-        return _match(self._over(one, self._blocks(0)))
+        return _match(self._over(one, self._blocks())), there
 
     def step(
         self, now: ComplexArray, before: ComplexArray, weights: tuple[float, float, float], tv_step: float
@@ -196,63 +222,69 @@ class Passes:
 
     @property
     def _carried(self) -> list[Plane]:
-        """Planes with carriers. The first one's work space takes the transform that an iteration leaves."""
+        """Planes with carriers. The first one's panels take the transform that an iteration leaves."""
         return [plane for plane in self.planes if plane.carrier is not None]
 
-    def _blocks(self, axis: int, with_neighbours: bool = False) -> list[Block]:
-        """Of rows (axis 0) or columns."""
-        shape = self.planes[0].amplitude.shape
-        item = 2 * self.planes[0].amplitude.itemsize
-        size = max(BLOCK_BYTES // (item * shape[1 - axis]) // LEAST_BLOCK, 1) * LEAST_BLOCK
-        if with_neighbours:
-            size += AT_ONCE - 2
-        cuts = [*range(0, shape[axis], size), shape[axis]]
+    def _blocks(self, with_neighbours: bool = False) -> list[Block]:
+        """Of rows."""
+        amplitude = self.planes[0].amplitude
+        rows, size = len(amplitude), rows_of_block(amplitude.shape, 2 * amplitude.itemsize, with_neighbours)
+        cuts = [*range(0, rows, size), rows]
         return [
-            Block(slice(start, stop), slice(max(start - 1, 0), min(stop + 1, shape[axis])))
+            Block(slice(start, stop), slice(max(start - 1, 0), min(stop + 1, rows)))
             for start, stop in pairwise(cuts)
         ]
 
-    def _over(self, work: Callable[[Block], T], blocks: Sequence[Block]) -> list[T]:
-        """What each block gives, in their order."""
-        if len(blocks) == 1:
-            return [work(blocks[0])]
-        return list(self.pool.map(work, blocks))
+    def _over(self, work: Callable[[Any], T], parts: Sequence[Any]) -> list[T]:
+        """What each block of rows or number of a panel gives, in their order."""
+        if len(parts) == 1:
+            return [work(parts[0])]
+        return list(self.pool.map(work, parts))
 
     def _leave(self, field: ComplexArray, block: Block) -> None:
         """Take a block of rows of the field sought for the next iteration."""
-        self._carried[0].there[block.own] = scipy.fft.fft(field, axis=1)
+        _panels(self._carried[0]).put_rows(field, block.own.start)
+
+    def _field(self, plane: Plane, rows: slice, room: ComplexArray | None = None) -> ComplexArray:
+        """Rows of the field on a plane that has been carried there."""
+        panels = _panels(plane)
+        return panels.take_rows(
+            rows.start, _room("field", rows, panels.shape, panels.dtype) if room is None else room
+        )
 
     def _replaced_power(self, now: ComplexArray, plane: Plane) -> float:
         """Sum of |values|^2 of the field sought after A2 in its own plane."""
 
         def one(block: Block) -> float:
-            part = (now[block.own], plane.amplitude[block.own], _known(plane, block.own))
+            part = (_floats(now[block.own]), plane.amplitude[block.own], _known(plane, block.own))
             return float(kernel.replaced_power(*part))
 
-        return math.fsum(self._over(one, self._blocks(0)))
+        return math.fsum(self._over(one, self._blocks()))
 
     def _replace_there(self, plane: Plane, watched: bool) -> list[Sums]:
         """A2, between two transforms along rows; sums over blocks if it is watched."""
 
         def one(block: Block) -> Sums:
-            field = scipy.fft.ifft(plane.there[block.own], axis=1)
+            field = self._field(plane, block.own)
             sums = _compared(field, plane, block) if watched else ()
-            kernel.replace(field, plane.amplitude[block.own], _known(plane, block.own))
-            plane.there[block.own] = scipy.fft.fft(field, axis=1, overwrite_x=True)
+            kernel.replace(_floats(field), plane.amplitude[block.own], _known(plane, block.own))
+            _panels(plane).put_rows(field, block.own.start)
             return sums
 
-        return self._over(one, self._blocks(0))
+        return self._over(one, self._blocks())
 
     def _bring_back(self, plane: Plane) -> float:
         """A3, but for the transform along rows; the sum of |values|^2 by Parseval's theorem."""
+        panels = _panels(plane)
 
-        def one(block: Block) -> float:
-            spectrum = scipy.fft.fft(plane.there[:, block.own], axis=0)
-            power = _carry(spectrum, plane, block, True, spectrum)
-            plane.there[:, block.own] = scipy.fft.ifft(spectrum, axis=0, overwrite_x=True)
+        def one(number: int) -> float:
+            panel = panels.values[number]
+            panels.along_columns(panel, panel, back=False)
+            power = _carry(panel, plane, number, True)
+            panels.along_columns(panel, panel, back=True)
             return power
 
-        return math.fsum(self._over(one, self._blocks(1))) / plane.there.size
+        return math.fsum(self._over(one, range(len(panels.values)))) * plane.amplitude.size
 
     def _follow(
         self,
@@ -266,24 +298,24 @@ class Passes:
         real = now.real.dtype.type
         own, a, b = (real(weight) for weight in (weights[0] / len(self.planes), *weights[1:]))
         steps = [(real(floor), real(0.5 * tv_step)) for floor in floors]
-        blocks = self._blocks(0, with_neighbours=True)
+        blocks = self._blocks(with_neighbours=True)
         lead = self._carried[0]
         # Their own block overwrites them, perhaps before its neighbours have read them.
-        beside = {row: lead.there[row].copy() for block in blocks for row in _beside(block)}
+        beside = {row: _panels(lead).values[:, row].copy() for block in blocks for row in _beside(block)}
 
         def one(block: Block) -> Sums:
-            mean = np.empty_like(before[block.own])
+            mean = _room("mean", block.own, now.shape, now.dtype)
             sums: Sums = ()
             for plane, step in zip(self.planes, steps, strict=True):
                 if plane.carrier is None:
                     sums = _compared(now[block.own], plane, block)
-                    field = now[block.wide].copy()
-                    kernel.replace(field, plane.amplitude[block.wide], _known(plane, block.wide))
+                    field = _room("field", block.wide, now.shape, now.dtype)
+                    field[...] = now[block.wide]
+                    kernel.replace(_floats(field), plane.amplitude[block.wide], _known(plane, block.wide))
+                elif plane is lead:
+                    field = self._field_beside(plane, block, beside)
                 else:
-                    field = plane.there[block.wide].copy()
-                    for row in _beside(block) if plane is lead else ():
-                        field[row - block.wide.start] = beside[row]
-                    field = np.ascontiguousarray(scipy.fft.ifft(field, axis=1, overwrite_x=True))
+                    field = self._field(plane, block.wide)
                 first = block.own.start - block.wide.start
                 kernel.add_smoothed(_floats(field), first, *step, plane is self.planes[0], _floats(mean))
             after = before[block.own]
@@ -292,6 +324,15 @@ class Passes:
             return sums
 
         return self._over(one, blocks)
+
+    def _field_beside(self, plane: Plane, block: Block, beside: dict[int, Array]) -> ComplexArray:
+        """Rows of the field on a plane of which those beside a block have been set aside."""
+        panels, rows = _panels(plane), block.wide.stop - block.wide.start
+        values = thread_room("beside", (len(panels.values), rows, 2, LANES), panels.dtype)
+        values[...] = panels.values[:, block.wide]
+        for row in _beside(block):
+            values[:, row - block.wide.start] = beside[row]
+        return panels.take_rows(0, _room("field", block.wide, panels.shape, panels.dtype), values)
 
 
 def _beside(block: Block) -> list[int]:
@@ -308,17 +349,25 @@ def _known(plane: Plane, rows: slice) -> NDArray[np.bool_] | None:
     return None if plane.known is None else plane.known[rows]
 
 
-def _carry(spectrum: ComplexArray, plane: Plane, block: Block, back: bool, result: ComplexArray) -> float:
-    """Carry columns of a spectrum to a plane or back; the sum of |values|^2 of the result."""
+def _panels(plane: Plane) -> Panels:
+    assert plane.there is not None
+    return plane.there
+
+
+def _room(name: str, rows: slice, shape: tuple[int, ...], dtype: Any) -> ComplexArray:
+    """A thread's room for rows of a field of a shape."""
+    return thread_room(name, (rows.stop - rows.start, 2 * shape[1]), dtype).view(dtype)
+
+
+def _carry(spectrum: Array, plane: Plane, number: int, back: bool) -> float:
+    """Carry a panel of a spectrum to a plane or back, into the plane's own; the sum of its |values|^2."""
     assert plane.carrier is not None
-    way, columns = plane.carrier, plane.carrier.columns[block.own]
-    fields = _floats(spectrum), _floats(way.factor)
-    return float(kernel.carry(*fields, way.rows, columns, back, _floats(result)))
+    return float(kernel.carry(spectrum, plane.carrier[number], back, _panels(plane).values[number]))
 
 
 def _compared(field: ComplexArray, plane: Plane, block: Block) -> Sums:
     amplitude, known = plane.amplitude[block.own], _known(plane, block.own)
-    return tuple(kernel.compare(field, amplitude, known))
+    return tuple(kernel.compare(_floats(field), amplitude, known))
 
 
 def _match(sums: Sequence[Sums]) -> Match:

@@ -1,0 +1,345 @@
+"""Compiled loops of a Fourier transform of sixteen rows or columns at once.
+
+A sample is sixteen complex numbers, one of each row or column: their real parts, then their imaginary parts,
+in a flat array. The transform of n samples goes in one pass for each factor of n, after which they are in
+order (T. G. Stockham, AFIPS Conf. Proc. 28, 229, 1966; C. Van Loan, Computational Frameworks for the Fast
+Fourier Transform, SIAM 1992, sec. 1.7). Other numbers of samples are taken as convolutions with a chirp
+(L. I. Bluestein, IEEE Trans. Audio Electroacoust. 18, 451, 1970). A transform back is one forward in which
+real and imaginary parts have changed their places.
+"""
+
+# mypy: disable-error-code="misc, operator"
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from numpy import empty
+from numpy.typing import NDArray
+
+from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
+from wavesim.runtime.fourier import lanes
+from wavesim.runtime.fourier.lanes import LANES, alike, load, store, transpose
+
+_jit = kept_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
+
+SAMPLE = 2 * LANES
+"""Numbers of a sample."""
+
+
+class Steps(NamedTuple):
+    """What a transform of some number of samples is made of; all but the radices of the samples' kind.
+
+    Attributes
+    ----------
+    radices : ndarray of int
+        Factors of the number of samples, or of that of the convolution.
+    firsts : ndarray of int
+        Where in `turns` those of a pass begin.
+    turns : ndarray
+        For each pass exp(-2 pi i p k / left), of p = 0 ... left / radix - 1 and k = 1 ... radix - 1, where
+        `left` is what no pass before has divided; real and imaginary parts in turn.
+    chirp : ndarray
+        exp(-pi i j^2 / n) for each sample j; empty where the radices make n. Parts in turn.
+    response : ndarray
+        What the convolution multiplies the transform by, over its number of samples. Parts in turn.
+    """
+
+    radices: NDArray
+    firsts: NDArray
+    turns: NDArray
+    chirp: NDArray
+    response: NDArray
+
+
+@_jit
+def _put(y: NDArray, at: int, real: Any, imaginary: Any, parts: tuple[int, int]) -> None:
+    store(y, at * SAMPLE + parts[0], real)
+    store(y, at * SAMPLE + parts[1], imaginary)
+
+
+@_jit
+def _turned(real: Any, imaginary: Any, turns: NDArray, k: int) -> tuple[Any, Any]:
+    """Times the factor number k."""
+    c, s = alike(turns[2 * k]), alike(turns[2 * k + 1])
+    return real * c - imaginary * s, real * s + imaginary * c
+
+
+@_jit
+def _get(x: NDArray, at: int, parts: tuple[int, int]) -> tuple[Any, Any]:
+    return load(x, at * SAMPLE + parts[0]), load(x, at * SAMPLE + parts[1])
+
+
+@_jit
+def _put_turned(y: NDArray, at: int, value: Any, turns: NDArray, k: int, parts: tuple[int, int]) -> None:
+    real, imaginary = _turned(value[0], value[1], turns, k)
+    _put(y, at, real, imaginary, parts)
+
+
+@_jit
+def _two(a: Any, b: Any) -> Any:
+    return (a[0] + b[0], a[1] + b[1]), (a[0] - b[0], a[1] - b[1])
+
+
+@_jit
+def _four(a: Any, b: Any, c: Any, d: Any) -> Any:
+    e, f = _two(a, c)
+    g, h = _two(b, d)
+    first, third = _two(e, g)
+    second, fourth = _two(f, (h[1], h[0]))
+    return first, (second[0], fourth[1]), third, (fourth[0], second[1])
+
+
+@_jit
+def _pass_of_2(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    for p in range(m):
+        for q in range(s):
+            i, o, d = q + s * p, q + s * 2 * p, s * m
+            one, other = _two(_get(x, i, parts), _get(x, i + d, parts))
+            _put(y, o, one[0], one[1], parts)
+            _put_turned(y, o + s, other, turns, k + p, parts)
+
+
+@_jit
+def _pass_of_3(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    half, root = alike(x.dtype.type(0.5)), alike(x.dtype.type(math.sqrt(0.75)))
+    for p in range(m):
+        for q in range(s):
+            i, o, d = q + s * p, q + s * 3 * p, s * m
+            a = _get(x, i, parts)
+            both, apart = _two(_get(x, i + d, parts), _get(x, i + 2 * d, parts))
+            middle = a[0] - half * both[0], a[1] - half * both[1]
+            turn = root * apart[1], root * apart[0]
+            _put(y, o, a[0] + both[0], a[1] + both[1], parts)
+            _put_turned(y, o + s, (middle[0] + turn[0], middle[1] - turn[1]), turns, k + 2 * p, parts)
+            _put_turned(y, o + 2 * s, (middle[0] - turn[0], middle[1] + turn[1]), turns, k + 2 * p + 1, parts)
+
+
+@_jit
+def _pass_of_4(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    for p in range(m):
+        for q in range(s):
+            i, o, d, t = q + s * p, q + s * 4 * p, s * m, k + 3 * p
+            first, second, third, fourth = _four(
+                _get(x, i, parts), _get(x, i + d, parts), _get(x, i + 2 * d, parts), _get(x, i + 3 * d, parts)
+            )
+            _put(y, o, first[0], first[1], parts)
+            _put_turned(y, o + s, second, turns, t, parts)
+            _put_turned(y, o + 2 * s, third, turns, t + 1, parts)
+            _put_turned(y, o + 3 * s, fourth, turns, t + 2, parts)
+
+
+@_jit
+def _pass_of_5(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    kind, angle = x.dtype.type, 0.4 * math.pi
+    c, e = alike(kind(math.cos(angle))), alike(kind(math.cos(2.0 * angle)))
+    f, g = alike(kind(math.sin(angle))), alike(kind(math.sin(2.0 * angle)))
+    for p in range(m):
+        for q in range(s):
+            i, o, d, t = q + s * p, q + s * 5 * p, s * m, k + 4 * p
+            a = _get(x, i, parts)
+            outer, outer_apart = _two(_get(x, i + d, parts), _get(x, i + 4 * d, parts))
+            inner, inner_apart = _two(_get(x, i + 2 * d, parts), _get(x, i + 3 * d, parts))
+            _put(y, o, a[0] + outer[0] + inner[0], a[1] + outer[1] + inner[1], parts)
+            near = a[0] + c * outer[0] + e * inner[0], a[1] + c * outer[1] + e * inner[1]
+            far = a[0] + e * outer[0] + c * inner[0], a[1] + e * outer[1] + c * inner[1]
+            by_near = f * outer_apart[0] + g * inner_apart[0], f * outer_apart[1] + g * inner_apart[1]
+            by_far = g * outer_apart[0] - f * inner_apart[0], g * outer_apart[1] - f * inner_apart[1]
+            _put_turned(y, o + s, (near[0] + by_near[1], near[1] - by_near[0]), turns, t, parts)
+            _put_turned(y, o + 2 * s, (far[0] + by_far[1], far[1] - by_far[0]), turns, t + 1, parts)
+            _put_turned(y, o + 3 * s, (far[0] - by_far[1], far[1] + by_far[0]), turns, t + 2, parts)
+            _put_turned(y, o + 4 * s, (near[0] - by_near[1], near[1] + by_near[0]), turns, t + 3, parts)
+
+
+@_jit
+def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    root = alike(x.dtype.type(math.sqrt(0.5)))
+    for p in range(m):
+        for q in range(s):
+            i, o, d, t = q + s * p, q + s * 8 * p, s * m, k + 7 * p
+            even = _four(
+                _get(x, i, parts),
+                _get(x, i + 2 * d, parts),
+                _get(x, i + 4 * d, parts),
+                _get(x, i + 6 * d, parts),
+            )
+            odd = _four(
+                _get(x, i + d, parts),
+                _get(x, i + 3 * d, parts),
+                _get(x, i + 5 * d, parts),
+                _get(x, i + 7 * d, parts),
+            )
+            second = root * (odd[1][0] + odd[1][1]), root * (odd[1][1] - odd[1][0])
+            fourth = root * (odd[3][1] - odd[3][0]), root * (odd[3][0] + odd[3][1])
+            one, five = _two(even[0], odd[0])
+            two, six = _two(even[1], second)
+            _put(y, o, one[0], one[1], parts)
+            _put_turned(y, o + s, two, turns, t, parts)
+            across = odd[2][1], odd[2][0]
+            three, seven = _two(even[2], across)
+            _put_turned(y, o + 2 * s, (three[0], seven[1]), turns, t + 1, parts)
+            four, eight = _two(even[3], fourth)
+            _put_turned(y, o + 3 * s, (four[0], eight[1]), turns, t + 2, parts)
+            _put_turned(y, o + 4 * s, five, turns, t + 3, parts)
+            _put_turned(y, o + 5 * s, six, turns, t + 4, parts)
+            _put_turned(y, o + 6 * s, (seven[0], three[1]), turns, t + 5, parts)
+            _put_turned(y, o + 7 * s, (eight[0], four[1]), turns, t + 6, parts)
+
+
+@_jit
+def _pass_of_any(x: NDArray, y: NDArray, r: int, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    """A radix for which there is no pass of its own: all products."""
+    roots = empty(2 * r, x.dtype)
+    for j in range(r):
+        roots[2 * j] = math.cos(2.0 * math.pi * j / r)
+        roots[2 * j + 1] = -math.sin(2.0 * math.pi * j / r)
+    for p in range(m):
+        for q in range(s):
+            i, o = q + s * p, q + s * r * p
+            for j in range(r):
+                total = _get(x, i, parts)
+                for n in range(1, r):
+                    value = _get(x, i + n * s * m, parts)
+                    turned = _turned(value[0], value[1], roots, j * n % r)
+                    total = total[0] + turned[0], total[1] + turned[1]
+                if j > 0:
+                    total = _turned(total[0], total[1], turns, k + (r - 1) * p + j - 1)
+                _put(y, o + j * s, total[0], total[1], parts)
+
+
+@_jit
+def _all_passes(
+    source: NDArray, target: NDArray, rooms: NDArray, count: int, steps: Steps, parts: tuple[int, int]
+) -> None:
+    """Of `count` samples, the product of the radices; source and target may be the same."""
+    left, s, x = count, 1, source
+    for number in range(len(steps.radices)):
+        r, k = steps.radices[number], steps.firsts[number]
+        last = number == len(steps.radices) - 1 and number > 0
+        y = target if last else rooms[number % 2]
+        m = left // r
+        if r == 8:
+            _pass_of_8(x, y, m, s, steps.turns, k, parts)
+        elif r == 4:
+            _pass_of_4(x, y, m, s, steps.turns, k, parts)
+        elif r == 2:
+            _pass_of_2(x, y, m, s, steps.turns, k, parts)
+        elif r == 3:
+            _pass_of_3(x, y, m, s, steps.turns, k, parts)
+        elif r == 5:
+            _pass_of_5(x, y, m, s, steps.turns, k, parts)
+        else:
+            _pass_of_any(x, y, r, m, s, steps.turns, k, parts)
+        left, s, x = m, s * r, y
+    if len(steps.radices) < 2:
+        target[: count * SAMPLE] = x[: count * SAMPLE]
+
+
+@_jit
+def transform(source: NDArray, target: NDArray, count: int, steps: Steps, back: bool, rooms: NDArray) -> None:
+    """Transform samples, forward or back, without a factor.
+
+    Parameters
+    ----------
+    source, target
+        Flat; they may be the same.
+    count
+        How many samples.
+    steps
+        For so many.
+    back
+        Whether exponents have the positive sign.
+    rooms
+        Two rows, each with room for the samples; or three, for those of the convolution.
+    """
+    parts = (LANES, 0) if back else (0, LANES)
+    if len(steps.chirp) == 0:
+        _all_passes(source, target, rooms, count, steps, parts)
+        return
+    wide = len(steps.response) // 2
+    padded = rooms[2]
+    for j in range(count):
+        value = _get(source, j, parts)
+        real, imaginary = _turned(value[0], value[1], steps.chirp, j)
+        _put(padded, j, real, imaginary, parts)
+    padded[count * SAMPLE : wide * SAMPLE] = 0.0
+    _all_passes(padded, padded, rooms, wide, steps, parts)
+    for j in range(wide):
+        value = _get(padded, j, parts)
+        real, imaginary = _turned(value[0], value[1], steps.response, j)
+        _put(padded, j, real, imaginary, parts)
+    _all_passes(padded, padded, rooms, wide, steps, (parts[1], parts[0]))
+    for j in range(count):
+        value = _get(padded, j, parts)
+        real, imaginary = _turned(value[0], value[1], steps.chirp, j)
+        _put(target, j, real, imaginary, parts)
+
+
+@_jit
+def rows_to_samples(rows: NDArray, samples: NDArray) -> None:
+    """Sixteen rows or fewer of complex values, as float views, as samples; the other rows are left."""
+    count, width = rows.shape
+    flat = rows.reshape(-1)
+    whole = width - width % LANES if count == LANES else 0
+    for j in range(0, whole, LANES):
+        transpose(flat, j, width, samples, j * LANES, LANES)
+    for j in range(whole, width):
+        for i in range(count):
+            samples[j * LANES + i] = rows[i, j]
+
+
+@_jit
+def samples_to_rows(samples: NDArray, rows: NDArray) -> None:
+    """The way back."""
+    count, width = rows.shape
+    flat = rows.reshape(-1)
+    whole = width - width % LANES if count == LANES else 0
+    for j in range(0, whole, LANES):
+        transpose(samples, j * LANES, LANES, flat, j, width)
+    for j in range(whole, width):
+        for i in range(count):
+            rows[i, j] = samples[j * LANES + i]
+
+
+@_jit
+def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int) -> None:
+    """Samples of rows into panels, from a row on; numbers behind the last column are any.
+
+    Parameters
+    ----------
+    samples
+        Flat; with numbers for all columns of the panels.
+    count
+        How many rows, sixteen at most.
+    panels
+        Flat rows of shape (panels, rows x numbers of a sample).
+    first
+        Row.
+    """
+    for number in range(panels.shape[0]):
+        panel, at = panels[number], number * LANES * SAMPLE
+        for part in (0, LANES):
+            if count == LANES:
+                transpose(samples, at + part, SAMPLE, panel, first * SAMPLE + part, SAMPLE)
+                continue
+            for j in range(LANES):
+                for i in range(count):
+                    panel[(first + i) * SAMPLE + part + j] = samples[at + j * SAMPLE + part + i]
+
+
+@_jit
+def panels_to_samples(panels: NDArray, first: int, count: int, samples: NDArray) -> None:
+    """The way back."""
+    for number in range(panels.shape[0]):
+        panel, at = panels[number], number * LANES * SAMPLE
+        for part in (0, LANES):
+            if count == LANES:
+                transpose(panel, first * SAMPLE + part, SAMPLE, samples, at + part, SAMPLE)
+                continue
+            for j in range(LANES):
+                for i in range(count):
+                    samples[at + j * SAMPLE + part + i] = panel[(first + i) * SAMPLE + part + j]
+
+
+drop_outdated(transform, {__name__, lanes.__name__})
