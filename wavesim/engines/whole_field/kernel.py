@@ -2,27 +2,42 @@
 
 Carriers exp(2 pi i phase) of a whole field are too large to be kept. Their phase, in turns, and the edge of
 the aperture are smooth: they come on coarse grids of their own, where four samples along each axis tell what
-is in between. Fields go as :mod:`wavesim.fields.resampling_kernel` has it.
+is in between. Between four rows a phase is that of one of them, reduced in float64, and shares of how the
+others differ from it, a few turns, in float32. Fields go as :mod:`wavesim.fields.resampling_kernel` has it.
 """
 
-# mypy: disable-error-code="misc"
+# mypy: disable-error-code="misc, operator"
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import Any
 
-from numba import njit
-from numpy import abs as magnitude
-from numpy import bool_, copysign, empty, float32, float64, floor, int64, zeros
+from numpy import cos, empty, float32, float64, floor, int64, pi, sin, sqrt, zeros
+from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 from wavesim.fields import resampling_kernel
-from wavesim.fields.resampling_kernel import APART, BAND, moved_up, put_row, rows_from, sum_of_lines
+from wavesim.fields.resampling_kernel import (
+    BAND,
+    FOUR,
+    add_turned,
+    all_fours,
+    most_of_four,
+    moved_up,
+    put_band,
+    rows_from,
+    sums_of_lines,
+    take_turned,
+    weights_for_four,
+)
+from wavesim.runtime.fourier import lanes
+from wavesim.runtime.fourier.lanes import LANES, alike, larger, lines_for, load, smaller, store, whole
 
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _jit = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy")
+_inlined = kept_njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 _SMOOTH = 4
 """Rows, and columns, between which phase and edge are cubic."""
@@ -30,17 +45,25 @@ _SMOOTH = 4
 _KEPT = 2 * BAND
 """Rows of phase and edge for which there is room."""
 
-_QUARTER, _ZERO, _ONE = float32(0.25), float32(0.0), float32(1.0)
-_S1, _S3, _S5, _S7, _S9, _S11 = (
-    float32((-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1)) for k in range(6)
-)
+_DARK, _PARTLY, _OPEN = 0, 1, 2
+"""Light of a row: none, some of it stopped, all."""
+
+_ROUNDER = float32(1.5 * 2**23)
+"""Added and subtracted again it leaves whole numbers."""
+
+_FULL = 1.0 - 1e-4
+"""From this edge on nothing is stopped: 3 e^2 - 2 e^3 is 1 in single precision."""
+
+_ZERO, _ONE, _TWO, _THREE = float32(0.0), float32(1.0), float32(2.0), float32(3.0)
 
 
-@njit(inline="always", fastmath=_FAST)
-def _sine(turns: Any) -> Any:
-    """sin(2 pi turns) for up to a quarter of a turn, to 1e-7."""
-    x = turns * turns
-    return turns * (_S1 + x * (_S3 + x * (_S5 + x * (_S7 + x * (_S9 + x * _S11)))))
+def _polynomial(function: Callable[[Any], Any]) -> tuple[float32, ...]:
+    """Of a function of t^2, where t reaches half a turn of pi: to 5e-8."""
+    return tuple(map(float32, Chebyshev.interpolate(function, 4, [0.0, 0.25]).convert(kind=Polynomial).coef))
+
+
+_S0, _S1, _S2, _S3, _S4 = _polynomial(lambda x: sin(pi * sqrt(x)) / sqrt(x))
+_C0, _C1, _C2, _C3, _C4 = _polynomial(lambda x: cos(pi * sqrt(x)))
 
 
 @_jit
@@ -56,80 +79,167 @@ def _smooth_rows(
 ) -> None:
     """Rows of phase, or of the edge, from `low` to `high` in a block's columns, on lines from `at` on."""
     first, share = along_x
-    left, right = first[begin], first[end - 1] + _SMOOTH
-    columns, column = empty((right - left, high - low), rows.dtype), empty(high - low, rows.dtype)
-    for k in range(high - low):
+    left, right, count = first[begin], first[end - 1] + _SMOOTH, high - low
+    columns, column = empty((right - left, count), rows.dtype), empty(count, rows.dtype)
+    for k in range(count):
         for c in range(right - left):
             columns[c, k] = smooth[low + k, left + c]
     for j in range(end - begin):
-        sum_of_lines(columns, first[begin + j] - left, _SMOOTH, share[begin + j], column)
-        for k in range(high - low):
+        c, weight = first[begin + j] - left, share[begin + j]
+        p, q, r, s = weight[0], weight[1], weight[2], weight[3]
+        for k in range(count):
+            column[k] = (
+                p * columns[c, k] + q * columns[c + 1, k] + r * columns[c + 2, k] + s * columns[c + 3, k]
+            )
+        for k in range(count):
             rows[at + k, j] = column[k]
 
 
 @_jit
-def _waves(share: NDArray, turns: NDArray, rim: NDArray, at: int, real: NDArray, imaginary: NDArray) -> None:
-    """exp(2 pi i turns), times 3 e^2 - 2 e^3 of an edge e held between 0 (dark) and 1, of one fine row."""
-    a, b, c, d = share[0], share[1], share[2], share[3]
+def _differences(turns: NDArray, at: int, width: int, parts: NDArray) -> None:
+    """Phase of the second of four rows, within half a turn, and how the others differ from it."""
     one, two, three, four = turns[at], turns[at + 1], turns[at + 2], turns[at + 3]
-    # In a loop of its own: numbers of both sizes in one would keep vectors half empty.
-    for j in range(real.shape[0]):
-        turn = a * one[j] + b * two[j] + c * three[j] + d * four[j]
-        real[j] = float32(turn - floor(turn + 0.5))
-    p, q, r, s = float32(a), float32(b), float32(c), float32(d)
-    near, far, farther, farthest = rim[at], rim[at + 1], rim[at + 2], rim[at + 3]
-    for j in range(real.shape[0]):
-        edge = p * near[j] + q * far[j] + r * farther[j] + s * farthest[j]
-        e = min(max(edge, _ZERO), _ONE)
-        passed = e * e * (float32(3.0) - float32(2.0) * e)
-        part = real[j]
-        size = magnitude(part)
-        real[j] = passed * _sine(_QUARTER - size)
-        imaginary[j] = passed * _sine(copysign(_QUARTER - magnitude(size - _QUARTER), part))
+    for j in range(width):
+        middle = two[j]
+        parts[0, j] = float32(middle - floor(middle + 0.5))
+        parts[1, j] = float32(one[j] - middle)
+        parts[2, j] = float32(three[j] - middle)
+        parts[3, j] = float32(four[j] - middle)
 
 
 @_jit
 def _room(width: int) -> tuple[Any, ...]:
-    """Work space for the carrier of a block: rows of phase and edge, which have light, and what they make.
+    """Work space for the carrier of a block.
 
-    The last counts rows: of the first for which there is room, and of the next that is not made.
+    Rows of phase and edge; the edge's least and most in each; what phases of a fine row are made of. The last
+    counts rows: of the first for which there is room, of the next that is not made, and of the first of the
+    four of which phases were taken apart.
     """
-    return (
-        empty((_KEPT, width + APART), float64),
-        empty((_KEPT, width + APART), float32),
-        zeros(_KEPT, bool_),
-        empty(width, float32),
-        empty(width, float32),
-        zeros(2, int64),
-    )
+    like = zeros(1, float32)
+    rim, parts = lines_for(_KEPT, width, like), lines_for(_SMOOTH, width, like)
+    rim[:], parts[:] = _ZERO, _ZERO
+    rows = zeros(3, int64)
+    rows[2] = -1
+    return lines_for(_KEPT, width, zeros(1, float64)), rim, zeros((2, _KEPT), float32), parts, rows
 
 
 @_jit
-def _carrier_row(carrier: tuple[NDArray, ...], row: int, begin: int, room: tuple[Any, ...]) -> bool:
-    """Carrier of one row of a block, if it has light; rows come in turn."""
-    phase, edge, first_y, share_y, first_x, share_x, single_x = carrier
-    turns, rim, lit, cosine, sine, rows = room
-    first, end = first_y[row], begin + cosine.shape[0]
+def _more_rows(carrier: tuple[NDArray, ...], begin: int, end: int, first: int, room: tuple[Any, ...]) -> None:
+    """Make a band of rows of phase and edge in a block's columns; those before the first are not needed."""
+    phase, edge, _, __, first_x, share_x, single_x = carrier
+    turns, rim, ends, ___, rows = room
     if rows[1] < first:
-        rows[:] = first
-    while rows[1] < first + _SMOOTH:
-        if rows[1] + BAND - rows[0] > _KEPT:
-            moved_up(turns, first, rows[1], rows[0])
-            moved_up(rim, first, rows[1], rows[0])
-            for k in range(first, rows[1]):
-                lit[k - first] = lit[k - rows[0]]
-            rows[0] = first
-        low, high, at = rows[1], min(rows[1] + BAND, phase.shape[0]), rows[1] - rows[0]
-        _smooth_rows(phase, low, high, (first_x, share_x), begin, end, turns, at)
-        _smooth_rows(edge, low, high, (first_x, single_x), begin, end, rim, at)
-        for k in range(high - low):
-            lit[at + k] = rim[at + k, : end - begin].max() > _ZERO
-        rows[1] = high
-    at = first - rows[0]
-    if not (lit[at] or lit[at + 1] or lit[at + 2] or lit[at + 3]):
-        return False
-    _waves(share_y[row], turns, rim, at, cosine, sine)
-    return True
+        rows[:2] = first
+    if rows[1] + BAND - rows[0] > _KEPT:
+        moved_up(turns, first, rows[1], rows[0])
+        moved_up(rim, first, rows[1], rows[0])
+        for k in range(first, rows[1]):
+            ends[:, k - first] = ends[:, k - rows[0]]
+        rows[0] = first
+    low, high, at = rows[1], min(rows[1] + BAND, phase.shape[0]), rows[1] - rows[0]
+    _smooth_rows(phase, low, high, (first_x, share_x), begin, end, turns, at)
+    _smooth_rows(edge, low, high, (first_x, single_x), begin, end, rim, at)
+    for k in range(at, at + high - low):
+        ends[0, k], ends[1, k] = rim[k, : end - begin].min(), rim[k, : end - begin].max()
+    rows[1] = high
+
+
+@_jit
+def _light_between(ends: NDArray, at: int, share: NDArray) -> int:
+    """What light a row has between four of which the edge's least and most are given."""
+    least, most, negative = ends[0, at], ends[1, at], -min(share[0], 0.0)
+    for k in range(1, _SMOOTH):
+        least, most = min(least, ends[0, at + k]), max(most, ends[1, at + k])
+        negative -= min(share[k], 0.0)
+    if most <= _ZERO:
+        return _DARK
+    # What is between four rows is no less than this.
+    return _OPEN if least - negative * (most - least) >= _FULL else _PARTLY
+
+
+@_jit
+def _make_waves(
+    carrier: tuple[NDArray, ...],
+    row: int,
+    stop: int,
+    begin: int,
+    end: int,
+    room: tuple[Any, ...],
+    waves: NDArray,
+    light: NDArray,
+) -> bool:
+    """Factors of four rows of a block or fewer, up to `stop`, and their light; rows come in turn.
+
+    On each line cosines come before sines. Returns whether any row has light.
+    """
+    first_y, share_y = carrier[2], carrier[3]
+    turns, _, ends, parts, rows = room
+    some = False
+    for i in range(row, stop):
+        first = first_y[i]
+        while rows[1] < first + _SMOOTH:
+            _more_rows(carrier, begin, end, first, room)
+        at, number = first - rows[0], i - row
+        light[number] = _light_between(ends, at, share_y[i])
+        if light[number] == _DARK:
+            continue
+        if rows[2] != first:
+            _differences(turns, at, end - begin, parts)
+            rows[2] = first
+        _fill(light[number], share_y[i], room, at, end - begin, waves, number)
+        some = True
+    return some
+
+
+@_inlined
+def _wave(part: NDArray, step: int, j: int, a: Any, c: Any, d: Any) -> tuple[Any, Any]:
+    """exp(2 pi i turns), a vector of a fine row from sample j on, of shares of what phases are made of."""
+    turn = load(part, j) + a * load(part, step + j)
+    turn = turn + c * load(part, 2 * step + j) + d * load(part, 3 * step + j)
+    rounder = alike(_ROUNDER)
+    turn = turn - ((turn + rounder) - rounder)
+    x = turn * turn
+    half = alike(_S2) + x * (alike(_S3) + x * alike(_S4))
+    half = turn * (alike(_S0) + x * (alike(_S1) + x * half))
+    other = alike(_C2) + x * (alike(_C3) + x * alike(_C4))
+    other = alike(_C0) + x * (alike(_C1) + x * other)
+    two = alike(_TWO) * half
+    return alike(_ONE) - two * half, two * other
+
+
+@_inlined
+def _passed(rim: NDArray, step: int, at: int, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """3 e^2 - 2 e^3 of an edge e held between 0 (dark) and 1; the first of its four rows is at `at`."""
+    e = a * load(rim, at) + b * load(rim, at + step)
+    e = e + c * load(rim, at + 2 * step) + d * load(rim, at + 3 * step)
+    e = smaller(larger(e, alike(_ZERO)), alike(_ONE))
+    return e * e * (alike(_THREE) - alike(_TWO) * e)
+
+
+@_jit
+def _fill(
+    light: int, share: NDArray, room: tuple[Any, ...], at: int, width: int, waves: NDArray, number: int
+) -> None:
+    """Factors of a fine row, on a line; `at` is the first of the four rows that have shares in it."""
+    part, step, edge, apart = room[3].reshape(-1), room[3].shape[1], room[1].reshape(-1), room[1].shape[1]
+    line, here, half = waves.reshape(-1), number * waves.shape[1], whole(width)
+    a, b, c, d = (
+        alike(float32(share[0])),
+        alike(float32(share[1])),
+        alike(float32(share[2])),
+        alike(float32(share[3])),
+    )
+    if light == _OPEN:
+        for j in range(0, width, LANES):
+            cosine, sine = _wave(part, step, j, a, c, d)
+            store(line, here + j, cosine)
+            store(line, here + half + j, sine)
+        return
+    for j in range(0, width, LANES):
+        cosine, sine = _wave(part, step, j, a, c, d)
+        passed = _passed(edge, apart, at * apart + j, a, b, c, d)
+        store(line, here + j, passed * cosine)
+        store(line, here + half + j, passed * sine)
 
 
 @_jit
@@ -161,21 +271,25 @@ def expand(
         Columns of the fine field.
     """
     first_y, weight_y = along_y
-    taps, width = weight_y.shape[1], end - begin
-    rows = empty((2 * (taps + BAND), 2 * width + APART), float32)
-    line, waves = empty(2 * width, float32), _room(width)
-    cosine, sine = waves[3], waves[4]
+    width, half, last_y = end - begin, whole(end - begin), first_y + weight_y.shape[1]
+    most = most_of_four(first_y, last_y)
+    rows, lines = lines_for(2 * (most + BAND), 2 * half, plane), lines_for(FOUR, 2 * half, plane)
+    room, waves, light = empty((FOUR, most), float32), lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64)
+    kept, onto, step = _room(width), plane.reshape(-1), plane.shape[1]
+    first_x, weight_x = along_x[0][begin:end], along_x[1][begin:end]
+    fours_x = all_fours(first_x, first_x + weight_x.shape[1], weight_x, 0, coarse.shape[1] // 2)
     top = made = 0
-    for i in range(first_y.shape[0]):
-        if not _carrier_row(carrier, i, begin, waves):
+    for four in range(0, len(first_y), FOUR):
+        stop = min(four + FOUR, len(first_y))
+        if not _make_waves(carrier, four, stop, begin, end, kept, waves, light):
             continue
-        first = first_y[i]
-        top, made = rows_from(coarse, along_x, begin, end, first, first + taps, rows, (top, made))
-        sum_of_lines(rows, first - top, taps, weight_y[i], line)
-        onto = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-        for j in range(width):
-            onto[2 * j] += cosine[j] * line[j] - sine[j] * line[width + j]
-            onto[2 * j + 1] += cosine[j] * line[width + j] + sine[j] * line[j]
+        first, count = weights_for_four(four, first_y, last_y, weight_y, 0, coarse.shape[0], room)
+        top, made = rows_from(coarse, fours_x, width, first, first + count, rows, (top, made))
+        sums_of_lines(rows, first - top, count, room, 2 * half, lines)
+        at = (place[0] + four) * step + 2 * (place[1] + begin)
+        for begun in range(stop - four):
+            if light[begun] != _DARK:
+                add_turned(lines, waves, onto, at, step, width, begun, begun + 1)
 
 
 @_jit
@@ -196,32 +310,37 @@ def collect(
     counts, one past the last, and weights. The result is a float view.
     """
     first_y, last_y, weight_y = back_y
-    count, width = first_y.shape[0], end - begin
-    fine = empty((2 * (weight_y.shape[1] + BAND), 2 * width + APART), float32)
-    line, columns = empty(2 * width, float32), zeros((width, 2 * BAND + APART), float32)
-    waves, result = _room(width), empty((count, 2 * (right - left)), float32)
-    cosine, sine = waves[3], waves[4]
-    top = made = light = dark = 0  # from where to where there is light
-    for k in range(count):
-        first, last = first_y[k], last_y[k]
+    count, most = len(first_y), most_of_four(first_y, last_y)
+    width, half = end - begin, whole(end - begin)
+    fine, lines = lines_for(most + BAND, 2 * half, plane), lines_for(BAND, 2 * half, plane)
+    room, result = empty((FOUR, most), float32), empty((count, 2 * (right - left)), float32)
+    waves, light, kept = lines_for(FOUR, 2 * half, plane), zeros(FOUR, int64), _room(width)
+    given, step = plane.reshape(-1), plane.shape[1]
+    lines[:] = 0.0
+    fours_x = all_fours(back_x[0][left:right], back_x[1][left:right], back_x[2][left:right], begin, end)
+    top = made = bright = dark = 0  # from where to where there is light
+    for four in range(0, count, FOUR):
+        first, last = first_y[four], last_y[min(four + FOUR, count) - 1]
         if last - top > fine.shape[0]:
             moved_up(fine, first, made, top)
             top, made = first, max(made, first)
-        for i in range(made, last):
-            own = fine[i - top]
-            if not _carrier_row(carrier, i, begin, waves):
-                own[:] = 0.0
-                continue
-            light, dark = light if dark else i, i + 1
-            value = plane[place[0] + i, 2 * (place[1] + begin) : 2 * (place[1] + end)]
-            for j in range(width):
-                own[j] = cosine[j] * value[2 * j] + sine[j] * value[2 * j + 1]
-                own[width + j] = cosine[j] * value[2 * j + 1] - sine[j] * value[2 * j]
-        made = max(made, last)
-        start, stop = max(first, light), min(last, dark)
-        sum_of_lines(fine, start - top, max(stop - start, 0), weight_y[k, start - first :], line)
-        put_row(line, k, columns, back_x, left, begin, end, result)
+        while made < last:
+            stop = min(made + FOUR, last)
+            _make_waves(carrier, made, stop, begin, end, kept, waves, light)
+            for i in range(made, stop):
+                if light[i - made] == _DARK:
+                    fine[i - top] = 0.0
+                    continue
+                bright, dark = bright if dark else i, i + 1
+                at = (place[0] + i) * step + 2 * (place[1] + begin)
+                take_turned(given, at, step, waves, width, fine, i - made, i - top, 1)
+            made = stop
+        start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, room)
+        at = four % BAND
+        sums_of_lines(fine, start - top, several, room, 2 * half, lines[at : at + FOUR])
+        if at + FOUR == BAND or four + FOUR >= count:
+            put_band(lines, four - at, min(BAND, count - four + at), fours_x, begin, width, result)
     return result
 
 
-drop_outdated(expand, {__name__, resampling_kernel.__name__})
+drop_outdated(expand, {__name__, resampling_kernel.__name__, lanes.__name__})

@@ -14,11 +14,19 @@ from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
+from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
+from numpy import empty
+from numpy.typing import NDArray
+
+from lensdesign.tracing.kept_kernels import kept_njit
 
 LANES = 16
 """Numbers that a vector holds."""
+
+CACHE_LINE = 64
+"""Bytes: a vector that lies in two takes twice the time."""
 
 _WHOLE = ir.IntType(64)
 _FUSED = ("contract",)
@@ -107,6 +115,64 @@ def alike(_: Any, number: Any) -> Any:
 
 
 @intrinsic
+def fetch(_: Any, array: Any, first: Any) -> Any:
+    """Have array[first] brought into the cache, which need not be an element."""
+
+    def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        place = context.make_array(signature.args[0])(context, builder, values[0]).data
+        byte, whole = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
+        prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        place = builder.bitcast(builder.gep(place, [values[1]]), byte)
+        # To be read, into all levels, and data.
+        builder.call(prefetch, [place, whole(0), whole(3), whole(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), made
+
+
+def _choice(name: str, relation: str) -> Any:
+    """Of two vectors, number by number, the one that is smaller or larger."""
+
+    def chosen(_: Any, one: Any, other: Any) -> Any:
+        def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(relation, *values), *values)
+
+        return one(one, other), made
+
+    chosen.__name__ = name
+    return intrinsic(chosen)
+
+
+smaller, larger = _choice("smaller", "<"), _choice("larger", ">")
+
+
+def _shuffle(name: str, places: list[int]) -> Any:
+    """Some numbers of two vectors."""
+
+    def shuffled(_: Any, one: Any, other: Any) -> Any:
+        def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+            return builder.shuffle_vector(*values, _places(places))
+
+        return one(one, other), made
+
+    shuffled.__name__ = name
+    return intrinsic(shuffled)
+
+
+def _places(numbers: list[int]) -> Any:
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+
+
+evens, odds = (_shuffle(name, [*range(k, 2 * LANES, 2)]) for k, name in enumerate(("evens", "odds")))
+"""Every other number of two vectors: real parts of complex numbers, or imaginary ones."""
+
+_IN_TURN = [k + LANES * part for k in range(LANES) for part in (0, 1)]
+pairs, more_pairs = _shuffle("pairs", _IN_TURN[:LANES]), _shuffle("more_pairs", _IN_TURN[LANES:])
+"""Numbers of two vectors in turn: the first ones of each, and the others."""
+
+
+@intrinsic
 def transpose(_: Any, source: Any, first: Any, step: Any, target: Any, to: Any, step_to: Any) -> Any:
     """target[to + j step_to + i] = source[first + i step + j] for i, j below 16, of flat arrays."""
 
@@ -139,5 +205,19 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     return rows
 
 
-def _places(numbers: list[int]) -> Any:
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+@kept_njit(nogil=True)
+def whole(numbers: int) -> int:
+    """Numbers of vectors that hold so many."""
+    return (numbers + LANES - 1) // LANES * LANES
+
+
+@kept_njit(nogil=True)
+def lines_for(count: int, numbers: int, like: NDArray) -> NDArray:
+    """Room for so many lines of numbers of an array's kind, each with whole vectors and one more.
+
+    Lines a power of two apart share few places of a cache.
+    """
+    wide = whole(numbers) + LANES
+    room = empty(count * wide + CACHE_LINE // like.itemsize, like.dtype)
+    start = -room.ctypes.data % CACHE_LINE // like.itemsize
+    return room[start : start + count * wide].reshape(count, wide)

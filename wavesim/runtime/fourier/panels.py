@@ -18,7 +18,7 @@ import scipy.fft
 from numpy.typing import DTypeLike, NDArray
 
 from wavesim.runtime.fourier import passes
-from wavesim.runtime.fourier.lanes import LANES
+from wavesim.runtime.fourier.lanes import CACHE_LINE, LANES
 from wavesim.runtime.fourier.passes import SAMPLE, Steps
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -26,8 +26,6 @@ RealArray = NDArray[np.floating[Any]]
 
 RADICES = (8, 4, 2, 3, 5, 7, 11, 13)
 """What numbers of samples are divided by, in this order; with others left a transform is a convolution."""
-
-CACHE_LINE = 64
 
 APART = 16
 """Rows of room between panels: powers of 2 apart, all would want the same places of a cache."""

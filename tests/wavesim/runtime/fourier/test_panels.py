@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wavesim.runtime.fourier.lanes import LANES
+from wavesim.runtime.fourier.lanes import CACHE_LINE, LANES
 from wavesim.runtime.fourier.panels import (
-    CACHE_LINE,
     Panels,
     aligned,
     bytes_of_panels,
