@@ -12,8 +12,9 @@ from wavesim import Grid, Recorded, retrieve
 from wavesim.reconstruction import retrieval_bytes
 
 SIDE, PITCH_MM, WAVELENGTH_UM = 6144, 3.2e-3, 0.532
-ITERATIONS, SECONDS = 8, 2.5
+ITERATIONS = 8
 PLANES_MM = {"the first plane is the one sought": (0.0, 20.0), "neither plane is": (2.0, 22.0)}
+SECONDS = {"the first plane is the one sought": 0.8, "neither plane is": 2.5}
 
 
 def main() -> None:
@@ -22,7 +23,7 @@ def main() -> None:
     for name, distances_mm in PLANES_MM.items():
         wall, cpu = iteration_seconds(distances_mm)
         rows += [
-            Row(f"{name}: an iteration, the best", min(wall), "s", at_most=SECONDS),
+            Row(f"{name}: an iteration, the best", min(wall), "s", at_most=SECONDS[name]),
             Row("  the median", float(np.median(wall)), "s"),
             Row("  processor time of all threads, the best", min(cpu), "s"),
             Row("  memory beside the arguments, predicted", told_gb(distances_mm), "GB"),

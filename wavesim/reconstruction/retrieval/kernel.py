@@ -75,13 +75,15 @@ def compare(
     """Sums over known pixels of 1, x, y, x x, y y, x y and (x - y)^2: x is the modulus, y the amplitude."""
     rows, columns = amplitude.shape
     count, sx, sy, sxx, syy, sxy, off = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    modulus = empty(columns, amplitude.dtype)
     for i in range(rows):
         row, wanted = field[i], amplitude[i]
+        # In a loop of its own: numbers of both sizes in one would keep vectors half empty.
+        for j in range(columns):
+            modulus[j] = math.sqrt(row[2 * j] * row[2 * j] + row[2 * j + 1] * row[2 * j + 1])
         for j in range(columns):
             share = 1.0 if known is None or known[i, j] else 0.0
-            real, imaginary = float64(row[2 * j]), float64(row[2 * j + 1])
-            x = share * math.sqrt(real * real + imaginary * imaginary)
-            y = share * float64(wanted[j])
+            x, y = share * float64(modulus[j]), share * float64(wanted[j])
             count += share
             sx += x
             sy += y
@@ -93,14 +95,14 @@ def compare(
 
 
 @_jit
-def replaced_power(field: NDArray, amplitude: NDArray, known: NDArray | None) -> float:
+def replaced_power(field: NDArray, amplitude: NDArray, known: NDArray) -> float:
     """Sum of |values|^2 that A2 would leave."""
     rows, columns = amplitude.shape
     power = 0.0
     for i in range(rows):
         row, wanted = field[i], amplitude[i]
         for j in range(columns):
-            if known is None or known[i, j]:
+            if known[i, j]:
                 power += float64(wanted[j]) * float64(wanted[j])
             else:
                 real, imaginary = float64(row[2 * j]), float64(row[2 * j + 1])

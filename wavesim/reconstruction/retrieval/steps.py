@@ -15,7 +15,8 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
+from itertools import chain, pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,6 +65,11 @@ class Plane:
     known: NDArray[np.bool_] | None
     carrier: Array | None
     there: Panels | None
+
+    @cached_property
+    def power(self) -> float:
+        """Sum of the amplitudes' squares."""
+        return math.fsum(float(np.sum(np.square(row, dtype=float))) for row in self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -254,9 +260,12 @@ class Passes:
 
     def _replaced_power(self, now: ComplexArray, plane: Plane) -> float:
         """Sum of |values|^2 of the field sought after A2 in its own plane."""
+        known = plane.known
+        if known is None:
+            return plane.power
 
         def one(block: Block) -> float:
-            part = (_floats(now[block.own]), plane.amplitude[block.own], _known(plane, block.own))
+            part = _floats(now[block.own]), plane.amplitude[block.own], known[block.own]
             return float(kernel.replaced_power(*part))
 
         return math.fsum(self._over(one, self._blocks()))
@@ -301,7 +310,9 @@ class Passes:
         blocks = self._blocks(with_neighbours=True)
         lead = self._carried[0]
         # Their own block overwrites them, perhaps before its neighbours have read them.
-        beside = {row: _panels(lead).values[:, row].copy() for block in blocks for row in _beside(block)}
+        values = _panels(lead).values
+        apart = self._over(lambda block: [(row, values[:, row].copy()) for row in _beside(block)], blocks)
+        beside = dict(chain.from_iterable(apart))
 
         def one(block: Block) -> Sums:
             mean = _room("mean", block.own, now.shape, now.dtype)
