@@ -13,7 +13,7 @@ from wavesim.runtime.threads import THREADS
 from wavesim.scene.engine import Cost
 from wavesim.scene.scene import Scene
 
-MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 300.0, 11.0, 12.0
+MAP_PASSES, TRANSFORM_PASSES, CARRY_PASSES = 130.0, 5.0, 5.0
 """Complex products (of complex128) as which count: a tile's maps, for each sample of its grid; its Fourier
 transform, for each sample and term; a carried sample of a finer grid. Measured."""
 
