@@ -18,6 +18,7 @@ SCRIPTS = (
     "pupil_trial",
     "eikonal_speed",
     "terms_transform",
+    "plane_transform",
     "full_field",
     "carry_limit",
     "field_scaling",
