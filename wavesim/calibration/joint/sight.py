@@ -11,6 +11,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from wavesim.calibration.joint.kept_samples import KeptSamples
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
 from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 from wavesim.reconstruction.recording_model import RecordingModel
@@ -47,14 +48,14 @@ class ThroughSpace:
         self.model, self._wavelength_um = model, model.illumination.wavelength_um
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
         self.spectrum: ComplexArray = scipy.fft.fft2(values, workers=-1)
-        self.rows = [self.pixels.carried(self.spectrum, way) for way in model.ways]
+        self.planes = [KeptSamples(self.pixels, self.spectrum, way) for way in model.ways]
 
     def intensities(self) -> list[RealArray]:
-        return [self.pixels.intensity(rows) for rows in self.rows]
+        return [plane.intensity() for plane in self.planes]
 
     def products(self, change: ComplexArray) -> list[RealArray]:
         spectrum = scipy.fft.fft2(change, workers=-1)
-        return [self._seen(n, spectrum) for n in range(len(self.rows))]
+        return [plane.products(spectrum) for plane in self.planes]
 
     def by_distance(self, plane: int) -> RealArray:
         """Products with a mm of a plane's distance."""
@@ -70,24 +71,19 @@ class ThroughSpace:
     def by_tilt(self, axis: int) -> list[RealArray]:
         """With a degree of the sensor's tilt about x (axis 0) or y (1), plane by plane."""
         seen = []
-        for rows, way in zip(self.rows, self.model.ways, strict=True):
-            turned = tilt_changes(self.pixels, self.spectrum, way, self._wavelength_um)
-            seen.append(self.pixels.products(rows, turned[axis]))
+        for plane in self.planes:
+            turned = tilt_changes(self.pixels, self.spectrum, plane.way, self._wavelength_um)
+            seen.append(plane.products_with(turned[axis]))
         return seen
 
     def back(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
-        for rows, way, one in zip(self.rows, self.model.ways, planes, strict=True):
-            copied = rows[0].copy(), rows[1].copy()
-            self.pixels.add_back(copied, one.astype(self.spectrum.real.dtype), way, total)
+        for plane, one in zip(self.planes, planes, strict=True):
+            plane.add_back(one.astype(self.spectrum.real.dtype), total)
         return np.asarray(scipy.fft.ifft2(total, workers=-1, overwrite_x=True))
 
     def _moved(self, plane: int, factor: ComplexArray) -> RealArray:
-        return self._seen(plane, self.spectrum * factor.astype(self.spectrum.dtype))
-
-    def _seen(self, plane: int, spectrum: ComplexArray) -> RealArray:
-        changed = self.pixels.carried(spectrum, self.model.ways[plane])
-        return self.pixels.products(self.rows[plane], changed)
+        return self.planes[plane].products(self.spectrum * factor.astype(self.spectrum.dtype))
 
 
 class OnPixels:
