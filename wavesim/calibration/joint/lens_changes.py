@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from wavesim.calibration.joint.ray_changes import ON_GRID, Seat, ray_changes
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.engines.tiles.operator import Tile, at_once
 from wavesim.fields.field import Field
-from wavesim.rays.maps import RayMap
+from wavesim.rays.maps import RayMap, SmoothMap
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
+PathSlopes = Sequence[Sequence[SmoothMap]]
 
 
 class Changed(NamedTuple):
@@ -29,9 +31,46 @@ class Changed(NamedTuple):
     seat: Seat = ON_GRID
 
 
-def lens_changes(
-    engine: Operator, lit: Field, changed: Sequence[Changed], make: Callable[[Scene], Engine]
-) -> list[ComplexArray]:
+def path_slopes(
+    engine: EikonalTiles | TurnedTiles, dtype: DTypeLike, changed: Sequence[Changed]
+) -> PathSlopes:
+    """How paths and directions of each tile's rays change for a unit of each parameter.
+
+    Parameters
+    ----------
+    engine
+        Of the scene as it is.
+    dtype
+        Of fields.
+    changed
+        The same scene with a small step of each parameter.
+
+    Returns
+    -------
+    sequence of sequence of SmoothMap
+        For each tile, and for each parameter.
+
+    Raises
+    ------
+    InputError
+        If the rays of a changed lens do not arrive.
+    """
+    grid, found = engine.plane.grid, []
+    for tile, carrier, _ in engine.tile_operators(np.dtype(dtype)):
+        own = None
+        if isinstance(engine, TurnedTiles):
+            own = ray_changes(engine.scene, tile, carrier, grid, engine.seat)
+        moved = [ray_changes(one.scene, tile, carrier, grid, one.seat, own) for one in changed]
+        found.append(
+            [
+                replace(m, coefficients=m.coefficients / one.step)
+                for m, one in zip(moved, changed, strict=True)
+            ]
+        )
+    return found
+
+
+def by_rays(engine: EikonalTiles | TurnedTiles, lit: Field, slopes: PathSlopes) -> list[ComplexArray]:
     """Change of the field on the exit grid for a unit of each parameter.
 
     Parameters
@@ -40,36 +79,30 @@ def lens_changes(
         Of the scene as it is.
     lit
         The light behind the object.
-    changed
-        The same scene with a small step of each parameter.
-    make
-        Makes engines, where rays do not tell.
-
-    Raises
-    ------
-    InputError
-        If the rays of a changed lens do not arrive.
+    slopes
+        Of the tiles' rays, of this scene or one that is near.
     """
-    if not isinstance(engine, EikonalTiles | TurnedTiles):
-        now = engine.forward(lit).values
-        return [(make(one.scene).forward(_at(lit, one.scene)).values - now) / one.step for one in changed]
     grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
     axes = grid.y_mm, grid.x_mm
-    results = [np.zeros(grid.shape, lit.values.dtype) for _ in changed]
-    for tile, carrier, alone in _tile_fields(engine, lit):
-        own = None
-        if isinstance(engine, TurnedTiles):
-            own = ray_changes(engine.scene, tile, carrier, grid, engine.seat).on_axes(axes)
-        for one, result in zip(changed, results, strict=True):
-            found = ray_changes(one.scene, tile, carrier, grid, one.seat).on_axes(axes)
-            path, *cosines = (found if own is None else found - own).astype(alone.real.dtype)
-            turned = path * alone[0]
+    results = [np.zeros(grid.shape, lit.values.dtype) for _ in slopes[0]]
+    for (_, _, alone), maps in zip(_tile_fields(engine, lit), slopes, strict=True):
+        alone *= alone.dtype.type(1j * wavenumber)
+        for one, result in zip(maps, results, strict=True):
+            path, *cosines = one.along(axes).single().each()
+            result += path * alone[0]
             for cosine, moment in zip(cosines, alone[1:], strict=True):
-                turned -= cosine * moment
-            result += result.dtype.type(1j * wavenumber / one.step) * turned
+                result -= cosine * moment
     if engine.plane.beyond is None:
-        return list(results)
+        return results
     return [np.asarray(engine.plane.beyond.forward(one.astype(complex)), lit.values.dtype) for one in results]
+
+
+def by_engines(
+    engine: Operator, lit: Field, changed: Sequence[Changed], make: Callable[[Scene], Engine]
+) -> list[ComplexArray]:
+    """The same where rays do not tell, by engines that `make` makes of the changed scenes."""
+    now = engine.forward(lit).values
+    return [(make(one.scene).forward(_at(lit, one.scene)).values - now) / one.step for one in changed]
 
 
 def _tile_fields(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.lens_changes import Changed, lens_changes
+from wavesim.calibration.joint.lens_changes import Changed, PathSlopes, by_engines, by_rays, path_slopes
 from wavesim.calibration.joint.linearised import Linearised, RealArray
 from wavesim.calibration.joint.sight import ComplexArray, ThroughSpace
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
@@ -23,6 +23,32 @@ from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Orders, light_mode
 from wavesim.scene.engine import Engine, Operator
 from wavesim.scene.scene import Scene, placed_scene
+
+
+@dataclass(frozen=True, eq=False)
+class RaySlopes:
+    """What parameters do to the rays of all tiles.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters.
+    planes : sequence of PathSlopes
+        Of the tiles that carry light to the exit grid, or to each plane.
+    """
+
+    names: tuple[str, ...]
+    planes: Sequence[PathSlopes]
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter], planes: Sequence[PathSlopes]) -> RaySlopes:
+        """Of parameters, in their order."""
+        return cls(tuple(p.name for p in parameters), planes)
+
+    def plane(self, number: int, parameters: Sequence[Parameter]) -> PathSlopes:
+        """Of the tiles to a plane of its number, for some of the parameters."""
+        places = [self.names.index(p.name) for p in parameters]
+        return [[tile[place] for place in places] for tile in self.planes[number]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +84,27 @@ class Pixels(ABC):
     def model(self, unknowns: Unknowns, near: Operator | None = None) -> RecordingModel:
         """Of a bench: with an engine of its own, or with that of another bench, turned."""
 
-    def columns(self, unknowns: Unknowns, linear: Linearised, parameters: Sequence[Parameter]) -> RealArray:
-        """Change of the modelled amplitudes with each parameter, shape (parameters, planes, ny, nx)."""
+    def columns(
+        self,
+        unknowns: Unknowns,
+        linear: Linearised,
+        parameters: Sequence[Parameter],
+        slopes: RaySlopes | None = None,
+    ) -> RealArray:
+        """Change of the modelled amplitudes with each parameter, shape (parameters, planes, ny, nx).
+
+        Parameters
+        ----------
+        unknowns, linear
+            The bench, and the model there.
+        parameters
+            Of which it is asked.
+        slopes
+            Of rays, as :meth:`ray_slopes` gives them of a bench that is near.
+        """
         carried = [p for p in parameters if self._is_carried(p)]
-        changes = iter(self._changes(unknowns, linear, carried))
+        slopes = slopes or self.ray_slopes(unknowns, linear.model.engine, carried)
+        changes = iter(self._changes(unknowns, linear, carried, slopes) if carried else ())
         through: dict[Orders, ComplexArray] = {}
         result = np.empty((len(parameters), *linear.residual.shape), linear.residual.dtype)
         for n, parameter in enumerate(parameters):
@@ -86,8 +129,18 @@ class Pixels(ABC):
         """Whether rays tell what it does."""
 
     @abstractmethod
+    def ray_slopes(
+        self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
+    ) -> RaySlopes | None:
+        """What parameters do to rays, which hardly changes with the bench; None where rays do not tell."""
+
+    @abstractmethod
     def _changes(
-        self, unknowns: Unknowns, linear: Linearised, parameters: Sequence[Parameter]
+        self,
+        unknowns: Unknowns,
+        linear: Linearised,
+        parameters: Sequence[Parameter],
+        slopes: RaySlopes | None,
     ) -> Iterable[ComplexArray]:
         """Changes of the field on the exit grid for a unit of each parameter that rays tell of."""
 
@@ -119,13 +172,33 @@ class AllPixels(Pixels):
     def _is_carried(self, parameter: Parameter) -> bool:
         return parameter.part in ("lens", "mounting")
 
+    def ray_slopes(
+        self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
+    ) -> RaySlopes | None:
+        if not isinstance(engine, EikonalTiles | TurnedTiles):
+            return None
+        carried = [p for p in parameters if self._is_carried(p)]
+        slopes = path_slopes(engine, self.illumination.values.dtype, self._changed(unknowns, carried))
+        return RaySlopes.of(carried, [slopes])
+
     def _changes(
-        self, unknowns: Unknowns, linear: Linearised, parameters: Sequence[Parameter]
+        self,
+        unknowns: Unknowns,
+        linear: Linearised,
+        parameters: Sequence[Parameter],
+        slopes: RaySlopes | None,
     ) -> Iterable[ComplexArray]:
-        steps = [
-            Changed(placed_scene(self.scene, moved(unknowns, p).bench.placement), p.small) for p in parameters
+        engine = linear.model.engine
+        if slopes is None or not isinstance(engine, EikonalTiles | TurnedTiles):
+            return by_engines(engine, linear.lit, self._changed(unknowns, parameters), self.make)
+        return by_rays(engine, linear.lit, slopes.plane(0, parameters))
+
+    def _changed(self, unknowns: Unknowns, parameters: Sequence[Parameter]) -> list[Changed]:
+        benches = [moved(unknowns, p).bench for p in parameters]
+        return [
+            Changed(placed_scene(self.scene, bench.placement), p.small)
+            for p, bench in zip(parameters, benches, strict=True)
         ]
-        return lens_changes(linear.model.engine, linear.lit, steps, self.make) if steps else []
 
     def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
         name, sight = parameter.name, linear.sight

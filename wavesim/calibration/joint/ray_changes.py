@@ -40,7 +40,14 @@ class Seat(NamedTuple):
 ON_GRID = Seat()
 
 
-def ray_changes(scene: Scene, tile: Tile, carrier: RayMap, grid: Grid, seat: Seat = ON_GRID) -> SmoothMap:
+def ray_changes(
+    scene: Scene,
+    tile: Tile,
+    carrier: RayMap,
+    grid: Grid,
+    seat: Seat = ON_GRID,
+    before: SmoothMap | None = None,
+) -> SmoothMap:
     """How a scene's rays differ from those that carry a tile.
 
     Parameters
@@ -53,6 +60,8 @@ def ray_changes(scene: Scene, tile: Tile, carrier: RayMap, grid: Grid, seat: Sea
         Of the plane to which they go.
     seat
         Of the sensor, off that grid.
+    before
+        Changes that there are already, which are taken out.
 
     Returns
     -------
@@ -71,8 +80,12 @@ def ray_changes(scene: Scene, tile: Tile, carrier: RayMap, grid: Grid, seat: Sea
         if not np.any(rays.ok):
             raise InputError("no ray of the changed lens arrives: the change is too large")
         there, path_mm = _on_seat(rays, float(scene.system.index[0, -1]), grid, seat)
-        now = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
-        return fit_map(there[rays.ok], now - carrier.maps.at(there[rays.ok])[[0, 2, 3]], ORDER)
+        here = there[rays.ok]
+        changes = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
+        changes -= carrier.maps.at(here)[[0, 2, 3]]
+        if before is not None:
+            changes -= before.at(here)
+        return fit_map(here, changes, ORDER)
 
 
 def _on_seat(rays: RayBundle, index: float, grid: Grid, seat: Seat) -> tuple[Array, Array]:

@@ -199,7 +199,8 @@ class JointSearch:
         here = self._tried(stand.unknowns)
         near, sought = here.engine, parameters
         stand, reason = self._told(stand, here.unknowns, here.misfit), "benches used up"
-        columns = self._columns(here, parameters)
+        slopes = self.pixels.ray_slopes(here.unknowns, near, parameters)
+        columns = self.pixels.columns(here.unknowns, here.linear, parameters, slopes)
         if parameters == self.parameters:
             sought = self._worth_seeking(here, columns)
         while len(stand.trail) < self.most_benches:
@@ -213,7 +214,7 @@ class JointSearch:
             if gain < LEAST_GAINS[stand.stage]:
                 reason = "converged"
                 break
-            columns = self._columns(here, parameters)
+            columns = self.pixels.columns(here.unknowns, here.linear, parameters, slopes)
         return _End(stand, here, columns, reason)
 
     def _farther(
@@ -288,9 +289,6 @@ class JointSearch:
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
         return _Tried(unknowns, Linearised(model, transmission, self.pixels.scale is None), transmission)
-
-    def _columns(self, tried: _Tried, parameters: tuple[Parameter, ...]) -> RealArray:
-        return self.pixels.columns(tried.unknowns, tried.linear, parameters)
 
     def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> JointStep:
         values = tried.unknowns.of([p.name for p in parameters])

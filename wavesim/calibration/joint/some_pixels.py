@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lensdesign.analysis.paraxial import first_order
-from wavesim.calibration.joint.lens_changes import Changed, lens_changes
+from wavesim.calibration.joint.lens_changes import Changed, by_rays, path_slopes
 from wavesim.calibration.joint.linearised import Linearised, RealArray
-from wavesim.calibration.joint.pixels import Pixels, moved
+from wavesim.calibration.joint.pixels import Pixels, RaySlopes, moved
 from wavesim.calibration.joint.ray_changes import Seat
 from wavesim.calibration.joint.sight import ComplexArray
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
@@ -102,20 +102,33 @@ class SomePixels(Pixels):
     def _is_carried(self, parameter: Parameter) -> bool:
         return parameter.part != "light" and not parameter.name.endswith("_background")
 
+    def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
+        assert isinstance(engine, TilesToPlanes)
+        carried = [p for p in parameters if self._is_carried(p)]
+        benches, dtype = [moved(unknowns, p).bench for p in carried], self.illumination.values.dtype
+        planes = []
+        for n, plane in enumerate(engine.planes):
+            changed = [
+                Changed(self._scene(bench, n), p.small, _seat(bench, n))
+                for p, bench in zip(carried, benches, strict=True)
+            ]
+            planes.append(path_slopes(plane, dtype, changed))
+        return RaySlopes.of(carried, planes)
+
     def _changes(
-        self, unknowns: Unknowns, linear: Linearised, parameters: Sequence[Parameter]
+        self,
+        unknowns: Unknowns,
+        linear: Linearised,
+        parameters: Sequence[Parameter],
+        slopes: RaySlopes | None,
     ) -> Iterable[ComplexArray]:
         operator = linear.model.engine
         assert isinstance(operator, TilesToPlanes)
-        benches = [moved(unknowns, p).bench for p in parameters]
-        by_plane = []
-        for n, plane in enumerate(operator.planes):
-            steps = [
-                Changed(self._scene(bench, n), p.small, _seat(bench, n))
-                for p, bench in zip(parameters, benches, strict=True)
-            ]
-            by_plane.append(lens_changes(plane, linear.lit, steps, self.make))
-        return (np.concatenate(parts) for parts in zip(*by_plane, strict=True))
+        assert slopes is not None
+        planes = [
+            by_rays(plane, linear.lit, slopes.plane(n, parameters)) for n, plane in enumerate(operator.planes)
+        ]
+        return (np.concatenate(parts) for parts in zip(*planes, strict=True))
 
     def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
         raise AssertionError(f"{parameter.name}: rays tell of it")

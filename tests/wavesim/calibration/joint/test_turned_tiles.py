@@ -7,7 +7,7 @@ import pytest
 from small_twins import bars_under_stop
 
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from wavesim.calibration.joint.lens_changes import Changed, lens_changes
+from wavesim.calibration.joint.lens_changes import Changed, by_engines, by_rays, path_slopes
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
@@ -61,9 +61,26 @@ def test_changes_of_the_field_are_those_of_the_engine(near: tuple[EikonalTiles, 
     engine, lit = near
     step = 0.02
     scene = changed(engine.scene, what, step)
-    found = lens_changes(engine, lit, [Changed(scene, step)], lambda one: EikonalTiles(one, error=0.1))[0]
+    there, dtype = [Changed(scene, step)], lit.values.dtype
+    (by_path,) = by_rays(engine, lit, path_slopes(engine, dtype, there))
+    (by_tiles,) = by_engines(engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03))
     change = (made_of(scene, lit) - engine.forward(lit).values) / step
-    assert np.linalg.norm(found - change) < 0.1 * np.linalg.norm(change)
+    assert by_tiles == pytest.approx(change)
+    assert np.linalg.norm(by_path - change) < 0.1 * np.linalg.norm(change)
+
+
+@pytest.mark.parametrize("what", WHAT)
+def test_slopes_of_rays_hold_where_tiles_are_turned(near: tuple[EikonalTiles, Field], what: str) -> None:
+    """A lens that has changed by some radians changes on as it did."""
+    engine, lit = near
+    turned = TurnedTiles(engine, changed(engine.scene, what, 1.0))
+    dtype, step = lit.values.dtype, 0.02
+    slopes = [
+        path_slopes(one, dtype, [Changed(changed(engine.scene, what, size + step), step)])
+        for one, size in ((engine, 0.0), (turned, 1.0))
+    ]
+    before, now = (by_rays(turned, lit, own)[0] for own in slopes)
+    assert np.linalg.norm(before - now) < 0.1 * np.linalg.norm(now)
 
 
 def test_turned_tiles_and_their_adjoint_agree(near: tuple[EikonalTiles, Field]) -> None:
