@@ -13,6 +13,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
+from wavesim.calibration.joint.fast_grid import on_fast_grid
 from wavesim.calibration.joint.pixels import AllPixels, Pixels
 from wavesim.calibration.joint.search import JointSearch, Stand
 from wavesim.calibration.joint.some_pixels import pixels_apart, some_pixels
@@ -66,11 +67,13 @@ class Seen:
         self._behind = light_of_frames(self.scene, framed.frames, framed.light)
         self._made: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
-        told = self.recorded, settings.scale, settings.active_width, self.make
-        self.pixels: Pixels = AllPixels(self.scene, light, *told)
-        apart = pixels_apart(framed.patch, self.scene)
+        told = settings.scale, settings.active_width, self.make
+        some, apart = None, pixels_apart(framed.patch, self.scene)
         if apart > 1 and settings.engine == EikonalTiles.name:
-            self.pixels = some_pixels(self.pixels, framed.frames, apart) or self.pixels
+            every = AllPixels(self.scene, light, self.recorded, *told)
+            some = some_pixels(every, framed.frames, apart)
+        scene, recorded = on_fast_grid(self.scene, self.recorded)
+        self.pixels: Pixels = some or AllPixels(scene, light, recorded, *told)
 
     def make(self, scene: Scene) -> Engine:
         """The same scene is asked for more than once in a row."""
