@@ -112,7 +112,7 @@ class Pixels(ABC):
                 result[n] = linear.of_exit(next(changes))
             elif parameter.part == "light":
                 # Amplitude and phase of one mode go through the lens alike.
-                orders, change = light_orders(parameter.name), self._light_change(unknowns, parameter)
+                orders, change = light_orders(parameter.name), self.light_change(unknowns, parameter)
                 mode = light_mode(orders, change.shape)
                 if orders not in through:
                     through[orders] = linear.exit_of_light(mode)
@@ -148,7 +148,7 @@ class Pixels(ABC):
     def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
         """Change of the modelled amplitudes with another parameter of the camera."""
 
-    def _light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
+    def light_change(self, unknowns: Unknowns, parameter: Parameter) -> NDArray[Any]:
         """Relative change of the illumination for a unit."""
         even = self.illumination.with_values(np.ones(self.illumination.grid.shape, complex))
         now = unknowns.bench.light.on(even).values

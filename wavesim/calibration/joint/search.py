@@ -294,7 +294,18 @@ class JointSearch:
         values = tried.unknowns.of([p.name for p in parameters])
         typical = np.array([p.typical for p in parameters])
         variance, follows = _variance(tried.misfit), self.known is None
-        return JointStep(tried.linear, columns, values, typical, variance, tried.transmission, follows)
+        undone = self._undone(tried, parameters) if follows else {}
+        return JointStep(
+            tried.linear, columns, values, typical, variance, tried.transmission, follows, undone
+        )
+
+    def _undone(self, tried: _Tried, parameters: Sequence[Parameter]) -> dict[int, NDArray[Any]]:
+        """What of an amplitude object undoes a unit of the light's amplitude."""
+        light = {n: p for n, p in enumerate(parameters) if p.name.startswith("light_amplitude")}
+        if np.iscomplexobj(tried.transmission):
+            return {}
+        changes = {n: self.pixels.light_change(tried.unknowns, p).real for n, p in light.items()}
+        return {n: -change.astype(np.float32) * tried.transmission for n, change in changes.items()}
 
 
 def _variance(misfit: float) -> float:

@@ -7,6 +7,8 @@ at 0 or 1, and would go on, stays there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,6 +47,10 @@ class JointStep:
         Of the object; real where it is an amplitude.
     follows
         Whether the object is unknown, too; else it stays as it is.
+    undone
+        By its place, what of the transmission undoes a unit of a parameter, where that is known: only the
+        samples that cannot follow tell of such a parameter, and conjugate gradients would take many rounds
+        to find that out.
     """
 
     def __init__(
@@ -56,20 +62,25 @@ class JointStep:
         variance: float,
         transmission: NDArray[Any],
         follows: bool = True,
+        undone: Mapping[int, NDArray[Any]] = MappingProxyType({}),
     ) -> None:
-        self.linear, self.columns = linear, columns.reshape(len(columns), -1)
-        self.pull = variance / typical**2
-        self.is_real = not np.iscomplexobj(transmission)
+        self.linear, self.is_real = linear, not np.iscomplexobj(transmission)
         left = linear.without_scale(linear.residual)
-        self.slope: Array = np.asarray(self.columns @ left.ravel(), float) - self.pull * values
-        self.damping = DAMPING * linear.misfit**2 / typical**2
-        self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
         slope = self._object_part(linear.to_object(left))
         self.free = linear.model.lit & follows
         if self.is_real:
             stuck = ((transmission <= 0.0) & (slope < 0.0)) | ((transmission >= 1.0) & (slope > 0.0))
             self.free = self.free & ~stuck
         self.object_slope = slope * self.free
+        self.columns = columns.reshape(len(columns), -1)
+        if undone:
+            self.columns = self.columns.copy()
+        for place, change in undone.items():
+            self.columns[place] += linear.of_object(change * self.free).ravel()
+        self.pull = variance / typical**2
+        self.slope: Array = np.asarray(self.columns @ left.ravel(), float) - self.pull * values
+        self.damping = DAMPING * linear.misfit**2 / typical**2
+        self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
 
     def solve(self, rounds: int) -> Array:
         """The bench's part of the step."""

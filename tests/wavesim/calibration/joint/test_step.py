@@ -36,10 +36,10 @@ class Dense:
         return np.asarray(self.matrix.T @ left)
 
 
-def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True) -> JointStep:
+def step_of(columns: NDArray[Any], linear: Dense, lit: bool = True, **given: Any) -> JointStep:
     linear.model.lit[:] = lit
     inside = np.full(OBJECT, 0.5)  # an amplitude that no bound holds
-    return JointStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+    return JointStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside, **given)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -61,6 +61,21 @@ def test_the_step_solves_the_dense_equations(
     right[OBJECT:] -= pull * VALUES
     exact = np.linalg.solve(normal, right)[OBJECT:]
     assert joint.solve(20) == pytest.approx(exact, rel=1e-5)
+
+
+def test_what_an_object_undoes_is_solved_in_few_rounds(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The step is the same in the end: a parameter that an object undoes but for a little goes far."""
+    monkeypatch.setattr("wavesim.calibration.joint.step.SOLVED", 0.0)
+    linear, columns = Dense(rng), rng.standard_normal((PARAMETERS, PIXELS))
+    change = rng.standard_normal(OBJECT)
+    columns[0] = 10.0 * linear.matrix @ change + 0.3 * rng.standard_normal(PIXELS)
+    plain, undone = step_of(columns, linear), step_of(columns, linear, undone={0: -10.0 * change})
+    exact = plain.solve(30)
+    assert undone.solve(30) == pytest.approx(exact, rel=1e-5)
+    off = [float(np.linalg.norm(one.solve(3) - exact)) for one in (plain, undone)]
+    assert off[1] < 0.2 * off[0]
 
 
 def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
