@@ -2,10 +2,10 @@
 
 A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
 object leaves. Each step of the search takes its direction from the normal equations of object and bench about
-that object, and its length from such reconstructions along it. Tiles are made where a stage of the search
-begins, and turned from there. Light's unevenness comes last: until the rest is right, anything explains it;
-and so does the tilt of the sensor, of which frames tell least and which makes every reconstruction half as
-long again.
+that object, and its length from such reconstructions along it. Tiles are made where the search begins, and
+turned from there; what parameters do to their rays hardly changes on the way and is told once. Light's
+unevenness comes last: until the rest is right, anything explains it; and so does the tilt of the sensor, of
+which frames tell least and which makes every reconstruction half as long again.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.line import Line
 from wavesim.calibration.joint.linearised import Linearised, RealArray
-from wavesim.calibration.joint.pixels import Pixels
+from wavesim.calibration.joint.pixels import Pixels, RaySlopes
 from wavesim.calibration.joint.step import JointStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 
-ROUNDS = 6
+ROUNDS = 3
 """Of conjugate gradients for a step's direction."""
 
 BEHIND = 2
@@ -38,14 +38,14 @@ BEHIND = 2
 CHECKED = 2
 """Times as many iterations tell, through tiles of its own, what the bench that was found leaves."""
 
-FOLLOWED = 2
+FOLLOWED = 1
 """Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
 
 LAST = "light_amplitude", "sensor_tilt"
 """Beginnings of the names of parameters that are sought when the rest is right."""
 
-FIRST, MOST_STRETCH = (1.5, 3.0), 8.0
-"""Multiples of a step: of a stage's first one, at first, and of any other at most."""
+FIRST, MOST_STRETCH = (1.5, 1.75), 2.0
+"""Multiples of a step, at first: of a stage's first one, and of any other at most."""
 
 HARDLY_TOLD = 0.8
 """Standard deviation of what is expected of a sensor's tilt, from which on it is not sought."""
@@ -54,8 +54,14 @@ NOT_TOLD_GAIN = 0.02
 """Share of the squared misfit that tells nothing: the model's own errors leave as much. So much more of it is
 a standard deviation of what is sought, and so much costs a parameter that is as far off as is expected."""
 
-LEAST_GAINS = 0.05, 0.005
+LEAST_GAINS = 0.05, 0.02
 """A stage ends when a step lowers the squared misfit by less than this share."""
+
+NEAR = 1.5
+"""Times what noise leaves, down to which the rest is right."""
+
+ALIKE = 0.1
+"""By a step that lowers the squared misfit by less than this share, what parameters do hardly changes."""
 
 RUNAWAY = 4.0
 """Stands for the misfit where the model fails."""
@@ -111,11 +117,12 @@ class Told:
 
 
 class _Tried(NamedTuple):
-    """A bench, with the object that a reconstruction finds on it, or the known one."""
+    """A bench, with the object that a reconstruction finds on it, or the known one, and its misfits."""
 
     unknowns: Unknowns
     linear: Linearised
     transmission: NDArray[Any]
+    curve: tuple[float, ...]
 
     @property
     def misfit(self) -> float:
@@ -124,6 +131,13 @@ class _Tried(NamedTuple):
     @property
     def engine(self) -> Operator:
         return self.linear.model.engine
+
+
+class _Near(NamedTuple):
+    """Tiles of a bench that is not far, and what parameters do to their rays."""
+
+    engine: Operator
+    slopes: RaySlopes | None
 
 
 class _End(NamedTuple):
@@ -179,43 +193,67 @@ class JointSearch:
         TransferLensError
             What the model raised at the start. Benches at which it raises later are avoided.
         """
+        here = self._tried(stand.unknowns)
+        stand = self._told(stand, here.unknowns, here.misfit)
+        near = self._near(here)
         if stand.stage == 0:
             sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
-            stand = self._descended(stand, sure or self.parameters).stand
+            if not self._is_right(here):
+                stand, here, *_ = self._descended(stand, here, near, sure or self.parameters)
             stand = replace(stand, stage=1, stretch=FIRST[1])
-        end = self._descended(stand, self.parameters)
+        end = self._descended(stand, here, near, self.parameters)
+        checked = self._checked(end.here)
+        if self._misled(end.here, checked) and len(end.stand.trail) < self.most_benches:
+            here = self._tried(end.here.unknowns, checked.engine)
+            stand = self._told(end.stand, here.unknowns, here.misfit)
+            end = self._descended(stand, here, self._near(here), self.parameters)
+            checked = self._checked(end.here)
         names = [p.name for p in self.parameters]
         joint = self._joint(end.here, self.parameters, end.columns)
         left = joint.told_curvature(FOLLOWED if self.known is None else 0)
         return Told(
             end.stand.unknowns.changed(names, end.stand.unknowns.of(names).tolist()),
             np.asarray(np.linalg.inv(left) * _variance(end.here.misfit), float),
-            replace(self, iterations=CHECKED * self.iterations)._tried(end.stand.unknowns).misfit,
+            checked.misfit,
             end.stand.trail,
             end.reason,
         )
 
-    def _descended(self, stand: Stand, parameters: tuple[Parameter, ...]) -> _End:
-        here = self._tried(stand.unknowns)
-        near, sought = here.engine, parameters
-        stand, reason = self._told(stand, here.unknowns, here.misfit), "benches used up"
-        slopes = self.pixels.ray_slopes(here.unknowns, near, parameters)
-        columns = self.pixels.columns(here.unknowns, here.linear, parameters, slopes)
+    def _checked(self, here: _Tried) -> _Tried:
+        """The bench by tiles of its own, and with more iterations."""
+        return replace(self, iterations=CHECKED * self.iterations)._tried(here.unknowns)
+
+    def _misled(self, here: _Tried, checked: _Tried) -> bool:
+        """Whether tiles of a bench's own leave more in as many iterations than those that led to it."""
+        told, own = here.curve[-1], checked.curve[min(len(here.curve), len(checked.curve)) - 1]
+        return own**2 > (1.0 + NOT_TOLD_GAIN) * told**2
+
+    def _near(self, here: _Tried) -> _Near:
+        return _Near(here.engine, self.pixels.ray_slopes(here.unknowns, here.engine, self.parameters))
+
+    def _descended(self, stand: Stand, here: _Tried, near: _Near, parameters: tuple[Parameter, ...]) -> _End:
+        sought, reason = parameters, "benches used up"
+        columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
         if parameters == self.parameters:
             sought = self._worth_seeking(here, columns)
         while len(stand.trail) < self.most_benches:
             some = columns if sought == parameters else columns[[parameters.index(p) for p in sought]]
             joint = self._joint(here, sought, some)
-            stand, best = self._farther(stand, here, near, joint, sought)
+            stand, best = self._farther(stand, here, near.engine, joint, sought)
             gain = 1.0 - self._price(best) / self._price(here)
             here, stand = best, replace(stand, unknowns=best.unknowns)
             if gain > 0.0 and self.keep is not None:
                 self.keep(stand)
-            if gain < LEAST_GAINS[stand.stage]:
+            if gain < LEAST_GAINS[stand.stage] or (stand.stage == 0 and self._is_right(here)):
                 reason = "converged"
                 break
-            columns = self.pixels.columns(here.unknowns, here.linear, parameters, slopes)
+            if gain > ALIKE:
+                columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
         return _End(stand, here, columns, reason)
+
+    def _is_right(self, here: _Tried) -> bool:
+        """Whether what is sought first is near enough to seek the rest."""
+        return self.noise_misfit is not None and here.misfit < NEAR * self.noise_misfit
 
     def _farther(
         self,
@@ -271,7 +309,7 @@ class JointSearch:
         if self.known is not None:
             linear = Linearised(model, self.known, self.pixels.scale is None)
             model.scale = linear.scale
-            return _Tried(unknowns, linear, self.known)
+            return _Tried(unknowns, linear, self.known, (linear.misfit,))
         found = reconstruct(
             model.engine,
             model.illumination,
@@ -288,7 +326,8 @@ class JointSearch:
         model.scale = found.scale
         values = found.transmission.values
         transmission = values.real if self.kind == "amplitude" else values
-        return _Tried(unknowns, Linearised(model, transmission, self.pixels.scale is None), transmission)
+        linear = Linearised(model, transmission, self.pixels.scale is None)
+        return _Tried(unknowns, linear, transmission, found.misfit)
 
     def _joint(self, tried: _Tried, parameters: tuple[Parameter, ...], columns: RealArray) -> JointStep:
         values = tried.unknowns.of([p.name for p in parameters])

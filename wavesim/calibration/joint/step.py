@@ -20,8 +20,8 @@ from wavesim.calibration.joint.linearised import Linearised, RealArray
 DAMPING = 0.03
 """Of the squared misfit, what a step by what is typical of a parameter costs: farther, nothing is linear."""
 
-LEAST_TOLD = 0.1
-"""Of what is known before: with so much more, a standard deviation falls by 5 per cent."""
+LEAST_TOLD = 0.5
+"""Of what is known before: with so much more, a standard deviation falls by a fifth."""
 
 ALIKE = 1e-6
 """Of the squared length of what is explained: below it, single precision tells nothing."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import read_calibration, traded
-from wavesim.calibration.joint.pixels import AllPixels
+from wavesim.calibration.joint.pixels import AllPixels, RaySlopes
 from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.mounting import light_on, planes_at
@@ -86,6 +87,44 @@ def test_what_differs_is_found_with_its_uncertainty(search: JointSearch, told: T
         found, true = told.unknowns.values[parameter.name], TRUE.get(parameter.name, BACKGROUND)
         assert abs(found - true) < 3.0 * deviation, (parameter.name, found, deviation)
     assert all(0.0 < d <= p.typical for d, p in zip(told.deviations, search.parameters, strict=True))
+
+
+def rays_told(search: JointSearch, begin: Unknowns, monkeypatch: pytest.MonkeyPatch) -> tuple[int, Told]:
+    """How often it is told what parameters do to the rays of tiles, and what a search finds."""
+    asked: list[str] = []
+    told_of = AllPixels.ray_slopes
+
+    def counted(self: AllPixels, *given: Any) -> RaySlopes | None:
+        asked.append("rays")
+        return told_of(self, *given)
+
+    monkeypatch.setattr(AllPixels, "ray_slopes", counted)
+    found = search.run(Stand(begin))
+    return len(asked), found
+
+
+def test_tiles_are_made_anew_only_where_turned_ones_mislead(
+    search: JointSearch, lens: Lens, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search goes on from tiles of its bench's own, which are tried, too."""
+    times, turned = rays_told(search, Unknowns(lens, values=TRUE), monkeypatch)
+    assert times == 1
+    misled = iter([True, False])
+    monkeypatch.setattr(JointSearch, "_misled", lambda *_: next(misled))
+    times, again = rays_told(search, Unknowns(lens, values=TRUE), monkeypatch)
+    assert times == 2
+    assert len(again.trail) > len(turned.trail)
+
+
+def test_what_is_right_already_is_not_sought_first(search: JointSearch, lens: Lens) -> None:
+    """Light's unevenness is sought at once where misfits are near the noise, and last where they are not."""
+    allowed = bench_parameters(lens, 2, 0.06, 0.532)
+    names = ",".join([*TRUE, "plane_2_background", "light_amplitude_20"])
+    both = replace(search, parameters=chosen_parameters(names, allowed))
+    for values, most, is_sought in ((TRUE | {"plane_2_background": BACKGROUND}, 2, True), ({}, 2, False)):
+        found = replace(both, most_benches=most).run(Stand(Unknowns(lens, values=values)))
+        assert len(found.trail) == 2
+        assert (found.trail[1][0].values.get("light_amplitude_20", 0.0) != 0.0) == is_sought
 
 
 def test_what_turns_together_is_not_told_apart(search: JointSearch, lens: Lens) -> None:
