@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 import json
 import os
 import sys
@@ -77,6 +79,8 @@ def _show_version(asked: bool) -> None:
 
 def run_app(app: typer.Typer) -> None:
     """Run a Typer application; errors of ours become one clear message and exit status 2, warnings a line."""
+    # Its last round takes a fifth of a second where much was imported, and frees what ends anyhow.
+    atexit.register(gc.freeze)
     try:
         with stoppable(), warnings.catch_warnings():
             warnings.showwarning = _told(warnings.showwarning)

@@ -61,3 +61,16 @@ def test_full_standard_output_is_one_message(arguments: list[str]) -> None:
         done = subprocess.run([LENSDESIGN, *arguments], stdout=full, stderr=subprocess.PIPE, timeout=600)
     assert done.returncode == 2
     assert done.stderr == b"error: cannot write to standard output: No space left on device\n"
+
+
+def test_a_command_does_not_look_for_garbage_once_more_at_its_end() -> None:
+    code = (
+        "import atexit, gc, typer\n"
+        "from lensdesign.common.console import run_app\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > 0))  # the first to register is the last\n"
+        "app = typer.Typer()\n"
+        "app.command()(lambda: None)\n"
+        "run_app(app)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
