@@ -129,7 +129,8 @@ def run_study(
             levels = {merit.label: merit.level for merit in store.merits()}
             loaded = replace(loaded, study=loaded.study.with_levels(levels))
             lacking = _lacking(loaded, store, planned)
-            size = chunk_size(loaded.study, planned, processes or MANY_WORKERS)
+            crew = processes or MANY_WORKERS
+            size = chunk_size(loaded.study, planned, crew)
             tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
             processes = min(processes, max(1, tasks))
             tally = _Tally(report, lacking)
@@ -142,7 +143,7 @@ def run_study(
                 rehearsal.close()
                 store.start_writing()
                 with _workers(loaded, levels, pool, cluster, here) as perform:
-                    trial_tasks = missing_trials(store, planned, size, in_order=is_new)
+                    trial_tasks = missing_trials(store, planned, size, crew, in_order=is_new)
                     _score(loaded, store, perform, tally, trial_tasks, planned)
                 store.finish_writing()
     done = tally.done

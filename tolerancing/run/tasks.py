@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,10 @@ from tolerancing.study.study import Study
 
 TASKS_PER_WORKER = 4
 """At least so many, where there are enough trials, lest some workers wait for the last one."""
+
+
+TAIL_PARTS = 4
+"""The last task of each worker is cut into as many."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,15 @@ def chunk_size(study: Study, trials: int, workers: int) -> int:
     return max(min(most, trials // (TASKS_PER_WORKER * workers)), 1)
 
 
+def chunks(planned: int, size: int, workers: int) -> list[range]:
+    """Trials by tasks, in order: the last ones smaller, lest all workers but one wait for the last one."""
+    tail = workers * size if workers > 1 else 0
+    whole = max(planned - tail, 0) // size * size
+    part = max(size // TAIL_PARTS, 1) if tail else size
+    starts = [*range(0, whole, size), *range(whole, planned, part)]
+    return [range(start, end) for start, end in pairwise([*starts, planned])]
+
+
 def missing_steps(study: Study, store: Store) -> Iterator[Task]:
     """Steps that a store still lacks."""
     for k, series in enumerate(study.series):
@@ -77,7 +91,7 @@ def missing_steps(study: Study, store: Store) -> Iterator[Task]:
                 yield Task(series=k, step=step)
 
 
-def missing_trials(store: Store, planned: int, size: int, in_order: bool) -> Iterator[Task]:
+def missing_trials(store: Store, planned: int, size: int, workers: int, in_order: bool) -> Iterator[Task]:
     """Trials that a store still lacks, in chunks.
 
     Each chunk is looked up when its turn comes, so that what another run has stored meanwhile is left out.
@@ -88,16 +102,17 @@ def missing_trials(store: Store, planned: int, size: int, in_order: bool) -> Ite
         Where to look.
     planned
         How many trials there are to be.
-    size
-        Of a chunk.
+    size, workers
+        Of a chunk, and how many do them, as of :func:`chunks`.
     in_order
         Whether to go through them in order. Runs that share a store do not, lest they all do the same.
     """
-    starts = np.arange(0, planned, size)
+    parts = chunks(planned, size, workers)
+    order = np.arange(len(parts))
     if not in_order:
-        np.random.default_rng().shuffle(starts)
-    for start in starts.tolist():
-        lacking = store.lacking(range(start, min(start + size, planned)))
+        np.random.default_rng().shuffle(order)
+    for k in order.tolist():
+        lacking = store.lacking(parts[k])
         if lacking:
             yield Task(trials=lacking)
 
