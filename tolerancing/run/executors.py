@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from lensdesign.common.clusters import ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tolerancing.study.files import LoadedStudy
     from tolerancing.study.results import Results
 
+Result = TypeVar("Result")
 Done = list[tuple[Task, "Results"]]
 Batches = Generator[Done, None, None]
 Perform = Callable[[Iterable[Task]], Batches]
@@ -108,7 +109,7 @@ def in_flight(
     while True:
         room = TASKS_IN_FLIGHT * max(workers(), 1) - len(pending)
         for task in islice(waiting, max(room, 0)):
-            pending[_submitted(submit, task)] = task
+            pending[submitted(submit, task)] = task
         if not pending:
             return
         finished, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -130,7 +131,7 @@ def _is_broken(future: Future[Results]) -> bool:
     return not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
 
 
-def _submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[Results]:
+def submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[Results]:
     """A task handed out; a pool that is broken tells so by the task's future, after what it has finished."""
     from concurrent.futures.process import BrokenProcessPool
 
@@ -142,8 +143,8 @@ def _submitted(submit: Callable[[Task], Future[Results]], task: Task) -> Future[
         return future
 
 
-def result(future: Future[Results]) -> Results:
-    """What a task came to.
+def result(future: Future[Result]) -> Result:
+    """What a task, or other work of a worker, came to.
 
     Raises
     ------

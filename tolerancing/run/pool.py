@@ -2,97 +2,36 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lensdesign.errors import InputError
-from tolerancing.run.executors import WORKER_DIED, Batches, Perform, RunError, in_flight, result
+from tolerancing.run.executors import (
+    TASKS_IN_FLIGHT,
+    WORKER_DIED,
+    Batches,
+    Perform,
+    RunError,
+    in_flight,
+    result,
+    submitted,
+)
+from tolerancing.run.processes import Processes, follow_parent
 from tolerancing.run.tasks import Task
-from tolerancing.run.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing.process import BaseProcess
-
     from tolerancing.study.files import LoadedStudy
+    from tolerancing.study.results import Results
+
+MOST_EARLY = 100
+"""Tasks for each worker that are done before the run begins; what they come to waits in memory."""
 
 Result = TypeVar("Result")
-Arguments = ParamSpec("Arguments")
-
-
-class Processes:
-    """Some processes, started when there is work, and started anew after one of them has died."""
-
-    def __init__(self, number: int, start: Callable[..., None], *arguments: Any) -> None:
-        self.number, self._start, self._arguments = number, start, arguments
-        self._pool: ProcessPoolExecutor | None = None
-        self._started: set[BaseProcess] = set()
-
-    def submit(
-        self, work: Callable[Arguments, Result], *arguments: Arguments.args, **named: Arguments.kwargs
-    ) -> Future[Result]:
-        """Hand out work."""
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import active_children, get_context
-
-        others = set(active_children())
-        if self._pool is None:
-            one_blas_thread()
-            self._started = set()
-            self._pool = ProcessPoolExecutor(
-                self.number, get_context("spawn"), initializer=self._start, initargs=self._arguments
-            )
-        with _not_heard():
-            future = self._pool.submit(work, *arguments, **named)
-        self._started |= set(active_children()) - others
-        return future
-
-    def end(self) -> str:
-        """End the processes; what ended the first of them, which may have died by itself."""
-        for process in self._started:
-            process.terminate()
-        self.close()
-        return next((_end_of(process.exitcode or 0) for process in self._started), "nothing")
-
-    def close(self) -> None:
-        """Wait for the processes to end."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.end()
-
-
-@contextmanager
-def _not_heard() -> Iterator[None]:
-    """Keep signals to stop, which go to the whole group, from processes that are started meanwhile.
-
-    They would end with a traceback before they can leave them to the process that started them.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_of(code: int) -> str:
-    names = {-number.value: number.name for number in signal.Signals}
-    return names.get(code, f"status {code}")
 
 
 class LocalPool(Processes):
@@ -103,21 +42,65 @@ class LocalPool(Processes):
 
         super().__init__(number, start_local, loaded)
         self._by_code = any(merit.file_name for merit in loaded.study.all_merits)
+        self._early: dict[Task, Future[Results]] = {}
+        self._early_levels: Mapping[str, str] = {}
 
-    def get_ready(self) -> None:
-        """Start them beside what goes on here; not with merits in Python, which are tried alone before."""
-        from tolerancing.run.workers import get_warm
+    @property
+    def rehearses(self) -> bool:
+        """Whether what a run scores before it begins is for these; merits in Python are tried alone."""
+        return self.number > 1 and not self._by_code
 
-        if self.number > 1 and not self._by_code:
-            for _ in range(self.number):
-                self.submit(get_warm)
+    def do(self, work: Callable[[], Result], meanwhile: Iterable[Task], levels: Mapping[str, str]) -> Result:
+        """What `work` returns; the others do tasks meanwhile.
+
+        Parameters
+        ----------
+        work
+            For one of the processes.
+        meanwhile
+            Tasks that come early: when the run hands them out, they are done, or under way.
+        levels
+            The merits' levels by their labels. Where the run settles on others, what was early is lost.
+
+        Raises
+        ------
+        RunError
+            If a process dies.
+        """
+        from concurrent.futures import FIRST_COMPLETED, wait
+
+        self._keep_early(levels)
+        asked = self.submit(work)
+        waiting = islice((task for task in meanwhile if task not in self._early), MOST_EARLY * self.number)
+        while not asked.done():
+            room = TASKS_IN_FLIGHT * (self.number - 1) - len(self._under_way())
+            for task in islice(waiting, max(room, 0)):
+                self._early[task] = submitted(lambda task: self._submit_task(task, levels), task)
+            wait((asked, *self._under_way()), return_when=FIRST_COMPLETED)
+        return result(asked)
+
+    def _under_way(self) -> list[Future[Any]]:
+        return [future for future in self._early.values() if not future.done()]
+
+    def _keep_early(self, levels: Mapping[str, str]) -> None:
+        """Keep what was early if it was done at these levels."""
+        if levels != self._early_levels:
+            for future in self._early.values():
+                future.cancel()
+            self._early.clear()
+        self._early_levels = levels
+
+    def _submit_task(self, task: Task, levels: Mapping[str, str]) -> Future[Results]:
+        from tolerancing.run.workers import work_local
+
+        early = self._early.pop(task, None)
+        return self.submit(work_local, task, levels) if early is None else early
 
     @contextmanager
     def performing(self, loaded: LoadedStudy) -> Iterator[Perform]:
         """Do tasks of the study, its merits' levels settled; they end at once when the run is broken off."""
-        from tolerancing.run.workers import work_local
-
-        levels = {merit.label: merit.level for merit in loaded.study.all_merits}
+        levels = loaded.study.levels
+        self._keep_early(levels)
 
         def died(suspects: list[Task]) -> Batches:
             self.close()
@@ -125,7 +108,7 @@ class LocalPool(Processes):
 
         def batches(tasks: Iterable[Task]) -> Batches:
             return in_flight(
-                lambda task: self.submit(work_local, task, levels),
+                lambda task: self._submit_task(task, levels),
                 tasks,
                 lambda: self.number,
                 died if self._by_code else None,
@@ -163,27 +146,43 @@ class EndedError(InputError):
 
 
 class Rehearsal(Processes):
-    """Does what a run scores before it begins, merits in Python in a process of its own.
+    """Does what a run must know before it begins.
+
+    One of several workers does it; merits in Python are tried in a process of its own.
 
     Parameters
     ----------
     loaded
         The study.
     here
-        Whether those are scored in this process too.
+        Whether this process does all of it.
+    pool
+        The workers.
     """
 
-    def __init__(self, loaded: LoadedStudy, here: bool) -> None:
-        from tolerancing.run.workers import follow_parent
-
+    def __init__(self, loaded: LoadedStudy, here: bool, pool: LocalPool) -> None:
         super().__init__(1, follow_parent)
+        self._study, self._workers = loaded.study, pool
         self._files = ", ".join(sorted({m.file_name for m in loaded.study.all_merits if m.file_name}))
-        self.here = here or not self._files
+        self.here = here or not (self._files or pool.rehearses)
 
-    def do(
-        self, work: Callable[Arguments, Result], *arguments: Arguments.args, **named: Arguments.kwargs
-    ) -> Result:
-        """What `work` returns.
+    def get_ready(self) -> None:
+        """Make sure that all merits can score.
+
+        Raises
+        ------
+        InputError
+            If one cannot; :class:`EndedError` if it ends the process.
+        """
+        from tolerancing.study.evaluate import make_ready
+
+        if self._files and not self.here:
+            self._apart(partial(make_ready, self._study))
+        else:
+            make_ready(self._study)
+
+    def do(self, work: Callable[[], Result], meanwhile: Iterable[Task], levels: Mapping[str, str]) -> Result:
+        """What `work` returns; as of :meth:`LocalPool.do` where workers do it.
 
         Raises
         ------
@@ -191,9 +190,12 @@ class Rehearsal(Processes):
             If a merit ends the process.
         """
         if self.here:
-            return work(*arguments, **named)
+            return work()
+        return self._apart(work) if self._files else self._workers.do(work, meanwhile, levels)
+
+    def _apart(self, work: Callable[[], Result]) -> Result:
         try:
-            return self.submit(work, *arguments, **named).result()
+            return self.submit(work).result()
         except BrokenProcessPool as error:
             raise EndedError(
                 f"{self._files}: {self.end()} ended the process that was to score the nominal lens; nothing "

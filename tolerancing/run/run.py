@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -15,9 +16,17 @@ from lensdesign.errors import InputError
 from tolerancing.run.estimate import RunEstimate, estimate_run
 from tolerancing.run.executors import Perform, RunError, cluster_workers, this_process
 from tolerancing.run.pool import EndedError, LocalPool, Rehearsal
-from tolerancing.run.tasks import Task, chunk_size, dear_counts, missing_dear, missing_steps, missing_trials
+from tolerancing.run.tasks import (
+    Task,
+    all_tasks,
+    chunk_size,
+    dear_counts,
+    missing_dear,
+    missing_steps,
+    missing_trials,
+)
 from tolerancing.store.store import Store, create_store, open_store
-from tolerancing.study.evaluate import first_scores, make_ready
+from tolerancing.study.evaluate import first_scores
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import MOST_TRIALS
 
@@ -106,7 +115,7 @@ def run_study(
     report
         Called with the amounts done and to do after each batch.
     announce
-        Called once, before anything is scored, with what there is to do and about how long it takes; some
+        Called once, before anything is stored, with what there is to do and about how long it takes; some
         trials are timed for it. Not where a merit in Python ends the process that does so.
 
     Raises
@@ -121,15 +130,15 @@ def run_study(
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
     processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+    crew = processes or MANY_WORKERS
     pool = LocalPool(loaded, min(processes, planned))
-    with Rehearsal(loaded, here=workers == 1) as rehearsal, pool:
-        rehearsal.do(make_ready, loaded.study)
-        store, is_new = _ready_store(Path(store_path), loaded, planned, fresh, rehearsal, pool)
+    with pool, Rehearsal(loaded, workers == 1, pool) as rehearsal:
+        rehearsal.get_ready()
+        store, is_new = _ready_store(Path(store_path), loaded, planned, crew, fresh, rehearsal)
         with store:
             levels = {merit.label: merit.level for merit in store.merits()}
             loaded = replace(loaded, study=loaded.study.with_levels(levels))
             lacking = _lacking(loaded, store, planned)
-            crew = processes or MANY_WORKERS
             size = chunk_size(loaded.study, planned, crew)
             tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
             processes = min(processes, max(1, tasks))
@@ -137,8 +146,10 @@ def run_study(
             if tasks:
                 if announce is not None:
                     steps = tuple(missing_steps(loaded.study, store))
+                    asked = partial(estimate_run, loaded, lacking, steps, processes, size)
+                    early = all_tasks(loaded.study, planned, crew) if is_new else ()
                     with suppress(EndedError):  # by one of the first trials; which, will show
-                        announce(rehearsal.do(estimate_run, loaded, lacking, steps, processes, size))
+                        announce(rehearsal.do(asked, early, levels))
                 here = processes == 1 and rehearsal.here
                 rehearsal.close()
                 store.start_writing()
@@ -199,15 +210,17 @@ def _lacking(loaded: LoadedStudy, store: Store, planned: int) -> dict[str, int]:
 
 
 def _ready_store(
-    path: Path, loaded: LoadedStudy, planned: int, fresh: bool, rehearsal: Rehearsal, pool: LocalPool
+    path: Path, loaded: LoadedStudy, planned: int, crew: int, fresh: bool, rehearsal: Rehearsal
 ) -> tuple[Store, bool]:
     """The store that holds this study and knows what is planned, and whether it was made just now."""
     if os.path.exists(path):
         open_store(path).close()  # what is no store of ours is never replaced
         if not fresh:
             return _continued(path, loaded, planned), False
-    pool.get_ready()  # meanwhile: where a store is made, there is work for all
-    levels, nominal = rehearsal.do(first_scores, loaded.lens, loaded.study)
+    # Levels are open yet: what is done meanwhile counts where the cheapest ones will do.
+    cheapest = loaded.study.with_levels({})
+    early = all_tasks(cheapest, planned, crew)
+    levels, nominal = rehearsal.do(partial(first_scores, loaded.lens, loaded.study), early, cheapest.levels)
     if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True
     return _continued(path, loaded, planned), False

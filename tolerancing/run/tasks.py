@@ -83,6 +83,15 @@ def chunks(planned: int, size: int, workers: int) -> list[range]:
     return [range(start, end) for start, end in pairwise([*starts, planned])]
 
 
+def all_tasks(study: Study, planned: int, workers: int) -> Iterator[Task]:
+    """Steps and trials, in order; what a store lacks in which there is nothing yet."""
+    for k, series in enumerate(study.series):
+        for step in range(len(series)):
+            yield Task(series=k, step=step)
+    for chunk in chunks(planned, chunk_size(study, planned, workers), workers):
+        yield Task(trials=tuple(chunk))
+
+
 def missing_steps(study: Study, store: Store) -> Iterator[Task]:
     """Steps that a store still lacks."""
     for k, series in enumerate(study.series):

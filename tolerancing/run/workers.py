@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from lensdesign.common.clusters import refuse_other_version, worker_name
 from lensdesign.errors import InputError
+from tolerancing.run.processes import follow_parent
 from tolerancing.run.tasks import Task, perform
 
 if TYPE_CHECKING:
@@ -32,37 +30,6 @@ def start_local(loaded: LoadedStudy) -> None:
     follow_parent()
     global _own
     _own = (context_of(loaded.lens, loaded.study), loaded.study)
-
-
-def follow_parent() -> None:
-    """Leave signals to the process that started this one, and end with it."""
-    # They go to the whole group; only the process that holds the store may act on them.
-    for name in ("SIGINT", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A run that is killed cannot end its workers; they would wait for tasks for ever."""
-    from multiprocessing import parent_process
-    from multiprocessing.connection import wait
-
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-def get_warm() -> None:
-    """Set up what is set up once, by a trial that nobody asks for; its own task tells what is amiss."""
-    from tolerancing.study.evaluate import score_trials
-
-    assert _own is not None  # the initializer saw to it
-    context, study = _own
-    if not any(merit.used_level == "wave" for merit in study.merits):
-        with suppress(Exception):
-            score_trials(context, study.with_levels({}), (0,))
 
 
 def work_local(task: Task, levels: Mapping[str, str], fault: str = "") -> Results:

@@ -139,6 +139,11 @@ class Study(Section):
             *(f"compensator_{c.column}" for c in self.compensators),
         )
 
+    @property
+    def levels(self) -> dict[str, str]:
+        """The merits' levels, by their labels; where they are open, the cheapest."""
+        return {merit.label: merit.used_level for merit in self.all_merits}
+
     def with_levels(self, levels: Mapping[str, str]) -> Study:
         """The study with its merits' levels, by their labels, settled."""
         merits = tuple(
