@@ -47,6 +47,15 @@ def run(
 
     An interrupted run goes on where it stopped.
     """
+    several = cluster is None and (workers or len(os.sched_getaffinity(0))) > 1
+    if several and (fresh or not store.exists()):
+        from tolerancing.run.processes import start_ahead
+
+        with messages_only():
+            start_ahead()
+    # What the summary takes, too, is imported meanwhile: in the end all workers would have to wait for it.
+    import scipy.special  # noqa: F401
+
     from lensdesign.common.console import progress_bar
     from tolerancing.analysis.summary import summarize
     from tolerancing.run.run import run_study

@@ -1,9 +1,13 @@
-"""Processes that do what they are handed."""
+"""Processes that do what they are handed, started anew, or as copies of a server that was started ahead.
+
+Imports nothing heavy: what is started first comes first.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -18,6 +22,30 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 Arguments = ParamSpec("Arguments")
+
+PRELOADED = "tolerancing.run.preloaded"
+
+_ahead = False
+
+
+def start_ahead() -> None:
+    """Start, beside what goes on here, a server whose copies the processes of this one are from now on.
+
+    It imports once what they need, and a copy is there at once. For commands: a process has but one
+    such server, as it was when it started, so programs that run a study themselves are left theirs.
+    """
+    from multiprocessing import forkserver, resource_tracker
+
+    global _ahead
+    if sys.platform != "linux":  # elsewhere copies of a process with such libraries are not safe
+        return
+    one_blas_thread()
+    forkserver.set_forkserver_preload([PRELOADED])
+    with _not_heard():
+        resource_tracker.ensure_running()  # first, since it lets signals through again
+    with _not_heard():
+        forkserver.ensure_running()
+    _ahead = True
 
 
 class Processes:
@@ -35,13 +63,16 @@ class Processes:
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import active_children, get_context
 
-        others = set(active_children())
         if self._pool is None:
             one_blas_thread()
             self._started = set()
+            context: Any = get_context("forkserver" if _ahead else "spawn")
+            if _ahead:  # a copy that does nothing: with it there, none of the others is waited for in vain
+                context.Process(target=int).start()
             self._pool = ProcessPoolExecutor(
-                self.number, get_context("spawn"), initializer=self._start, initargs=self._arguments
+                self.number, context, initializer=self._start, initargs=self._arguments
             )
+        others = set(active_children())
         with _not_heard():
             future = self._pool.submit(work, *arguments, **named)
         self._started |= set(active_children()) - others

@@ -1,6 +1,7 @@
 """The command, end to end; in a process of its own where it is interrupted."""
 
 import json
+import os
 import re
 import signal
 import sqlite3
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import pytest
 from stopping import heeding
+from stored_rows import rows
 from typer.testing import CliRunner
 
 from tolerancing.analysis import scorer
@@ -344,6 +346,48 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
         "run", tmp_path / "study.toml", "--store", tmp_path / "b", "--workers", "1", "--trials", done + 40
     )
     assert finished(path) == finished(tmp_path / "b")
+
+
+def on_two_workers(study, store):
+    """A command in a process group of its own."""
+    options = ["--store", str(store), "--workers", "2", "--json"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "tolerancing.cli", "run", str(study), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=heeding,
+    )
+
+
+def test_workers_that_are_started_ahead_make_the_same_rows(command, write_study, full_study, tmp_path):
+    study = write_study(full_study)
+    out, err = on_two_workers(study, tmp_path / "two").communicate(timeout=60)
+    assert json.loads(out)["run"]["workers"] == 2
+    assert err.startswith("40 trials, 11 steps: about ")
+    assert err.endswith(" by 2 workers\n")
+    assert command("run", study, "--store", tmp_path / "one", "--workers", "1").returncode == 0
+    assert rows(tmp_path / "one") == rows(tmp_path / "two")
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_workers_that_are_started_ahead_end_with_a_command_that_is_stopped(
+    write_study, full_study, tmp_path, seconds, number
+):
+    psutil = pytest.importorskip("psutil")
+    study = write_study(full_study.replace("trials = 40", "trials = 100000"))
+    running = on_two_workers(study, tmp_path / "a")
+    until, started = time.monotonic() + 60.0, psutil.Process(running.pid)
+    while time.monotonic() < until and len(started.children()) < 2:  # the server, and a tracker
+        time.sleep(0.01)
+    time.sleep(seconds)
+    os.killpg(running.pid, number)
+    out, err = running.communicate(timeout=60)  # which waits for all that could still write
+    assert (running.returncode, out) == (128 + number, "")
+    said = [line for line in err.splitlines() if "about" not in line]
+    assert all(line.startswith("interrupted") for line in said if line.strip()), err
 
 
 def finished(path):
