@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 from wavesim.runtime.fourier import lanes
-from wavesim.runtime.fourier.lanes import LANES, alike, load, store, transpose
+from wavesim.runtime.fourier.lanes import LANES, alike, fetch, load, store, transpose
 
 _jit = kept_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
 
 SAMPLE = 2 * LANES
 """Numbers of a sample."""
+
+AHEAD = 4
+"""So many panels before one its rows are asked for: of pieces so short a processor foresees little."""
 
 
 class Steps(NamedTuple):
@@ -317,8 +320,11 @@ def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int)
     first
         Row.
     """
+    flat, apart = panels.reshape(-1), panels.shape[1]
     for number in range(panels.shape[0]):
         panel, at = panels[number], number * LANES * SAMPLE
+        for k in range(0, count * SAMPLE, LANES):
+            fetch(flat, (number + AHEAD) * apart + first * SAMPLE + k)
         for part in (0, LANES):
             if count == LANES:
                 transpose(samples, at + part, SAMPLE, panel, first * SAMPLE + part, SAMPLE)
@@ -331,8 +337,11 @@ def samples_to_panels(samples: NDArray, count: int, panels: NDArray, first: int)
 @_jit
 def panels_to_samples(panels: NDArray, first: int, count: int, samples: NDArray) -> None:
     """The way back."""
+    flat, apart = panels.reshape(-1), panels.shape[1]
     for number in range(panels.shape[0]):
         panel, at = panels[number], number * LANES * SAMPLE
+        for k in range(0, count * SAMPLE, LANES):
+            fetch(flat, (number + AHEAD) * apart + first * SAMPLE + k)
         for part in (0, LANES):
             if count == LANES:
                 transpose(panel, first * SAMPLE + part, SAMPLE, samples, at + part, SAMPLE)
