@@ -122,4 +122,15 @@ def stoppable() -> Iterator[None]:
         _sweep()
         for number, handler in before.items():
             signal.signal(number, handler)
+        if _stop.number is not None:
+            _forget_code_given_up()
         sys.unraisablehook, _stop = _stop.others, None
+
+
+def _forget_code_given_up() -> None:
+    """Have Python end with the status that it is told, also where a string of code was interrupted.
+
+    It remembers code that an interrupt has left, as that which makes a dataclass on import, until it begins
+    other code, and would at last end as if nobody had taken the interrupt.
+    """
+    exec("")

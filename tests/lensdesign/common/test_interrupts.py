@@ -130,3 +130,15 @@ def test_what_nohup_has_a_command_ignore_it_ignores(tmp_path: Path) -> None:
     child.communicate(timeout=600)
     assert child.returncode == 0
     assert [path.name for path in tmp_path.iterdir()] == ["out.txt"]
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
+def test_code_in_a_string_that_is_interrupted(tmp_path: Path, number: signal.Signals, status: int) -> None:
+    """Dataclasses are made of such; Python remembers it, and would end as if killed by an interrupt."""
+    (tmp_path / "stopped.py").write_text(
+        "from lensdesign.common.interrupts import stoppable\n"
+        f"with stoppable():\n    exec('import signal; signal.raise_signal({int(number)})')\n"
+    )
+    command = [sys.executable, "-m", "stopped"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, preexec_fn=heeding)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "interrupted\n")
