@@ -19,6 +19,7 @@ from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
 from wavesim.reconstruction.retrieval.steps import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
+from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels
 from wavesim.runtime.inventory import Inventory, Listed, named, need_of, work
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64, Need
@@ -51,9 +52,7 @@ class Phase(Flag):
     Appendix A is a pass.
     """
 
-    LIGHTING = auto()
-    READING = auto()
-    MOVING = auto()
+    LIGHTING, READING, MOVING = auto(), auto(), auto()
     DRAWING_NOISE = auto()
     STARTING = auto()
     MEASURING_NOISE = auto()
@@ -75,6 +74,7 @@ class Phase(Flag):
 
 BEFORE = Phase.LIGHTING | Phase.READING | Phase.MOVING
 PLANES = Phase.SEEING | Phase.CHANGING
+SEEN = PLANES | Phase.ENDING
 STEPPING = Phase.STEPPING | Phase.ACCELERATING
 ITERATING = Phase.LENS | PLANES | Phase.BACK | Phase.SMOOTHING | STEPPING
 STARTING = Phase.STARTING | Phase.MEASURING_NOISE
@@ -192,24 +192,24 @@ def descent_arrays(
 
 def _of_a_tilt(sizes: Sizes) -> Inventory:
     """While the sensor is tilted."""
-    ways, seen = TILTED_WAYS * sizes.planes, PLANES | Phase.ENDING
+    ways = TILTED_WAYS * sizes.planes
     return (
         Listed("ways to parallel planes", sizes.quarter, sizes.dtype, DESCENDING, ways),
-        Listed("fields on parallel planes", sizes.behind, sizes.dtype, seen, TILTED_FIELDS),
+        Listed("fields on parallel planes", sizes.behind, sizes.dtype, SEEN, TILTED_FIELDS),
     )
 
 
 def _of_modes(sizes: Sizes, modes: int) -> Inventory:
     """While planes are seen in the light of several modes, by pixels."""
     behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
-    seen, all_through = PLANES | Phase.ENDING, Phase.LENS | PLANES | Phase.BACK | Phase.ENDING
+    all_through = Phase.LENS | SEEN | Phase.BACK
     return (
         Listed("spectra of modes at the exit", behind, dtype, all_through, modes),
         Listed("what rounds have changed of modes", behind, dtype, PLANES | Phase.BACK, modes),
         Listed("means over pixels", behind, real, all_through, sizes.planes),
         work("light of a mode", LIGHT_OF_MODE_BYTES * math.prod(sizes.source), Phase.LENS | Phase.BACK),
         Listed("the change of the object so far", sizes.source, dtype, PLANES | Phase.BACK),
-        Listed("rows through pixels and their edges", behind, dtype, seen, 2),
+        Listed("rows through pixels and their edges", behind, dtype, SEEN, 2),
         Listed("means along rows, and over pixels", behind, real, Phase.SEEING | Phase.ENDING, 3),
         Listed("what planes have changed", behind, dtype, Phase.CHANGING),
     )
@@ -218,27 +218,27 @@ def _of_modes(sizes: Sizes, modes: int) -> Inventory:
 def _of_pixels(sizes: Sizes) -> Inventory:
     """While planes are seen by pixels that integrate."""
     behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
-    seen = PLANES | Phase.ENDING
     return (
-        Listed("the spectrum at the exit", behind, dtype, seen),
-        Listed("rows through pixels and their edges", behind, dtype, seen, 2),
+        Listed("the spectrum at the exit", behind, dtype, SEEN),
+        Listed("rows through pixels and their edges", behind, dtype, SEEN, 2),
         Listed("means along rows", behind, real, Phase.SEEING | Phase.ENDING, 2),
         Listed("means over pixels", behind, real, Phase.SEEING),
         Listed("what rounds before have changed", behind, dtype, Phase.CHANGING),
         Listed("what planes have changed", behind, dtype, Phase.CHANGING),
         work("rows of bands, and beside them", bytes_of_bands(behind, dtype), Phase.CHANGING),
+        work("columns at work", bytes_of_columns(behind[0], dtype), ITERATING | Phase.ENDING),
     )
 
 
 def _of_points(sizes: Sizes) -> Inventory:
     """While planes are seen at points."""
     behind, dtype, real = sizes.behind, sizes.dtype, sizes.real
-    seen, far, near = PLANES | Phase.ENDING, sizes.far, sizes.planes - sizes.far
+    far, near = sizes.far, sizes.planes - sizes.far
     changed_before = int(near > 0 and sizes.planes > 1) + int(far > 1)
     return (
-        Listed("the field at the exit, seen", behind, dtype, seen),
-        Listed("the spectrum at the exit", behind, dtype, seen, int(far > 0)),
-        Listed("the field on a plane", behind, dtype, seen),
+        Listed("the field at the exit, seen", behind, dtype, SEEN),
+        Listed("the spectrum at the exit", behind, dtype, SEEN, int(far > 0)),
+        Listed("the field on a plane", behind, dtype, SEEN),
         Listed("squares of its parts", behind, real, Phase.SEEING, 2),
         Listed("a square of its parts", behind, real, Phase.ENDING),
         Listed("a way back", sizes.quarter, dtype, Phase.CHANGING, int(far > 0)),

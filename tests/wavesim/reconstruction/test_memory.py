@@ -47,6 +47,7 @@ from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
+from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.inventory import need_during, need_of
 from wavesim.runtime.memory import BASE_BYTES, COMPLEX64
 from wavesim.runtime.scratch import Scratch
@@ -174,9 +175,8 @@ def test_each_phase_holds_what_is_listed(
     engine = Nothing(shape)
     settings: dict[str, Any] = {"kind": kind, "active_width": active_width, "iterations": 2}
     settings["tv_weight"] = "auto" if with_sigma else 0.02
-    # Compiled loops, as they are loaded, take memory once.
-    small = Nothing((8, 8))
-    reconstruct(small, *arrays_of(small, distances_mm, with_sigma, Scratch()), **settings)
+    # Compiled loops, as they are loaded, take memory once, and threads keep rooms for columns.
+    reconstruct(engine, *arrays_of(engine, distances_mm, with_sigma, Scratch()), **settings)
     room = Scratch(tmp_path, 0.0) if in_files else Scratch()
     with peaks_of_phases(monkeypatch) as peaks:
         light, recorded = arrays_of(engine, distances_mm, with_sigma, room)
@@ -184,6 +184,10 @@ def test_each_phase_holds_what_is_listed(
     del peaks[Phase.READING]
     sizes = Sizes.of(engine, distances_mm)
     arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, active_width)
+    assert [one.bytes_of_all for one in arrays if one.name == "columns at work"] == [
+        bytes_of_columns(shape[0], np.complex64)
+    ] * (active_width > 0.0)
+    arrays = tuple(one for one in arrays if one.name != "columns at work")
     told = {}
     for phase in peaks:
         need = need_of(tuple(replace(one, during=one.during & phase) for one in arrays))

@@ -23,6 +23,7 @@ from wavesim.reconstruction.recording.kernel import (
     multiply_spread,
 )
 from wavesim.reconstruction.recording.pixel_means import COLUMNS, PixelMeans
+from wavesim.runtime.fourier.columns import transform_columns
 from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -88,7 +89,9 @@ class KeptSamples:
         ways = way.factor, way.rows, way.columns, way.down, way.across, self._up
 
         def columns(start: int, stop: int) -> None:
-            even, odd = (scipy.fft.fft(part[:, start:stop], axis=0) for part in spread)
+            even, odd = (np.empty((len(total), stop - start), total.dtype) for _ in spread)
+            for part, taken in zip(spread, (even, odd), strict=True):
+                transform_columns(part[:, start:stop], taken, False)
             add_columns(even, odd, start, *ways, half, total)
 
         for_blocks(columns, total.shape[1], COLUMNS)

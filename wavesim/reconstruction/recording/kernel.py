@@ -31,8 +31,9 @@ def carried_columns(
     even: NDArray,
     odd: NDArray,
 ) -> None:
-    """Columns of a spectrum on a plane, and the same half a sample farther."""
+    """Columns of a spectrum on a plane, over their number, and the same half a sample farther."""
     height, width = even.shape
+    share = down.dtype.type(1.0 / height)
     line = empty(width, even.dtype)
     for k in range(height // 2 + 1):
         _line(factor, rows[k], columns, across, first, line)
@@ -41,7 +42,7 @@ def carried_columns(
             i = height - k if side else k
             # Slices have no index below 0, which would keep loops from being vectorised.
             source, middle, edge = spectrum[i, first : first + width], even[i], odd[i]
-            turned, shift = phase[i], down[i]
+            turned, shift = phase[i], down[i] * share
             for j in range(width):
                 value = source[j] * (line[j] * shift)
                 middle[j] = value

@@ -30,6 +30,7 @@ from wavesim.reconstruction.recording.kernel import (
     means_along_rows,
     multiply_spread,
 )
+from wavesim.runtime.fourier.columns import transform_columns
 from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -259,8 +260,8 @@ def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
         carried_columns(
             spectrum, start, way.factor, way.rows, way.columns, way.down, way.across, phase, even, odd
         )
-        middles[:, start:stop] = scipy.fft.ifft(even, axis=0, overwrite_x=True)
-        edges[:, start:stop] = scipy.fft.ifft(odd, axis=0, overwrite_x=True)
+        transform_columns(even, middles[:, start:stop], True)
+        transform_columns(odd, edges[:, start:stop], True)
 
     for_blocks(columns, width, COLUMNS)
     return room
@@ -271,7 +272,9 @@ def _add_back(rows: Rows, way: PlaneWay, phase: ComplexArray, total: ComplexArra
     half = total.real.dtype.type(0.5)
 
     def columns(start: int, stop: int) -> None:
-        even, odd = (scipy.fft.fft(part[:, start:stop], axis=0) for part in rows)
+        even, odd = (np.empty((len(total), stop - start), total.dtype) for _ in rows)
+        for part, taken in zip(rows, (even, odd), strict=True):
+            transform_columns(part[:, start:stop], taken, False)
         add_columns(
             even, odd, start, way.factor, way.rows, way.columns, way.down, way.across, phase, half, total
         )

@@ -89,9 +89,9 @@ class Panels:
 
     def _at_work(self, count: int) -> tuple[RealArray, RealArray]:
         """This thread's samples of sixteen rows, and rooms for transforms of a count."""
-        kind, wide = self.dtype.name, convolved(count)
+        kind = self.dtype.name
         samples = thread_room("samples", (len(self.values) * LANES * SAMPLE,), kind)
-        return samples, thread_room("rooms", (2 if wide == count else 3, wide * SAMPLE), kind)
+        return samples, rooms_for(count, kind)
 
 
 def bytes_of_panels(shape: tuple[int, int], dtype: DTypeLike) -> int:
@@ -166,6 +166,12 @@ def _turns(
 def _in_turn(values: NDArray[np.complex128], kind: Any) -> RealArray:
     """Real and imaginary parts one after the other."""
     return np.ascontiguousarray(values, complex).view(float).astype(kind)
+
+
+def rooms_for(count: int, dtype: str) -> RealArray:
+    """A thread's own rooms for transforms of so many samples of a complex type."""
+    wide = convolved(count)
+    return thread_room("rooms", (2 if wide == count else 3, wide * SAMPLE), dtype)
 
 
 _THREAD = threading.local()

@@ -191,24 +191,34 @@ def _pass_of_8(x: NDArray, y: NDArray, m: int, s: int, turns: NDArray, k: int, p
 
 
 @_jit
-def _pass_of_any(x: NDArray, y: NDArray, r: int, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
-    """A radix for which there is no pass of its own: all products."""
+def _pass_of_odd(x: NDArray, y: NDArray, r: int, m: int, s: int, turns: NDArray, k: int, parts: Any) -> None:
+    """An odd radix for which there is no pass of its own: products of sums and differences of pairs."""
     roots = empty(2 * r, x.dtype)
     for j in range(r):
         roots[2 * j] = math.cos(2.0 * math.pi * j / r)
-        roots[2 * j + 1] = -math.sin(2.0 * math.pi * j / r)
+        roots[2 * j + 1] = math.sin(2.0 * math.pi * j / r)
+    pairs = empty(r * SAMPLE, x.dtype)
     for p in range(m):
         for q in range(s):
-            i, o = q + s * p, q + s * r * p
-            for j in range(r):
-                total = _get(x, i, parts)
-                for n in range(1, r):
-                    value = _get(x, i + n * s * m, parts)
-                    turned = _turned(value[0], value[1], roots, j * n % r)
-                    total = total[0] + turned[0], total[1] + turned[1]
-                if j > 0:
-                    total = _turned(total[0], total[1], turns, k + (r - 1) * p + j - 1)
-                _put(y, o + j * s, total[0], total[1], parts)
+            i, o, d, t = q + s * p, q + s * r * p, s * m, k + (r - 1) * p
+            a = total = _get(x, i, parts)
+            for n in range(1, r // 2 + 1):
+                both, apart = _two(_get(x, i + n * d, parts), _get(x, i + (r - n) * d, parts))
+                _put(pairs, 2 * n - 1, both[0], both[1], (0, LANES))
+                _put(pairs, 2 * n, apart[0], apart[1], (0, LANES))
+                total = total[0] + both[0], total[1] + both[1]
+            _put(y, o, total[0], total[1], parts)
+            for j in range(1, r // 2 + 1):
+                near, by = a, (alike(x.dtype.type(0.0)), alike(x.dtype.type(0.0)))
+                for n in range(1, r // 2 + 1):
+                    place = 2 * (j * n % r)
+                    c, e = alike(roots[place]), alike(roots[place + 1])
+                    both, apart = _get(pairs, 2 * n - 1, (0, LANES)), _get(pairs, 2 * n, (0, LANES))
+                    near = near[0] + c * both[0], near[1] + c * both[1]
+                    by = by[0] + e * apart[0], by[1] + e * apart[1]
+                _put_turned(y, o + j * s, (near[0] + by[1], near[1] - by[0]), turns, t + j - 1, parts)
+                other = near[0] - by[1], near[1] + by[0]
+                _put_turned(y, o + (r - j) * s, other, turns, t + r - j - 1, parts)
 
 
 @_jit
@@ -233,7 +243,7 @@ def _all_passes(
         elif r == 5:
             _pass_of_5(x, y, m, s, steps.turns, k, parts)
         else:
-            _pass_of_any(x, y, r, m, s, steps.turns, k, parts)
+            _pass_of_odd(x, y, r, m, s, steps.turns, k, parts)
         left, s, x = m, s * r, y
     if len(steps.radices) < 2:
         target[: count * SAMPLE] = x[: count * SAMPLE]

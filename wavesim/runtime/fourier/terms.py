@@ -24,6 +24,9 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from lensdesign.common.arrays import Array
+from wavesim.runtime.fourier.cells import transform_cells
+from wavesim.runtime.fourier.panels import aligned, steps_for, thread_room
+from wavesim.runtime.fourier.passes import SAMPLE
 from wavesim.runtime.fourier.terms_kernel import (
     LANES,
     MORE_COEFFICIENTS,
@@ -97,7 +100,8 @@ def axes_for(shape: tuple[int, ...], error: float) -> tuple[Axis, ...]:
     for width in WIDTHS:
         axes = tuple(
             Axis(
-                scipy.fft.next_fast_len(max(math.ceil(OVERSAMPLING * n), 2 * width)),
+                # Of 2, 3 and 5 alone, as a real one's are.
+                scipy.fft.next_fast_len(max(math.ceil(OVERSAMPLING * n), 2 * width), real=True),
                 width,
                 np.arange(n) - n // 2,
             )
@@ -142,6 +146,7 @@ class TermsTransform:
         self._onto = (*(axis.places for axis in self._axes), *(axis.factors for axis in self._axes))
         numbers = LANES * math.ceil(2 * shape[0] / LANES)
         self._cells = (*(axis.cells for axis in self._axes), numbers)
+        self._steps = tuple(steps_for(axis.cells, "complex64") for axis in self._axes)
 
     def setpts(self, y: NDArray[np.float32], x: NDArray[np.float32]) -> None:
         """Set the points, angles within half a turn; the arrays are kept."""
@@ -179,7 +184,7 @@ class TermsTransform:
         return self._carried(*map(np.ascontiguousarray, (data[None], factors, weights)))[0]
 
     def _carried(self, data: Any, factors: Any, weights: Any) -> NDArray[np.complex64]:
-        grid, count = _at_vectors(self._cells), self._shape[0] if factors is None else 1
+        grid, count = aligned(self._cells, np.complex64), self._shape[0] if factors is None else 1
         grid[...] = 0.0
         if self._kind == 2:
             put_modes(data, factors, *self._onto, grid)
@@ -204,19 +209,8 @@ class TermsTransform:
         return slice(0, count - count // 2), slice(cells - count // 2, cells)
 
     def _transform(self, grid: NDArray[np.float32], rows: slice, axis: int) -> None:
-        """Fast Fourier transform of rows of the grid, in place."""
-        given = grid.view(np.complex64)[rows, :, : self._shape[0]]
-        one_way: Any = scipy.fft.fft if self._kind == 2 else scipy.fft.ifft
-        norm = "backward" if self._kind == 2 else "forward"
-        found = one_way(given, axis=axis, norm=norm, overwrite_x=True, workers=1)
-        # What comes back is another array over the same memory, as a rule.
-        if not np.may_share_memory(found, given):
-            given[...] = found
-
-
-def _at_vectors(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """An array of float32 that begins where a vector may: one across two cache lines takes twice the time."""
-    size = 4 * math.prod(shape)
-    room = np.empty(size + 64, np.uint8)
-    start = -room.ctypes.data % 64
-    return room[start : start + size].view(np.float32).reshape(shape)
+        """Fast Fourier transform of rows of the grid along themselves, or of all columns, in place."""
+        start, stop, _ = rows.indices(self._cells[1 - axis])
+        most = max(self._cells[:2]) * SAMPLE
+        samples, rooms = (thread_room(f"cells {n}", (n, most), "complex64") for n in (1, 2))
+        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, samples[0], rooms)
