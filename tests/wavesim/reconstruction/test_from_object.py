@@ -338,7 +338,7 @@ def test_it_ends_at_the_noise_where_all_that_is_to_come_would_change_nothing(cas
     )
     assert found.stopped_because == "noise"
     falls = -np.diff(found.misfit) / found.misfit[1:]
-    assert falls[-1] > 2.0 * EARLY_GAIN
+    assert falls[-1] > 1.5 * EARLY_GAIN
     to_come = found.misfit[-1] - np.array(whole.misfit[len(found.misfit) :])
     assert len(to_come) > 3
     assert np.abs(to_come).max() < EARLY_GAIN * found.misfit[-1]

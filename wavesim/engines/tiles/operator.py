@@ -97,7 +97,7 @@ class Tile:
 def precision_for(dtype: np.dtype[Any], error: float) -> Precision:
     """Well below the error allowed, and no finer than the type of number holds."""
     single = dtype == np.complex64
-    transform = float(np.clip(2e-2 * error, 1e-5, 1e-3)) if single else 1e-12
+    transform = float(np.clip(4e-2 * error, 1e-5, 2e-3)) if single else 1e-12
     return Precision(dtype, transform, max(4e-2 * error, 1e-7))
 
 
