@@ -35,8 +35,8 @@ ROUNDS = 3
 BEHIND = 2
 """Rounds of the field behind the lens in an iteration: more of them take longer than the way through it."""
 
-CHECKED = 2
-"""Times as many iterations tell, through tiles of its own, what the bench that was found leaves."""
+ADAPTED = 1
+"""Iterations after which an object that was found through other tiles shows what a bench's own leave."""
 
 FOLLOWED = 1
 """Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
@@ -220,13 +220,13 @@ class JointSearch:
         )
 
     def _checked(self, here: _Tried) -> _Tried:
-        """The bench by tiles of its own, and with more iterations."""
-        return replace(self, iterations=CHECKED * self.iterations)._tried(here.unknowns)
+        """The bench by tiles of its own, and with as many iterations more."""
+        return self._tried(here.unknowns, start=here.transmission)
 
     def _misled(self, here: _Tried, checked: _Tried) -> bool:
-        """Whether tiles of a bench's own leave more in as many iterations than those that led to it."""
-        told, own = here.curve[-1], checked.curve[min(len(here.curve), len(checked.curve)) - 1]
-        return own**2 > (1.0 + NOT_TOLD_GAIN) * told**2
+        """Whether tiles of a bench's own leave more than those that led to it, which know an older bench."""
+        own = checked.curve[min(ADAPTED, len(checked.curve) - 1)]
+        return own**2 > (1.0 + NOT_TOLD_GAIN) * here.misfit**2
 
     def _near(self, here: _Tried) -> _Near:
         return _Near(here.engine, self.pixels.ray_slopes(here.unknowns, here.engine, self.parameters))
@@ -303,8 +303,10 @@ class JointSearch:
             self.progress(len(stand.trail), unknowns, misfit)
         return stand
 
-    def _tried(self, unknowns: Unknowns, near: Operator | None = None) -> _Tried:
-        """By tiles of its own, or by those of a bench that is not far."""
+    def _tried(
+        self, unknowns: Unknowns, near: Operator | None = None, start: NDArray[Any] | None = None
+    ) -> _Tried:
+        """By tiles of its own, or by those of a bench that is not far; from even light, or an object."""
         model = self.pixels.model(unknowns, near)
         if self.known is not None:
             linear = Linearised(model, self.known, self.pixels.scale is None)
@@ -318,6 +320,7 @@ class JointSearch:
             tv_weight="auto" if self.noise_misfit is not None else 0.0,
             iterations=self.iterations,
             scale=self.pixels.scale,
+            start=None if start is None else model.illumination.with_values(start),
             active_width=self.pixels.active_width,
             rows=self.pixels.rows,
             residuals=False,
