@@ -199,7 +199,7 @@ class JointSearch:
         if stand.stage == 0:
             sure = tuple(p for p in self.parameters if not p.name.startswith(LAST))
             if not self._is_right(here):
-                stand, here, *_ = self._descended(stand, here, near, sure or self.parameters)
+                stand, here = self._descended(stand, here, near, sure or self.parameters)[:2]
             stand = replace(stand, stage=1, stretch=FIRST[1])
         end = self._descended(stand, here, near, self.parameters)
         checked = self._checked(end.here)
@@ -208,15 +208,16 @@ class JointSearch:
             stand = self._told(end.stand, here.unknowns, here.misfit)
             end = self._descended(stand, here, self._near(here), self.parameters)
             checked = self._checked(end.here)
-        names = [p.name for p in self.parameters]
-        joint = self._joint(end.here, self.parameters, end.columns)
+        names, here, stand, reason = [p.name for p in self.parameters], end.here, end.stand, end.reason
+        joint = self._joint(here, self.parameters, end.columns)
+        del end  # of whose columns the step may have made its own
         left = joint.told_curvature(FOLLOWED if self.known is None else 0)
         return Told(
-            end.stand.unknowns.changed(names, end.stand.unknowns.of(names).tolist()),
-            np.asarray(np.linalg.inv(left) * _variance(end.here.misfit), float),
+            stand.unknowns.changed(names, stand.unknowns.of(names).tolist()),
+            np.asarray(np.linalg.inv(left) * _variance(here.misfit), float),
             checked.misfit,
-            end.stand.trail,
-            end.reason,
+            stand.trail,
+            reason,
         )
 
     def _checked(self, here: _Tried) -> _Tried:
@@ -247,7 +248,9 @@ class JointSearch:
             if gain < LEAST_GAINS[stand.stage] or (stand.stage == 0 and self._is_right(here)):
                 reason = "converged"
                 break
+            del joint, some
             if gain > ALIKE:
+                del columns  # not those of two benches at one time
                 columns = self.pixels.columns(here.unknowns, here.linear, parameters, near.slopes)
         return _End(stand, here, columns, reason)
 

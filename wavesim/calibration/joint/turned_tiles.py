@@ -8,7 +8,6 @@ beyond its first order.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -49,14 +48,16 @@ class TurnedTiles(Engine):
                 f"tiles turned to a sensor that sits at {seat}: must reach it without free space"
             )
         self.near, self.seat, self.plane = near, seat, near.plane
-        self._turned = cache(self._made)
+        self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
 
-    def _made(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
-        grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
-        return tuple(
-            operator.turned(carrier, ray_changes(self.scene, tile, carrier, grid, self.seat), wavenumber)
-            for tile, carrier, operator in self.near.tile_operators(dtype)
-        )
+    def _turned(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+        if dtype not in self._operators:
+            grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
+            self._operators[dtype] = tuple(
+                operator.turned(carrier, ray_changes(self.scene, tile, carrier, grid, self.seat), wavenumber)
+                for tile, carrier, operator in self.near.tile_operators(dtype)
+            )
+        return self._operators[dtype]
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
         """Each tile, the rays that carried it, and what carries fields of a type now."""
