@@ -4,7 +4,7 @@ Where rows lie one after the other, a few columns are as many places as there ar
 memory of its own: to read and write them takes longer than to transform them. In panels sixteen columns lie
 together, so that a block of columns is one piece of memory, and of sixteen rows pieces are long. With vectors
 as wide as the processor's, where SciPy's hold four numbers, columns take a third of its time; rows, which are
-gathered and put back, a sixth more than there.
+gathered and put back, between two thirds and a sixth more.
 """
 
 from __future__ import annotations
