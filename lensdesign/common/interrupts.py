@@ -115,7 +115,10 @@ def stoppable() -> Iterator[None]:
             signal.signal(number, _stop.heed)
     try:
         yield
-    except KeyboardInterrupt as stop:
+    except (KeyboardInterrupt, Exception) as error:
+        stop = _interrupt_behind(error)
+        if stop is None:
+            raise
         print(stop.args[0] if stop.args else "interrupted", file=sys.stderr)
         raise SystemExit(_stop.status) from None
     finally:
@@ -125,6 +128,17 @@ def stoppable() -> Iterator[None]:
         if _stop.number is not None:
             _forget_code_given_up()
         sys.unraisablehook, _stop = _stop.others, None
+
+
+def _interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
+    """The interrupt that was raised, also where another error was made of it.
+
+    Until version 3.12 Python makes a RuntimeError of what comes up while a class names its descriptors.
+    """
+    found: BaseException | None = error
+    while found is not None and not isinstance(found, KeyboardInterrupt):
+        found = found.__cause__
+    return found
 
 
 def _forget_code_given_up() -> None:

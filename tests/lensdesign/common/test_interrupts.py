@@ -132,13 +132,30 @@ def test_what_nohup_has_a_command_ignore_it_ignores(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out.txt"]
 
 
+STRING = "import signal; signal.raise_signal({})"
+DESCRIPTOR = "import signal\nclass Named:\n  def __set_name__(self, *_): signal.raise_signal({})\nclass Own: a = Named()"
+
+
+@pytest.mark.parametrize("code", [STRING, DESCRIPTOR])
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
-def test_code_in_a_string_that_is_interrupted(tmp_path: Path, number: signal.Signals, status: int) -> None:
-    """Dataclasses are made of such; Python remembers it, and would end as if killed by an interrupt."""
+def test_what_python_makes_of_an_interrupt(
+    tmp_path: Path, code: str, number: signal.Signals, status: int
+) -> None:
+    """It remembers a string of code that was left, and makes an error of what comes while a class is made."""
     (tmp_path / "stopped.py").write_text(
         "from lensdesign.common.interrupts import stoppable\n"
-        f"with stoppable():\n    exec('import signal; signal.raise_signal({int(number)})')\n"
+        f"with stoppable():\n    exec({code.format(int(number))!r})\n"
     )
     command = [sys.executable, "-m", "stopped"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, preexec_fn=heeding)
     assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "interrupted\n")
+
+
+def test_another_error_stays_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "failing.py").write_text(
+        "from lensdesign.common.interrupts import stoppable\nwith stoppable():\n    raise ValueError('one')\n"
+    )
+    command = [sys.executable, "-m", "failing"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, preexec_fn=heeding)
+    assert ended.returncode == 1
+    assert ended.stderr.endswith("ValueError: one\n")
