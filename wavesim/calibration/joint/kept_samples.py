@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from wavesim.fields.plane_waves import PlaneWay
 from wavesim.fields.slight_tilts import Way
 from wavesim.reconstruction.recording.kernel import (
-    add_columns,
     add_halves,
     halves,
     means_along_columns,
     means_along_rows,
     multiply_spread,
 )
-from wavesim.reconstruction.recording.pixel_means import COLUMNS, PixelMeans
-from wavesim.runtime.fourier.columns import transform_columns
+from wavesim.reconstruction.recording.pixel_means import PixelMeans, add_rows_back, half_sample
 from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -48,7 +46,7 @@ class KeptSamples:
         self.pixels, self.way = pixels, way
         self.rows: Rows = pixels.carried(spectrum, way)
         dtype, (height, width) = spectrum.dtype, spectrum.shape
-        self._up, self._across = (_half_sample(count, dtype) for count in (height, width))
+        self._up, self._across = (half_sample(count, dtype) for count in (height, width))
         self._taps = np.array(pixels.taps, dtype.type(0).real.dtype)
         self._samples = tuple(self._sampled(part) for part in self.rows)
 
@@ -82,19 +80,7 @@ class KeptSamples:
                 add_halves(even, odd, self._across, half, part[start:stop])
 
             for_blocks(block, len(part), rows_in(part[0].nbytes))
-        self._to_front(spread, self.way, total)
-
-    def _to_front(self, spread: Rows, way: PlaneWay, total: ComplexArray) -> None:
-        half = self._taps.dtype.type(0.5)
-        ways = way.factor, way.rows, way.columns, way.down, way.across, self._up
-
-        def columns(start: int, stop: int) -> None:
-            even, odd = (np.empty((len(total), stop - start), total.dtype) for _ in spread)
-            for part, taken in zip(spread, (even, odd), strict=True):
-                transform_columns(part[:, start:stop], taken, False)
-            add_columns(even, odd, start, *ways, half, total)
-
-        for_blocks(columns, total.shape[1], COLUMNS)
+        add_rows_back(spread, self.way, self._up, total)
 
     def _sampled(self, part: ComplexArray) -> Rows:
         """In the middles of pixels and at their upper edges, from the spectrum along each row."""
@@ -124,8 +110,3 @@ class KeptSamples:
         result, bound = np.empty_like(along[0]), self._taps.dtype.type(least)
         for_blocks(lambda a, b: means_along_columns(*along, self._taps, bound, result, a, b), len(result), 64)
         return result
-
-
-def _half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
-    """Factors of the frequencies that take a field half a sample up."""
-    return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)

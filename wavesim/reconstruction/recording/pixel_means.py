@@ -104,7 +104,7 @@ class PixelMeans:
 
     def _means(self, rows: Rows, others: Rows, least: float) -> RealArray:
         taps = np.array(self.taps, np.result_type(rows[0].real, others[0].real))
-        phase = _half_sample(rows[0].shape[1], rows[0].dtype)
+        phase = half_sample(rows[0].shape[1], rows[0].dtype)
         along = tuple(np.empty(part.shape, taps.dtype) for part in rows)
         for part, other, means in zip(rows, others, along, strict=True):
 
@@ -145,7 +145,7 @@ class PixelMeans:
             Spectrum that is added to.
         """
         height, width = change.shape
-        along_x = _half_sample(width, total.dtype)
+        along_x = half_sample(width, total.dtype)
         taps = np.array(self.taps, total.real.dtype) * 2
         half = taps.dtype.type(0.5)
         for between, part in zip((False, True), rows, strict=True):
@@ -177,16 +177,16 @@ class PixelMeans:
         list
             What `change` tells of all rows, in their order.
         """
-        phase = _half_sample(rows[0].shape[1], rows[0].dtype)
+        phase = half_sample(rows[0].shape[1], rows[0].dtype)
         told = change_in_bands(rows, phase, self.taps, change)
         self._back(rows, way, total)
         return told
 
     def _back(self, rows: Rows, way: Way, total: ComplexArray) -> None:
         """Add rows, at half their size, to a spectrum in front of the way; they are used up."""
-        along_y = _half_sample(len(total), total.dtype)
+        along_y = half_sample(len(total), total.dtype)
         if isinstance(way, PlaneWay):
-            _add_back(rows, way, along_y, total)
+            add_rows_back(rows, way, along_y, total)
             return
         parallel: Rows = (np.empty_like(total), np.empty_like(total))
         for part in rows:
@@ -194,7 +194,7 @@ class PixelMeans:
         for number, one in enumerate(way.ways):
             for farther, part, weighted in zip((0.0, 0.5), rows, parallel, strict=True):
                 _weight_back(part, way, number, farther, weighted)
-            _add_back(parallel, one, along_y, total)
+            add_rows_back(parallel, one, along_y, total)
 
 
 def tilt_changes(
@@ -252,7 +252,7 @@ def _add_times_place(rows: Rows, grid: Grid, column: int, total: Rows) -> None:
 
 def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
     height, width = spectrum.shape
-    phase = _half_sample(height, spectrum.dtype)
+    phase = half_sample(height, spectrum.dtype)
     middles, edges = room
 
     def columns(start: int, stop: int) -> None:
@@ -267,8 +267,16 @@ def _carried(spectrum: ComplexArray, way: PlaneWay, room: Rows) -> Rows:
     return room
 
 
-def _add_back(rows: Rows, way: PlaneWay, phase: ComplexArray, total: ComplexArray) -> None:
-    """The adjoint of `_carried`, with half its size, added to a spectrum."""
+def add_rows_back(rows: Rows, way: PlaneWay, phase: ComplexArray, total: ComplexArray) -> None:
+    """Add rows on a plane, at half their size, to a spectrum in front of a way: the adjoint of `_carried`.
+
+    Parameters
+    ----------
+    rows, way, total
+        As of :meth:`PixelMeans.add_back`, on the plane itself.
+    phase
+        Of the frequencies along a column, as :func:`half_sample` gives them.
+    """
     half = total.real.dtype.type(0.5)
 
     def columns(start: int, stop: int) -> None:
@@ -325,7 +333,7 @@ def _samples(spectra: ComplexArray, phase: ComplexArray) -> Rows:
     return middle, scipy.fft.ifft(spectra * phase, axis=1, overwrite_x=True)
 
 
-def _half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
+def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     """Factors of the frequencies that take a field half a sample up."""
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from lensdesign.tracing.kept_kernels import drop_outdated, kept_njit
 from wavesim.runtime.fourier import lanes, passes
-from wavesim.runtime.fourier.lanes import LANES, Lanes, load, store
+from wavesim.runtime.fourier.lanes import LANES, Lanes, lane_numbers, load, store, vector_at
 from wavesim.runtime.fourier.passes import SAMPLE, Steps
 
 _jit = kept_njit(nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -31,18 +30,6 @@ CELLS = SAMPLE // PART
 """That lie in one sample."""
 
 
-def _places(numbers: Any) -> Any:
-    numbers = list(numbers)
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
-
-
-def _part(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Pointer to a cell's part, as a vector."""
-    data = context.make_array(kind)(context, builder, array).data
-    vector = ir.VectorType(context.get_value_type(kind.dtype), PART)
-    return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
-
-
 @intrinsic
 def take_cells(_: Any, grid: Any, first: Any, apart: Any) -> Any:
     """Real and imaginary parts, as vectors, from four places of a flat grid, given how far each is on."""
@@ -52,11 +39,12 @@ def take_cells(_: Any, grid: Any, first: Any, apart: Any) -> Any:
         flat, start, steps = values
         byte = grid.dtype.bitwidth // 8
         ends = [builder.add(start, step) for step in cgutils.unpack_tuple(builder, steps)]
-        cells = [
-            builder.load(_part(context, builder, signature.args[0], flat, end), align=byte) for end in ends
+        places = [vector_at(context, builder, signature.args[0], flat, end, PART) for end in ends]
+        cells = [builder.load(place, align=byte) for place in places]
+        halves = [
+            builder.shuffle_vector(cells[n], cells[n + 1], lane_numbers(range(2 * PART))) for n in (0, 2)
         ]
-        halves = [builder.shuffle_vector(cells[n], cells[n + 1], _places(range(2 * PART))) for n in (0, 2)]
-        parts = [builder.shuffle_vector(*halves, _places(range(k, 2 * LANES, 2))) for k in (0, 1)]
+        parts = [builder.shuffle_vector(*halves, lane_numbers(range(k, 2 * LANES, 2))) for k in (0, 1)]
         return context.make_tuple(builder, signature.return_type, parts)
 
     return types.UniTuple(vector, 2)(grid, first, apart), made
@@ -71,9 +59,9 @@ def put_cells(_: Any, grid: Any, first: Any, apart: Any, real: Any, imaginary: A
         byte = grid.dtype.bitwidth // 8
         for number, step in enumerate(cgutils.unpack_tuple(builder, steps)):
             lanes_of_cell = range(number * PART // 2, (number + 1) * PART // 2)
-            turn = _places(n + LANES * part for n in lanes_of_cell for part in (0, 1))
+            turn = lane_numbers([n + LANES * part for n in lanes_of_cell for part in (0, 1)])
             cell = builder.shuffle_vector(*parts, turn)
-            there = _part(context, builder, signature.args[0], flat, builder.add(start, step))
+            there = vector_at(context, builder, signature.args[0], flat, builder.add(start, step), PART)
             builder.store(cell, there, align=byte)
         return context.get_dummy_value()
 

@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wavesim.runtime import threads
 from wavesim.runtime.fourier import cells
-from wavesim.runtime.fourier.panels import convolved, rooms_for, steps_for, thread_room
+from wavesim.runtime.fourier.panels import rooms_for, rooms_shape, steps_for, thread_room
 from wavesim.runtime.fourier.passes import SAMPLE
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -39,6 +39,5 @@ def transform_columns(source: ComplexArray, target: ComplexArray, back: bool) ->
 
 def bytes_of_columns(count: int, dtype: DTypeLike) -> int:
     """What all threads keep for columns of so many samples."""
-    wide = convolved(count)
-    rooms = (2 if wide == count else 3) * wide
-    return threads.THREADS * (count + rooms) * (SAMPLE // 2) * np.dtype(dtype).itemsize
+    rooms, wide = rooms_shape(count)
+    return threads.THREADS * (count + rooms * wide) * (SAMPLE // 2) * np.dtype(dtype).itemsize

@@ -10,6 +10,7 @@ makes of them what the processor has.
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
@@ -66,19 +67,19 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
     _arithmetic(_function, _instruction)
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
-    """Pointer to sixteen numbers of a contiguous array, as a vector."""
+def vector_at(context: Any, builder: Any, kind: Any, array: Any, first: Any, count: int = LANES) -> Any:
+    """Pointer to sixteen numbers of a contiguous array, or as many, as a vector."""
     data = context.make_array(kind)(context, builder, array).data
-    vector = ir.VectorType(context.get_value_type(kind.dtype), LANES)
+    vector = ir.VectorType(context.get_value_type(kind.dtype), count)
     return builder.bitcast(builder.gep(data, [first]), vector.as_pointer())
 
 
 def _loaded(context: Any, builder: Any, kind: Any, array: Any, first: Any) -> Any:
-    return builder.load(_place(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
+    return builder.load(vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
 
 
 def _stored(context: Any, builder: Any, kind: Any, value: Any, array: Any, first: Any) -> None:
-    builder.store(value, _place(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
+    builder.store(value, vector_at(context, builder, kind, array, first), align=kind.dtype.bitwidth // 8)
 
 
 @intrinsic
@@ -109,7 +110,7 @@ def alike(_: Any, number: Any) -> Any:
     def made(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         nothing = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
         one = builder.insert_element(nothing, values[0], ir.Constant(ir.IntType(32), 0))
-        return builder.shuffle_vector(one, nothing, _places([0] * LANES))
+        return builder.shuffle_vector(one, nothing, lane_numbers([0] * LANES))
 
     return Lanes(number)(number), made
 
@@ -152,7 +153,7 @@ def _shuffle(name: str, places: list[int]) -> Any:
 
     def shuffled(_: Any, one: Any, other: Any) -> Any:
         def made(__: Any, builder: Any, ___: Any, values: Any) -> Any:
-            return builder.shuffle_vector(*values, _places(places))
+            return builder.shuffle_vector(*values, lane_numbers(places))
 
         return one(one, other), made
 
@@ -160,8 +161,9 @@ def _shuffle(name: str, places: list[int]) -> Any:
     return intrinsic(shuffled)
 
 
-def _places(numbers: list[int]) -> Any:
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+def lane_numbers(numbers: Sequence[int]) -> Any:
+    """Of vectors that are shuffled, as LLVM takes them."""
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 
 evens, odds = (_shuffle(name, [*range(k, 2 * LANES, 2)]) for k, name in enumerate(("evens", "odds")))
@@ -200,7 +202,9 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
         lower = [j + side if not j & side else LANES + j for j in range(LANES)]
         for i in (i for i in range(LANES) if not i & side):
             pair = rows[i], rows[i + side]
-            rows[i], rows[i + side] = (builder.shuffle_vector(*pair, _places(of)) for of in (upper, lower))
+            rows[i], rows[i + side] = (
+                builder.shuffle_vector(*pair, lane_numbers(of)) for of in (upper, lower)
+            )
         side *= 2
     return rows
 

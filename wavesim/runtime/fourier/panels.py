@@ -170,8 +170,14 @@ def _in_turn(values: NDArray[np.complex128], kind: Any) -> RealArray:
 
 def rooms_for(count: int, dtype: str) -> RealArray:
     """A thread's own rooms for transforms of so many samples of a complex type."""
+    rooms, wide = rooms_shape(count)
+    return thread_room("rooms", (rooms, wide * SAMPLE), dtype)
+
+
+def rooms_shape(count: int) -> tuple[int, int]:
+    """How many rooms a transform of so many samples takes, and samples in each."""
     wide = convolved(count)
-    return thread_room("rooms", (2 if wide == count else 3, wide * SAMPLE), dtype)
+    return 2 if wide == count else 3, wide
 
 
 _THREAD = threading.local()

@@ -211,6 +211,6 @@ class TermsTransform:
     def _transform(self, grid: NDArray[np.float32], rows: slice, axis: int) -> None:
         """Fast Fourier transform of rows of the grid along themselves, or of all columns, in place."""
         start, stop, _ = rows.indices(self._cells[1 - axis])
-        most = max(self._cells[:2]) * SAMPLE
-        samples, rooms = (thread_room(f"cells {n}", (n, most), "complex64") for n in (1, 2))
-        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, samples[0], rooms)
+        # Samples of an axis, and the two rooms of its passes.
+        room = thread_room("cells", (3, max(self._cells[:2]) * SAMPLE), "complex64")
+        transform_cells(grid, start, stop, axis, self._steps[axis], self._kind == 1, room[0], room[1:])
