@@ -133,7 +133,10 @@ def test_what_nohup_has_a_command_ignore_it_ignores(tmp_path: Path) -> None:
 
 
 STRING = "import signal; signal.raise_signal({})"
-DESCRIPTOR = "import signal\nclass Named:\n  def __set_name__(self, *_): signal.raise_signal({})\nclass Own: a = Named()"
+DESCRIPTOR = (
+    "import signal\nclass Named:\n  def __set_name__(self, *_): signal.raise_signal({})\n"
+    "class Own: a = Named()"
+)
 
 
 @pytest.mark.parametrize("code", [STRING, DESCRIPTOR])
