@@ -1,4 +1,4 @@
-"""Tolerance budgets: the loosest tolerances that keep a required yield.
+"""The search for the loosest tolerances whose predicted yield meets a requirement.
 
 The cost of making a part to tolerances s_i times those of the study is sum w_i / s_i, the reciprocal
 cost-tolerance model (Chase and Greenwood 1988; Wu, ElMaraghy and ElMaraghy 1988 compare it with others).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,29 +16,29 @@ from numpy.typing import ArrayLike
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.optimization.nlopt_driver import Evaluation, minimize
-from tolerancing.analysis.response import Scorer
-from tolerancing.analysis.yields import CONFIDENCE, Yield, yield_of
 from tolerancing.merits.base import Merit
 
-Bound = Literal["low", "share"]
-
-SMOOTHING = 0.1
-"""Width of the logistic function that stands in for pass or fail, in standard deviations of the scores."""
-
-STEP = 1e-5
-"""Relative step of the scales in numerical derivatives."""
+SMOOTHING = (0.1, 0.05)
+"""Widths of the logistic function that replaces pass or fail, in standard deviations of the scores."""
 
 ROUNDS = 3
-"""How often the search is repeated with its aim corrected for what the smoothing does to the yield."""
+"""How often a search is repeated for each width, its aim corrected for the effect of the smoothing."""
 
-EVALUATIONS_PER_ROUND = 100
+EVALUATIONS_PER_ROUND = 60
 SECONDS_PER_ROUND = 120.0
 
-HALVINGS = 12
-"""Of the bracket of the common factor at the end."""
+HALVINGS = 24
+"""Of the bracket of a common factor."""
 
-MOST_COUNTS = 3 + ROUNDS + HALVINGS
-"""How often all draws are counted by `verify`, at most."""
+
+class ScoreModel(Protocol):
+    """Scores of drawn lenses as a function of the scales of d tolerances; n lenses, m merits."""
+
+    def scores(self, scales: Array) -> Array:
+        """Scores, shape (n, m); NaN where a lens has none."""
+
+    def slopes(self, scales: Array) -> tuple[Array, Array]:
+        """Scores, shape (n, m), and their derivatives by the scales, shape (n, m, d)."""
 
 
 @dataclass(frozen=True)
@@ -48,199 +48,162 @@ class Budget:
     Attributes
     ----------
     scales : ndarray, shape (d,)
-        By which each perturbation's deviations from its mean are to be multiplied.
-    good
-        Yield with these, and its interval.
-    before
-        Yield with the study's own tolerances.
+        Factors by which each perturbation's deviations from its mean are multiplied.
+    predicted_yield, predicted_yield_before
+        Fraction of the model's lenses that are good with these tolerances, and with the study's own.
     cost, cost_before
-        sum w_i / s_i, and the same with all scales 1.
+        Sum of w_i / s_i, and the same with all scales 1.
+    uniform_scale, uniform_cost
+        The largest common scale of all tolerances that keeps the yield, and its cost; None where none does.
     evaluations
-        How often all trials were scored, derivatives included.
+        How often all lenses were scored.
     """
 
     scales: Array
-    good: Yield
-    before: Yield
+    predicted_yield: float
+    predicted_yield_before: float
     cost: float
     cost_before: float
+    uniform_scale: float | None
+    uniform_cost: float | None
     evaluations: int
 
 
-class SearchInterrupted(KeyboardInterrupt):
-    """A search that was interrupted; `budget` keeps the yield, if one was known that does."""
-
-    def __init__(self, budget: Budget | None) -> None:
-        super().__init__("interrupted")
-        self.budget = budget
-
-
 def loosest_tolerances(
-    scorer: Scorer,
+    model: ScoreModel,
     merits: Sequence[Merit],
-    mean: ArrayLike,
-    deviations: ArrayLike,
     required: float,
     *,
-    low: ArrayLike = 0.25,
-    high: ArrayLike = 4.0,
+    low: ArrayLike,
+    high: ArrayLike,
     weights: ArrayLike = 1.0,
-    bound: Bound = "low",
-    verify: Scorer | None = None,
 ) -> Budget:
-    """Scales of the tolerances with the least cost that keep the required yield.
+    """Find the scales of least cost with which the model's lenses keep the required yield.
 
-    The same draws serve all scales (common random numbers): values = mean + scale * deviation. For the
-    search each merit's pass or fail is replaced by a logistic function of its margin; SLSQP then minimises
-    the cost over the scales' logarithms. What the smoothing does to the yield is measured on true pass and
-    fail at the end, the aim corrected by it, and the search repeated. Last, a common factor is bisected
-    until the true yield just meets the requirement; every scale stays within its range.
-
-    The search scores all draws (1 + d) times an evaluation, some thousand times in all for 10 perturbations:
-    give it a response model or a fast scorer. The true yield is counted some twenty times, with `verify`. On
-    the draws that it was found with it is a little too good (by less than 0.01 with 2000 draws); fresh
-    draws tell.
+    For the search each merit's pass or fail is replaced by a logistic function of its margin. SLSQP then
+    minimizes the cost over the logarithms of the scales, from the largest common scale that keeps the yield.
+    The effect of the smoothing on the yield is measured on true pass and fail, the aim is corrected by it,
+    and the search is repeated with less smoothing. Finally a common factor is bisected until the true yield
+    just meets the requirement; every scale stays within its range. The result is the cheapest of this, of the
+    best common scale, and of the study's own tolerances if they keep the yield.
 
     Parameters
     ----------
-    scorer
-        Scores of deltas from nominal.
+    model
+        Scores of drawn lenses.
     merits
-        A part is good if it keeps all their limits.
-    mean : array_like, shape (d,)
-        Of the perturbations; not scaled.
-    deviations : array_like, shape (n, d)
-        Draws at scale 1, less the mean.
+        A lens is good if it keeps the limits of all m of them.
     required
         Yield, above 0 and below 1.
     low, high : array_like, shape (d,)
         Ranges of the scales.
     weights : array_like, shape (d,)
         w_i, above 0.
-    bound
-        What must reach the requirement: the ``low`` end of the yield's interval, or the ``share`` itself.
-    verify
-        Scorer that tells good parts from bad where `scorer` is a model of it; left out: `scorer`.
-
-    Returns
-    -------
-    Budget
 
     Raises
     ------
     InputError
-        If even the smallest scales miss the yield, if the draws are too few to show it, or if an argument
-        is out of range.
-    SearchInterrupted
-        If it is interrupted.
+        If even the smallest scales miss the yield, or an argument is out of range.
     """
-    problem = _Problem(scorer, merits, mean, deviations, required, low, high, weights, bound, verify)
-    tightest = problem.count(problem.low)
-    if tightest < problem.needed:
-        share = tightest / problem.n
+    lowest, highest, weight = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(v, float)) for v in (low, high, weights))
+    )
+    for name, values in (("weights", weight), ("low", lowest)):
+        if not np.all(np.isfinite(values) & (values > 0.0)):
+            raise InputError(f"{name} = {values.tolist()}: must be above 0 and finite")
+    if not np.all(np.isfinite(highest) & (highest >= lowest)):
+        raise InputError(f"high = {highest.tolist()}: must be finite and not below low")
+    check_required(required)
+    search = _Search(model, tuple(merits), required, lowest, highest, weight)
+    smallest = search.count(lowest)
+    if smallest < required:
         raise InputError(
-            f"required yield = {required:g}: out of reach; even the smallest scales give {share:.4g} "
-            f"({tightest} of {problem.n} draws, {problem.needed} needed)"
+            f"required yield = {required:g}: out of reach; even with the smallest scales the predicted yield "
+            f"is {smallest:.4g}"
         )
-    before = problem.count(np.ones(problem.d))
-    try:
-        problem.seek()
-    except KeyboardInterrupt:
-        raise SearchInterrupted(problem.budget(before)) from None
-    return problem.budget(before)
+    return search.run()
 
 
-class _Problem:
-    """The draws, the limits, and how often they were scored."""
+def check_required(required: float) -> None:
+    """Refuse a yield that is not between 0 and 1, with an InputError."""
+    if not 0.0 < required < 1.0:
+        raise InputError(f"required yield = {required:g}: must be above 0 and below 1")
 
+
+class _Search:
     def __init__(
         self,
-        scorer: Scorer,
-        merits: Sequence[Merit],
-        mean: ArrayLike,
-        deviations: ArrayLike,
+        model: ScoreModel,
+        merits: tuple[Merit, ...],
         required: float,
-        low: ArrayLike,
-        high: ArrayLike,
-        weights: ArrayLike,
-        bound: Bound,
-        verify: Scorer | None,
+        low: Array,
+        high: Array,
+        weights: Array,
     ) -> None:
-        self.scorer, self.merits, self.verify = scorer, tuple(merits), verify or scorer
-        self.deviations = np.atleast_2d(np.asarray(deviations, float))
-        self.n, self.d = self.deviations.shape
-        self.mean, self.low, self.high, self.weights = (
-            np.broadcast_to(np.asarray(v, float), (self.d,)) for v in (mean, low, high, weights)
-        )
-        for name, values in (("weights", self.weights), ("low", self.low)):
-            if not np.all(np.isfinite(values) & (values > 0.0)):
-                raise InputError(f"{name} = {values.tolist()}: must be above 0 and finite")
-        if not np.all(np.isfinite(self.high) & (self.high >= self.low)):
-            raise InputError(f"high = {self.high.tolist()}: must be finite and not below low")
-        self.needed = draws_needed(self.n, required, bound)
+        self.model, self.merits, self.required = model, merits, required
+        self.low, self.high, self.weights = low, high, weights
         self.evaluations = 0
-        self.kept: tuple[Array, int] = (self.low, 0)
+        self.best: tuple[float, Array, float] | None = None
 
-    def seek(self) -> None:
-        """Search, round by round, then for the largest common factor."""
-        found = np.clip(np.ones(self.d), self.low, self.high)
-        widths, aim = self.widths(found), self.needed / self.n
-        for _ in range(ROUNDS):
-            found = self.search(found, widths, min(aim, 1.0 - 0.5 / self.n))
-            aim = (self.needed - self.count(found)) / self.n + self.smooth(found, widths)
-        self.count_largest_factor(found)
-
-    def budget(self, before: int) -> Budget:
-        """The cheapest scales that were counted and keep the yield."""
-        scales, passed = self.kept
+    def run(self) -> Budget:
+        """Search from the best common scale; the cheapest scales that keep the yield count."""
+        ones = np.ones_like(self.low)
+        before = self.count(ones)
+        uniform = self.largest_factor(ones)
+        found = np.clip(uniform, self.low, self.high)
+        for smoothing in SMOOTHING:
+            widths, aim = self.widths(found, smoothing), self.required
+            for _ in range(ROUNDS):
+                found = self.search(found, widths, min(aim, 1.0 - 1e-4))
+                aim = self.required + self.smooth_yield(found, widths) - self.count(found)
+            found = self.largest_factor(found)
+        assert self.best is not None  # the smallest scales keep the yield
+        cost, scales, good = self.best
+        common = np.unique(uniform[self.low < self.high])
+        free = len(common) == 1
         return Budget(
             scales,
-            self.as_yield(passed),
-            self.as_yield(before),
-            self.cost(scales),
-            float(self.weights.sum()),
+            good,
+            before,
+            cost,
+            self.cost(ones),
+            float(common[0]) if free else None,
+            self.cost(uniform) if free else None,
             self.evaluations,
         )
 
     def cost(self, scales: Array) -> float:
         return float(np.sum(self.weights / scales))
 
-    def as_yield(self, passed: int) -> Yield:
-        good = yield_of(np.arange(self.n) < passed)
-        assert good is not None  # there is a draw
+    def count(self, scales: Array) -> float:
+        """Fraction of good lenses; the cheapest scales that keep the yield are remembered."""
+        self.evaluations += 1
+        scores = self.model.scores(scales)
+        kept = [merit.passed(scores[:, k]) for k, merit in enumerate(self.merits)]
+        good = float(np.mean(np.all(kept, axis=0)))
+        cost = self.cost(scales)
+        allowed = bool(np.all((scales >= self.low) & (scales <= self.high)))
+        if good >= self.required and allowed and (self.best is None or cost < self.best[0]):
+            self.best = (cost, scales, good)
         return good
 
-    def scores(self, scales: Array, scorer: Scorer) -> Array:
-        self.evaluations += 1
-        return np.asarray(scorer(self.mean + scales * self.deviations), float)
-
-    def count(self, scales: Array) -> int:
-        """Number of good parts; the cheapest scales that have enough are remembered."""
-        scores = self.scores(scales, self.verify)
-        kept = [merit.passed(scores[:, k]) for k, merit in enumerate(self.merits)]
-        passed = int(np.count_nonzero(np.all(kept, axis=0)))
-        allowed = bool(np.all((scales >= self.low) & (scales <= self.high)))
-        cheaper = not self.kept[1] or self.cost(scales) < self.cost(self.kept[0])
-        if passed >= self.needed and allowed and cheaper:
-            self.kept = (scales, passed)
-        return passed
-
-    def widths(self, scales: Array) -> Array:
+    def widths(self, scales: Array, smoothing: float) -> Array:
         """Width of each merit's logistic function: a part of the spread of its scores."""
-        scores = self.scores(scales, self.scorer)
-        known = [column[np.isfinite(column)] for column in scores.T]
+        self.evaluations += 1
+        known = [column[np.isfinite(column)] for column in self.model.scores(scales).T]
         spread = np.array([column.std() if len(column) else 0.0 for column in known])
-        return np.where(spread > 0.0, SMOOTHING * spread, 1.0)
+        return np.where(spread > 0.0, smoothing * spread, 1.0)
 
-    def smooth(self, scales: Array, widths: Array) -> float:
-        """Yield with the logistic function in place of pass and fail."""
+    def smooth_yield(self, scales: Array, widths: Array) -> float:
+        self.evaluations += 1
+        return float(np.mean(np.prod(self.smooth_passes(self.model.scores(scales), widths), axis=1)))
+
+    def smooth_passes(self, scores: Array, widths: Array) -> Array:
+        """The logistic function in place of pass and fail, shape (n, m); 0 where there is no score."""
         from scipy.special import expit
 
-        scores = self.scores(scales, self.scorer)
-        share = np.ones(self.n)
-        for k, merit in enumerate(self.merits):
-            share *= np.nan_to_num(expit(merit.margin(scores[:, k]) / widths[k]), nan=0.0)
-        return float(share.mean())
+        margins = np.stack([merit.margin(scores[:, k]) for k, merit in enumerate(self.merits)], axis=1)
+        return np.nan_to_num(expit(margins / widths), nan=0.0)
 
     def search(self, start: Array, widths: Array, aim: float) -> Array:
         """Scales of least cost whose smoothed yield reaches the aim, by SLSQP over their logarithms."""
@@ -249,26 +212,28 @@ class _Problem:
         if not free.size:
             return self.low
         unit = self.cost(start)
+        toward_good = np.array([1.0 if merit.at_least is not None else -1.0 for merit in self.merits])
 
         def scales_at(point: Array) -> Array:
-            full = np.zeros(self.d)
+            full = np.zeros_like(base)
             full[free] = point
             return np.exp(base + reach * full)
 
         def evaluate(point: Array) -> Evaluation:
+            self.evaluations += 1
             scales = scales_at(point)
-            value = self.smooth(scales, widths)
-            slope = np.empty(len(free))
-            for j, i in enumerate(free):
-                near = scales.copy()
-                near[i] *= 1.0 + STEP
-                slope[j] = (self.smooth(near, widths) - value) / np.log1p(STEP) * reach[i]
-            # A missed share of bad parts counts in units of the share allowed, so that both are about 1.
-            allowed = max(1.0 - aim, 1.0 / self.n)
+            scores, slopes = self.model.slopes(scales)
+            passes = self.smooth_passes(scores, widths)
+            lens = np.prod(passes, axis=1)
+            pull = np.nan_to_num(lens[:, None] * (1.0 - passes) * toward_good / widths)
+            by_scale = np.einsum("nm,nmd->d", pull, np.nan_to_num(slopes)) / len(lens)
+            slope = (by_scale * scales * reach)[free]
+            # A missing fraction of good lenses counts in units of the fraction of bad ones that is allowed.
+            allowed = 1.0 - aim
             return Evaluation(
                 goals=np.array([self.cost(scales) / unit]),
                 goals_by=-(self.weights / scales * reach)[None, free] / unit,
-                constraints=np.array([(aim - value) / allowed]),
+                constraints=np.array([(aim - float(np.mean(lens))) / allowed]),
                 constraints_by=-slope[None, :] / allowed,
             )
 
@@ -276,45 +241,19 @@ class _Problem:
         outcome = minimize(evaluate, first, "slsqp", SECONDS_PER_ROUND, EVALUATIONS_PER_ROUND)
         return scales_at(outcome.point)
 
-    def count_largest_factor(self, scales: Array) -> None:
-        """Seek the largest common factor that keeps the yield, each scale within its range."""
+    def largest_factor(self, scales: Array) -> Array:
+        """The scales times the largest common factor that keeps the yield, each within its range."""
 
         def times(logarithm: float) -> Array:
             return np.clip(np.exp(logarithm) * scales, self.low, self.high)
 
         smallest, largest = np.min(np.log(self.low / scales)), np.max(np.log(self.high / scales))
-        if self.count(times(largest)) >= self.needed:
-            return
+        if self.count(times(largest)) >= self.required:
+            return times(largest)
         for _ in range(HALVINGS):
             middle = 0.5 * (smallest + largest)
-            if self.count(times(middle)) >= self.needed:
+            if self.count(times(middle)) >= self.required:
                 smallest = middle
             else:
                 largest = middle
-
-
-def draws_needed(n: int, required: float, bound: Bound) -> int:
-    """Smallest number of good draws of n that shows the required yield.
-
-    Raises
-    ------
-    InputError
-        If the requirement or the bound is out of range, or n draws cannot show it.
-    """
-    if not 0.0 < required < 1.0:
-        raise InputError(f"required yield = {required:g}: must be above 0 and below 1")
-    if bound == "share":
-        return int(np.ceil(required * n - 1e-9))
-    if bound != "low":
-        raise InputError(f"bound = {bound!r}: allowed: low, share")
-    from scipy.special import ndtri
-
-    # Where the Wilson interval begins at the requirement r, (share - r)^2 = z^2 r (1 - r) / n.
-    z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
-    needed = int(np.ceil(n * required + z * np.sqrt(n * required * (1.0 - required))))
-    if needed > n:
-        raise InputError(
-            f"required yield = {required:g}: {n} draws cannot show it, even if all are good; "
-            "draw more, or judge by the share"
-        )
-    return needed
+        return times(smallest)
