@@ -178,7 +178,7 @@ def _on_front(data: ReportData, front: Front | None, found: WavefrontPrediction 
         return []
     own = {"thickness_mm": data.lens.exit_vertex_z_mm}
     if found is not None:
-        own["as_built_rms_waves"] = max(p.first_order_rms_waves for p in found.points)
+        own["as_built_rms_waves"] = max(p.rms_waves for p in found.points)
     with styled():
         figure = styled_figure(4.7, 3.0)
         axis = figure.subplots()
