@@ -106,6 +106,8 @@ class StudyAsBuilt:
 
     @cached_property
     def _scatter(self) -> Scatter:
+        # A search ends with trials: whether all merits can score is known before it begins.
+        make_ready(self.study)
         return Scatter(self.study, self.factor)
 
     @cached_property
@@ -114,12 +116,6 @@ class StudyAsBuilt:
         judged = [(p.field_mm, p.wavelength_um) for p in self.judged]
         own = compensated_points(self.study) if self.study.compensators else ()
         return (*judged, *(place for place in own if place not in judged))
-
-    @cached_property
-    def _ready(self) -> bool:
-        """Whether all merits can score: known before a search that ends with trials begins."""
-        make_ready(self.study)
-        return True
 
     def check(self, lens: Lens) -> None:
         """Refuse tolerances of what a lens does not have.
@@ -156,12 +152,16 @@ class StudyAsBuilt:
         """Predict the lens at a point of the unit box, to first order in the perturbations.
 
         Derivatives are by the variables' own values.
+
+        Raises
+        ------
+        InputError
+            If a merit that only trials use cannot score, as the code of a user that does not load.
         """
-        assert self._ready
-        variables = problem.variables if derivatives else ()
+        variables, scatter = problem.variables if derivatives else (), self._scatter
         try:
             with np.errstate(all="ignore"):
-                found = self._values(problem, point, variables)
+                found = self._values(scatter, problem, point, variables)
         except (TransferLensError, np.linalg.LinAlgError):
             return untraceable(len(self.judged), len(variables))
         numbers = (found.rms_waves, found.rms_by, found.failing, found.failing_by)
@@ -169,8 +169,10 @@ class StudyAsBuilt:
             return untraceable(len(self.judged), len(variables))
         return found
 
-    def _values(self, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]) -> AsBuiltValues:
-        wavelengths, scatter = problem.base.wavelengths_um, self._scatter
+    def _values(
+        self, scatter: Scatter, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]
+    ) -> AsBuiltValues:
+        wavelengths = problem.base.wavelengths_um
         designs: dict[int, DesignPoint] = {}
 
         def design_at(wavelength_um: float | None) -> DesignPoint:

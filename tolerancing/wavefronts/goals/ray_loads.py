@@ -205,7 +205,7 @@ class RayLoads:
     def _by_planes(self, weights: Array) -> Array:
         """By the distance between the planes, which heat changes with the lens."""
         design = self.followed.design
-        step = 1e-3
+        step = 1e-3  # loads are quadratic in the distance, so central differences are exact
         ends = [self._at_distance(self._further + sign * step) for sign in (1.0, -1.0)]
         by = float(weights @ (ends[0] - ends[1])) / (2.0 * step)
         planes = [design.problem.planes_by(design.point, v) for v in range(len(design.variables))]
