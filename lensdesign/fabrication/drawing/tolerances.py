@@ -6,6 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.analysis.outline import GENERAL_EDGES, EdgeAllowance
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
@@ -122,9 +123,7 @@ class DrawingTolerances(Section):
 
 
 def _general(
-    diameter_mm: float,
-    thickness_mm: float,
-    chamfer_mm: tuple[float, float],
+    edge: EdgeAllowance,
     material: tuple[str, str, str],
     form_fringes: tuple[float, float],
     test_diameter_mm: float | None,
@@ -137,14 +136,14 @@ def _general(
         test_diameter_mm=test_diameter_mm,
         centring_arcmin=centring_arcmin,
         imperfections=imperfections,
-        chamfer_mm=chamfer_mm,
+        chamfer_mm=edge.chamfer_mm,
     )
     stress, bubbles, inhomogeneity = material
     return DrawingTolerances(
         left=surface,
         right=surface,
-        thickness_mm=thickness_mm,
-        diameter_mm=diameter_mm,
+        thickness_mm=edge.thickness_mm,
+        diameter_mm=edge.diameter_mm,
         stress_birefringence=stress,
         bubbles=bubbles,
         inhomogeneity=inhomogeneity,
@@ -152,11 +151,15 @@ def _general(
     )
 
 
+_REST: tuple[tuple[tuple[str, str, str], tuple[float, float], float | None, float, str], ...] = (
+    (("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
+    (("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
+    (("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
+    (("", "5x0.63", ""), (10.0, 2.0), 60.0, 10.0, "5x0.63"),
+)
+
 GENERAL = {
-    10.0: _general(0.2, 0.1, (0.1, 0.3), ("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
-    30.0: _general(0.5, 0.2, (0.2, 0.5), ("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
-    100.0: _general(1.0, 0.4, (0.3, 0.8), ("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
-    300.0: _general(1.5, 0.8, (0.5, 1.6), ("", "5x0.63", ""), (10.0, 2.0), 60.0, 10.0, "5x0.63"),
+    size: _general(edge, *rest) for (size, edge), rest in zip(GENERAL_EDGES.items(), _REST, strict=True)
 }
 """Table 1 of ISO 10110-11:1996 by the largest dimension in mm up to which a row holds.
 
