@@ -95,9 +95,10 @@ class DrawnEdge:
         What bevels and thickness tolerance of a sheet with general tolerances take of it.
     origin
         ``design``: of an ``[[edge]]`` table. ``chosen``: as drawings choose it. ``clear aperture``: the
-        element does not close at the diameter that a drawing would choose, which is `wanted_mm`.
-    wanted_mm
-        Ground diameter that a drawing has, or would need.
+        element does not close at the diameter that a drawing would choose, which is `drawn_diameter_mm`.
+    drawn_diameter_mm, drawn_thickness_mm
+        Ground diameter that a drawing has, or would need, and length of the edge cylinder there; 0 or less
+        where the element does not close.
     """
 
     element: str
@@ -106,20 +107,29 @@ class DrawnEdge:
     thickness_mm: float
     needed_mm: float
     origin: Literal["design", "chosen", "clear aperture"]
-    wanted_mm: float
+    drawn_diameter_mm: float
+    drawn_thickness_mm: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the edge has room for what a sheet with general tolerances takes of it.
+
+        An edge of the design is held to what its own tolerances are.
+        """
+        return self.origin == "design" or self.drawn_thickness_mm > self.needed_mm
 
     @property
     def statement(self) -> str:
         """The outline in one sentence, for files and terminals."""
         if self.origin == "clear aperture":
             return (
-                f"{self.element}: diameter {self.diameter_mm:g} mm, that of the clear aperture: at the ground "
-                f"diameter that a drawing needs, {self.wanted_mm:g} mm, the element does not close"
+                f"{self.element}: diameter {self.diameter_mm:g} mm, that of the clear aperture; at the "
+                f"ground diameter of a drawing, {self.drawn_diameter_mm:g} mm, the element does not close"
             )
         how = "of the design's [[edge]]" if self.origin == "design" else "chosen as for a drawing"
         room = (
             ""
-            if self.origin == "design" or self.thickness_mm > self.needed_mm
+            if self.fits
             else f"; a drawing with general tolerances needs more than {self.needed_mm:.4g} mm"
         )
         return (
@@ -151,7 +161,7 @@ class DrawnOutline:
     @property
     def thinnest(self) -> DrawnEdge | None:
         """The element with the thinnest edge; None without glass."""
-        return min(self.edges, key=lambda edge: edge.thickness_mm, default=None)
+        return min(self.edges, key=lambda edge: edge.drawn_thickness_mm, default=None)
 
 
 def drawn_outline(lens: Lens) -> DrawnOutline:
@@ -173,32 +183,38 @@ def drawn_outline(lens: Lens) -> DrawnOutline:
     InputError
         As of :func:`lensdesign.lens.solid.glass_elements`.
     """
-    edges, found = list[Edge](), list[tuple[Element, float, bool]]()
+    edges, found = list[Edge](), list[DrawnEdge]()
     for element in glass_elements(lens):
         given = element.edge.semi_diameter_mm
         wanted = given if given is not None else chosen_semi_diameter_mm(lens, element)
         edged = with_ground_edge(lens, element, wanted)
         closed = given is not None or _closes(edged)
-        edge = edged.edge if closed else element.edge
-        edges.append(edge)
-        found.append((edged if closed else element, wanted, closed))
-    drawn = tuple(
-        DrawnEdge(
-            element.name,
-            2.0 * element.edge_mm,
-            2.0 * clear_semi_diameter_mm(element),
-            element.edge_thickness_mm,
-            edge_room_needed_mm(element, general_room(element)),
-            "clear aperture" if not closed else "design" if own is not None else "chosen",
-            2.0 * wanted,
+        body = edged if closed else element
+        edges.append(body.edge)
+        found.append(
+            DrawnEdge(
+                element.name,
+                2.0 * body.edge_mm,
+                2.0 * clear_semi_diameter_mm(element),
+                body.edge_thickness_mm,
+                edge_room_needed_mm(edged, general_room(edged)),
+                "design" if given is not None else "chosen" if closed else "clear aperture",
+                2.0 * wanted,
+                edged.edge_thickness_mm,
+            )
         )
-        for (element, wanted, closed), own in zip(found, _given(lens), strict=True)
-    )
-    return DrawnOutline(lens.replaced(edges=tuple(edges)), drawn)
+    return DrawnOutline(lens.replaced(edges=tuple(edges)), tuple(found))
 
 
-def _given(lens: Lens) -> list[float | None]:
-    return [e.semi_diameter_mm for e in lens.edges] if lens.edges else [None] * len(lens.glass_fronts)
+def thinnest_drawn_edge(lens: Lens) -> DrawnEdge | None:
+    """Edge of the element that is thinnest at the ground diameter of its drawing.
+
+    None for a lens without glass, or with an element that has no size.
+    """
+    try:
+        return drawn_outline(lens).thinnest
+    except InputError:
+        return None
 
 
 def _closes(element: Element) -> bool:

@@ -16,6 +16,7 @@ from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 
 if TYPE_CHECKING:
     from lensdesign.files.draft import Imported
+    from lensdesign.lens.lens import Lens
     from lensdesign.lens.poses import Pose
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
@@ -40,6 +41,9 @@ def export(
 ) -> None:
     """Write the lens's glass as a mesh or as exact solids, or the lens as another program's file.
 
+    Where the design has no edge, glass has the ground diameter that the drawing of the lens has; the file and
+    a note state it.
+
     Surfaces have their nominal shape unless --measured is given, which only meshes take; a note names those
     whose figure is left out.
     """
@@ -62,11 +66,24 @@ def scene(
     from lensdesign.files.design import load_design
     from lensdesign.pictures.glb import write_scene
 
-    nodes = write_scene(load_design(design), output)
+    lens = load_design(design)
+    nodes = write_scene(lens, output)
+    outline = print_outline(lens)
     if as_json:
-        print_json({"file": str(output), "nodes": list(nodes)})
+        print_json({"file": str(output), "nodes": list(nodes), "outline": outline})
     else:
         typer.echo(f"wrote {output}: {', '.join(nodes)}")
+
+
+def print_outline(lens: Lens) -> list[str]:
+    """Print the outline of each element, and return the sentences."""
+    from lensdesign.analysis.outline import drawn_outline
+    from lensdesign.tracing.paths import sized_lens
+
+    statements = list(drawn_outline(sized_lens(lens)).statements)
+    for statement in statements:
+        typer.echo(f"outline: {visible(statement)}", err=True)
+    return statements
 
 
 def drawing(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lensdesign.cli.making import Design, Json
+from lensdesign.cli.making import Design, Json, print_outline
 from lensdesign.common.console import print_json
 
 
@@ -39,8 +39,9 @@ def view(
     if output.exists() and output.samefile(design):
         raise InputError(f"cannot write {output}: it is the design itself; give another file name")
     made = write_view(lens, output)
+    outline = print_outline(lens)
     if as_json:
-        print_json({"file": str(output)} | made.as_dict())
+        print_json({"file": str(output)} | made.as_dict() | {"outline": outline})
     else:
         typer.echo(
             f"wrote {output}: {made.bodies} {'body' if made.bodies == 1 else 'bodies'}, {made.rays} rays, "
