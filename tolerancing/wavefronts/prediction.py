@@ -249,22 +249,46 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     InputError, DesignError
         As of :func:`predict`.
     """
-    judged = judged_points(study)
-    known = _known(lens, study, judged, second=False)
-    forms = [first_order(field) for field in known.fields]
-    amounts, limits = drawn_amounts(study), np.array([point.limit_waves**2 for point in judged])
+    model = FirstOrderYield(lens, study)
+    ones = np.ones(len(study.perturbations))
 
-    def good(columns: slice, factor: float) -> float:
-        changed = amounts.copy()
-        changed[:, columns] *= factor
-        together = np.concatenate([changed, known.compensation.values(changed)], axis=1)
-        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in forms], axis=1)
-        return float(np.mean(np.all(squares <= limits, axis=1)))
+    def good(k: int, factor: float) -> float:
+        factors = ones.copy()
+        factors[k] = factor
+        return model.at(factors)
 
-    return tuple(
-        Loosened(p.column, good(columns, 0.5), good(columns, 2.0))
-        for p, columns in zip(study.perturbations, known.changes.columns, strict=True)
-    )
+    return tuple(Loosened(p.column, good(k, 0.5), good(k, 2.0)) for k, p in enumerate(study.perturbations))
+
+
+class FirstOrderYield:
+    """Yield of a study by its wavefronts, to first order, with each tolerance multiplied.
+
+    Parameters
+    ----------
+    lens, study
+        As of :func:`predict`.
+
+    Raises
+    ------
+    InputError, DesignError
+        As of :func:`predict`.
+    """
+
+    def __init__(self, lens: Lens, study: Study) -> None:
+        judged = judged_points(study)
+        self._known = _known(lens, study, judged, second=False)
+        self._forms = [first_order(field) for field in self._known.fields]
+        self._amounts = drawn_amounts(study)
+        self._limits = np.array([point.limit_waves**2 for point in judged])
+
+    def at(self, factors: Array) -> float:
+        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        changed = self._amounts.copy()
+        for columns, factor in zip(self._known.changes.columns, factors, strict=True):
+            changed[:, columns] *= factor
+        together = np.concatenate([changed, self._known.compensation.values(changed)], axis=1)
+        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in self._forms], axis=1)
+        return float(np.mean(np.all(squares <= self._limits, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from tolerancing.wavefronts.derivatives import (
 )
 from tolerancing.wavefronts.paths import Paths
 from tolerancing.wavefronts.prediction import Judged, judged_points, predict, replace_draws
+from tolerancing.wavefronts.sheet_scores import StudySheets
 from tolerancing.wavefronts.system import Changes, changes_of
 
 SEARCH_DRAWS = 2048
@@ -82,6 +83,10 @@ class StudyAsBuilt:
     source: str
     costs: Path | None = None
     amount: float | None = None
+
+    def sheets(self) -> StudySheets:
+        """What derives and scores the tolerances of a lens's sheets by the study."""
+        return StudySheets(self.study, self.source)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
         """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""

@@ -49,10 +49,13 @@ class Stated:
         With an edge for each element, and rounded.
     notes
         What was chosen and changed, and what that does, in words.
+    tolerances
+        Of the sheet of each element; empty where they are not yet made.
     """
 
     lens: Lens
     notes: tuple[str, ...]
+    tolerances: tuple[DrawingTolerances, ...] = ()
 
 
 def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:

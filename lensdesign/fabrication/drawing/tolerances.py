@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from collections.abc import Collection
+from typing import Annotated, Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -18,7 +19,47 @@ NotNegative = Annotated[Finite, Field(ge=0.0, le=1e9)]
 ShortText = Annotated[str, Field(max_length=200)]
 
 
-class SurfaceTolerances(Section):
+GENERAL_MARK, DERIVED_MARK = "*", "†"
+"""Beside values of a sheet that are general tolerances, and such that were derived from a study."""
+
+
+class Marked(Section):
+    """Tolerances of which some are not stated by whom the sheet names as its source.
+
+    Attributes
+    ----------
+    general
+        Names of the values that are general tolerances; the sheet marks them with an asterisk.
+    derived
+        Names of the values that were derived from a tolerance study; the sheet marks them with a dagger.
+    """
+
+    general: tuple[str, ...] = ()
+    derived: tuple[str, ...] = ()
+
+    _names = field_validator("general", "derived", mode="before")(tuples)
+
+    def mark(self, name: str) -> str:
+        """Mark beside a value on the sheet."""
+        return GENERAL_MARK if name in self.general else DERIVED_MARK if name in self.derived else ""
+
+    def with_derived(self, **values: Any) -> Self:
+        """The tolerances with derived values, marked as such."""
+        general = tuple(name for name in self.general if name not in values)
+        return self.replaced(**values, general=general, derived=(*self.derived, *values))
+
+    def marked_general(self, known: Collection[str]) -> Self:
+        """The tolerances, of which all values are marked as general that are not known from elsewhere."""
+        given = (name for name in type(self).model_fields if name not in Marked.model_fields)
+        return self.replaced(general=tuple(n for n in given if n not in known and self._states(n)))
+
+    def _states(self, name: str) -> bool:
+        value = getattr(self, name)
+        stated = value != type(self).model_fields[name].default
+        return name != "source" and stated and not isinstance(value, Section)
+
+
+class SurfaceTolerances(Marked):
     """What a drawing asks of one surface; None or an empty text leaves an indication open.
 
     Attributes
@@ -87,7 +128,7 @@ class SurfaceTolerances(Section):
         return self
 
 
-class DrawingTolerances(Section):
+class DrawingTolerances(Marked):
     """What a drawing asks of one glass element.
 
     Attributes
