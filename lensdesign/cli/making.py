@@ -17,6 +17,8 @@ from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_l
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lensdesign.fabrication.drawing.nominal import Stated
     from lensdesign.fabrication.drawing.scored import SheetScore
     from lensdesign.fabrication.drawing.strokes import Drawing
@@ -59,6 +61,7 @@ def export(
     if as_json:
         print_json(made.figures)
     else:
+        print_outline(made.outline)
         typer.echo(f"wrote {file}: {made.sentence}")
 
 
@@ -73,22 +76,26 @@ def scene(
 
     lens = load_design(design)
     nodes = write_scene(lens, output)
-    outline = print_outline(lens)
+    outline = outline_of(lens)
     if as_json:
-        print_json({"file": str(output), "nodes": list(nodes), "outline": outline})
+        print_json({"file": str(output), "nodes": list(nodes), "outline": list(outline)})
     else:
+        print_outline(outline)
         typer.echo(f"wrote {output}: {', '.join(nodes)}")
 
 
-def print_outline(lens: Lens) -> list[str]:
-    """Print the outline of each element, and return the sentences."""
+def outline_of(lens: Lens) -> tuple[str, ...]:
+    """The outline of each element in a scene, in one sentence."""
     from lensdesign.analysis.outline import drawn_outline
     from lensdesign.tracing.paths import sized_lens
 
-    statements = list(drawn_outline(sized_lens(lens)).statements)
+    return drawn_outline(sized_lens(lens)).statements
+
+
+def print_outline(statements: Sequence[str]) -> None:
+    """Print the outline of each element, as a note."""
     for statement in statements:
         typer.echo(f"outline: {visible(statement)}", err=True)
-    return statements
 
 
 def drawing(

@@ -41,9 +41,9 @@ def verify(
     if as_json:
         print_json({"file": str(mesh)} | report.as_dict() | {"outline": list(outline.statements)})
     else:
-        _print_report(report)
         for statement in outline.statements:
             typer.echo(f"outline of the design: {statement}")
+        _print_report(report)
     raise typer.Exit(1 if report.faults else 0)
 
 

@@ -20,10 +20,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exported:
-    """A file that was written: what it is in a few words, and its figures for JSON."""
+    """A file that was written.
+
+    Attributes
+    ----------
+    sentence
+        What it is, in a few words.
+    figures
+        Its figures, for JSON.
+    outline
+        The outline of each element in one sentence.
+    """
 
     sentence: str
     figures: dict[str, Any]
+    outline: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -37,8 +48,7 @@ class ExportOptions:
     measured
         Of meshes: whether surfaces have their measured figures.
     report
-        Progress callback: one sentence for the outline of each element, and for each surface whose measured
-        figure is left out.
+        Told in one sentence of each surface whose measured figure is left out.
     """
 
     chord_error_um: float
@@ -86,7 +96,6 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         measured=options.measured,
         statement="; ".join(statements),
     )
-    _report_outline(statements, options)
     figures = {
         "file": str(path),
         "triangles": mesh.triangles,
@@ -102,7 +111,7 @@ def _mesh(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         f"{mesh.triangles} triangles, within {mesh.chord_error_um:.3g} um of the true surface, "
         f"volume {mesh.volume_mm3:.6g} mm^3 (exact {mesh.exact_volume_mm3:.6g} mm^3)"
     )
-    return Exported(sentence, figures)
+    return Exported(sentence, figures, statements)
 
 
 def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
@@ -114,7 +123,6 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         )
     outline = drawn_outline(lens)
     found = write_step(outline.lens, path, report=options.report, statement="; ".join(outline.statements))
-    _report_outline(outline.statements, options)
     figures = {
         "file": str(path),
         "bytes": found.bytes,
@@ -128,7 +136,7 @@ def _step(lens: Lens, path: Path, options: ExportOptions) -> Exported:
         f"{1e6 * found.largest_error_mm:.2g} nm of the true surface, volume {found.volume_mm3:.9g} mm^3 "
         f"(exact {found.exact_volume_mm3:.9g} mm^3)"
     )
-    return Exported(sentence, figures)
+    return Exported(sentence, figures, outline.statements)
 
 
 def _lens_file(lens: Lens, path: Path, _options: ExportOptions) -> Exported:
@@ -148,11 +156,6 @@ def _measured_outline(lens: Lens) -> tuple[str, ...]:
         )
         for element in glass_elements(lens)
     )
-
-
-def _report_outline(statements: tuple[str, ...], options: ExportOptions) -> None:
-    for statement in statements:
-        options.report(f"outline: {statement}")
 
 
 def _diameters(outline: DrawnOutline) -> list[float]:

@@ -283,12 +283,16 @@ class FirstOrderYield:
 
     def at(self, factors: Array) -> float:
         """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        return float(np.mean(self.passed(factors)))
+
+    def passed(self, factors: Array) -> NDArray[np.bool_]:
+        """Which of the drawn lenses keep the limits then, shape (draws,)."""
         changed = self._amounts.copy()
         for columns, factor in zip(self._known.changes.columns, factors, strict=True):
             changed[:, columns] *= factor
         together = np.concatenate([changed, self._known.compensation.values(changed)], axis=1)
         squares = np.stack([np.sum((together @ form) * together, axis=1) for form in self._forms], axis=1)
-        return float(np.mean(np.all(squares <= self._limits, axis=1)))
+        return np.asarray(np.all(squares <= self._limits, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,17 +23,15 @@ from tolerancing.study.files import check_against, save_study
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.as_drawn import (
     HOMOGENEITY,
-    OF_ELEMENT,
     AsDrawnStudy,
-    Key,
-    SheetItem,
     as_drawn_study,
     item_key,
     sheet_items,
     with_value,
 )
 from tolerancing.wavefronts.prediction import FirstOrderYield, drawn_batch, is_predicted_wavefront
-from tolerancing.wavefronts.rays import predicted_merits
+from tolerancing.wavefronts.rays import BLOCK, FirstOrderRays, predicted_merits
+from tolerancing.wavefronts.sheet_item import OF_ELEMENT, Key, SheetItem
 from tolerancing.wavefronts.study_prediction import predict_study
 
 COSTS_NOTHING = 0.001
@@ -47,10 +46,11 @@ ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 SHARES = (0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 """Of a wedge, for the tilt of each of the two surfaces."""
 
-MOST_STEPS = 100
+WAVE_STEPS, JOINT_STEPS = 100, 15
+"""Most values that are tightened because all of them together cost too much."""
 
-JOINT_EVERY = 8
-"""Of a prediction's draws, those by which joint yields are compared."""
+JOINT_EVERY = 16
+"""Of a prediction's draws, every so manieth is one by which joint yields are compared."""
 
 YieldOf = Callable[[Array], float]
 
@@ -94,15 +94,15 @@ class StudySheets:
         if not self._predictable or all(item.origin not in ("general", "open") for item in items):
             return Derived(tuple(sheets), ())
         made = as_drawn_study(lens, self.study, items)
-        joint = _joint(lens, made.study)
+        joint = _JointYield(lens, made.study).at
         waves = None
         if any(is_predicted_wavefront(merit) for merit in self.study.merits):
             waves = FirstOrderYield(lens, made.study).at
         search = _Search(lens, sheets, items, made)
         search.share_wedges(waves or joint)
-        search.tighten(waves or joint)
+        search.tighten(waves or joint, WAVE_STEPS if waves else JOINT_STEPS)
         if waves and predicted_merits(self.study) and search.loss(joint) > search.loss(waves) + LOSS_EACH:
-            search.tighten(joint)
+            search.tighten(joint, JOINT_STEPS)
         return Derived(
             tuple(_written(sheet, search.chosen, k, lens) for k, sheet in enumerate(sheets)),
             tuple(_notes(search)),
@@ -148,20 +148,32 @@ class StudySheets:
         )
 
 
-def _joint(lens: Lens, study: Study) -> YieldOf:
-    """Joint yield of all predicted limits, with each tolerance multiplied; by fewer draws than a prediction."""
-    batch = drawn_batch(study, JOINT_EVERY)
+class _JointYield:
+    """Joint yield of all predicted limits to first order, by some of a prediction's draws."""
 
-    def at(factors: Array) -> float:
-        changed = replace(batch, values=batch.values * factors)
-        return predict_study(lens, study, changed, quick=True).yield_fraction
+    def __init__(self, lens: Lens, study: Study) -> None:
+        waves = any(is_predicted_wavefront(merit) for merit in study.merits)
+        self._waves = FirstOrderYield(lens, study) if waves else None
+        self._merits = predicted_merits(study)
+        self._rays = FirstOrderRays(lens, study)
+        self._batch = drawn_batch(study, JOINT_EVERY)
 
-    return at
+    def at(self, factors: Array) -> float:
+        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
+        good = np.ones(len(self._batch), bool)
+        if self._waves is not None:
+            good &= self._waves.passed(factors)[::JOINT_EVERY]
+        changed = replace(self._batch, values=self._batch.values * factors)
+        for start in range(0, len(good), BLOCK) if self._merits else ():
+            part = slice(start, start + BLOCK)
+            for merit in self._merits:
+                good[part] &= merit.passed(merit.scores(self._rays, changed.part(part)))
+        return float(np.mean(good))
 
 
 def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
     """Yield that each indication costs alone which the study does not have, largest first."""
-    at = _joint(lens, made.study)
+    at = _JointYield(lens, made.study).at
     added = list({item.key: item for item in made.items if item is not None}.values())
 
     def factors(one: SheetItem | None) -> Array:
@@ -218,21 +230,21 @@ class _Search:
             self.chosen |= both
             self.shared |= set(both)
 
-    def tighten(self, yield_of: YieldOf) -> None:
+    def tighten(self, yield_of: YieldOf, most_steps: int) -> None:
         """Tighten values until each costs little alone, and all of them together."""
         shared = {key: self.chosen[key] for key in self.shared}
         own = {key: one for key, one in self.chosen.items() if key not in self.shared}
         base = self._yield(yield_of, shared)
+
+        def cost(key: Key, one: SheetItem) -> float:
+            return base - self._yield(yield_of, shared | {key: one})
+
         for key, one in own.items():
-            cost = base - self._yield(yield_of, shared | {key: one})
-            while cost > (LOSS_EACH if one is not self.items[key] else COSTS_NOTHING):
-                closer = self._closer(one)
-                if closer is None:
-                    break
-                one = closer
-                cost = base - self._yield(yield_of, shared | {key: one})
-            self.chosen[key], self.costs[key] = one, cost
-        for _ in range(MOST_STEPS):
+            self.costs[key] = cost(key, one)
+            if self.costs[key] > (LOSS_EACH if one is not self.items[key] else COSTS_NOTHING):
+                self.chosen[key] = self._widest(one, partial(self._does, yield_of, base, shared, key))
+                self.costs[key] = cost(key, self.chosen[key])
+        for _ in range(most_steps):
             if base - self._yield(yield_of, self.chosen) <= LOSS_ALL:
                 break
             dear = (key for key in own if self.costs[key] > 0.5 * COSTS_NOTHING)
@@ -241,7 +253,24 @@ class _Search:
                 break
             key = max(steps, key=lambda key: self.costs[key])
             self.chosen[key] = steps[key]
-            self.costs[key] = base - self._yield(yield_of, shared | {key: steps[key]})
+            self.costs[key] = cost(key, steps[key])
+
+    def _does(
+        self, yield_of: YieldOf, base: float, shared: dict[Key, SheetItem], key: Key, one: SheetItem
+    ) -> bool:
+        """Whether a value costs little alone."""
+        return base - self._yield(yield_of, shared | {key: one}) <= LOSS_EACH
+
+    def _widest(self, item: SheetItem, does: Callable[[SheetItem], bool]) -> SheetItem:
+        """The widest closer value that does, by bisection; the closest of all where none does."""
+        ladder = [item]
+        while (closer := self._closer(ladder[-1])) is not None:
+            ladder.append(closer)
+        low, high = 0, len(ladder) - 1  # the first does not
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if does(ladder[middle]) else (middle, high)
+        return ladder[high]
 
     def loss(self, yield_of: YieldOf) -> float:
         """Yield that all chosen values cost together."""

@@ -102,10 +102,16 @@ def _ground_height(state: State, i: int, clear: Sequence[Height]) -> Height:
 
 
 def _ends_at(state: State, i: int, ground: Height, clear: Sequence[Height]) -> tuple[Height, Height]:
-    """Heights at which the two surfaces of a space end: a conic that ends before goes on as a flat ring."""
+    """Heights at which the two surfaces of a space end.
+
+    A conic that ends between the clear apertures and the ground edge goes on as a flat ring; one that ends
+    before is no surface of this lens.
+    """
     shapes = (surface.shape for surface in state.lens.surfaces[i : i + 2])
+    largest = max(height for height, _ in clear)
     front, back = (
-        ground if shape.edge_radius_mm >= ground[0] else own for shape, own in zip(shapes, clear, strict=True)
+        own if largest <= shape.edge_radius_mm < ground[0] else ground
+        for shape, own in zip(shapes, clear, strict=True)
     )
     return front, back
 
