@@ -205,7 +205,7 @@ def predict(
         If rays from an object point do not pass.
     """
     judged = judged_points(study) if points is None else tuple(points)
-    known = _known(lens, study, judged, second=second)
+    known = study_derivatives(lens, study, judged, second=second)
     if amounts is None:
         amounts = drawn_amounts(study)
     together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
@@ -249,55 +249,27 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
     InputError, DesignError
         As of :func:`predict`.
     """
-    model = FirstOrderYield(lens, study)
-    ones = np.ones(len(study.perturbations))
+    judged = judged_points(study)
+    known = study_derivatives(lens, study, judged, second=False)
+    forms = [first_order(field) for field in known.fields]
+    amounts, limits = drawn_amounts(study), np.array([point.limit_waves**2 for point in judged])
 
-    def good(k: int, factor: float) -> float:
-        factors = ones.copy()
-        factors[k] = factor
-        return model.at(factors)
+    def good(columns: slice, factor: float) -> float:
+        changed = amounts.copy()
+        changed[:, columns] *= factor
+        together = np.concatenate([changed, known.compensation.values(changed)], axis=1)
+        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in forms], axis=1)
+        return float(np.mean(np.all(squares <= limits, axis=1)))
 
-    return tuple(Loosened(p.column, good(k, 0.5), good(k, 2.0)) for k, p in enumerate(study.perturbations))
-
-
-class FirstOrderYield:
-    """Yield of a study by its wavefronts, to first order, with each tolerance multiplied.
-
-    Parameters
-    ----------
-    lens, study
-        As of :func:`predict`.
-
-    Raises
-    ------
-    InputError, DesignError
-        As of :func:`predict`.
-    """
-
-    def __init__(self, lens: Lens, study: Study) -> None:
-        judged = judged_points(study)
-        self._known = _known(lens, study, judged, second=False)
-        self._forms = [first_order(field) for field in self._known.fields]
-        self._amounts = drawn_amounts(study)
-        self._limits = np.array([point.limit_waves**2 for point in judged])
-
-    def at(self, factors: Array) -> float:
-        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
-        return float(np.mean(self.passed(factors)))
-
-    def passed(self, factors: Array) -> NDArray[np.bool_]:
-        """Which of the drawn lenses keep the limits then, shape (draws,)."""
-        changed = self._amounts.copy()
-        for columns, factor in zip(self._known.changes.columns, factors, strict=True):
-            changed[:, columns] *= factor
-        together = np.concatenate([changed, self._known.compensation.values(changed)], axis=1)
-        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in self._forms], axis=1)
-        return np.asarray(np.all(squares <= self._limits, axis=1))
+    return tuple(
+        Loosened(p.column, good(columns, 0.5), good(columns, 2.0))
+        for p, columns in zip(study.perturbations, known.changes.columns, strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
-    """Of a study: its changes, what compensators take, and derivatives by both at the judged points."""
+class StudyDerivatives:
+    """Derivatives of a study's wavefronts by its changes and compensators, at the judged field points."""
 
     judged: tuple[Judged, ...]
     changes: Changes
@@ -305,7 +277,7 @@ class _Known:
     fields: tuple[FieldDifferentials, ...]
 
 
-def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> _Known:
+def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> StudyDerivatives:
     """Derivatives by all that a study perturbs and compensates."""
 
     def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:
@@ -331,13 +303,13 @@ def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> 
     changes, fields = at(own, *scatter)
     limits = [c.limit for c in study.compensators]
     if not limits:
-        return _Known(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
+        return StudyDerivatives(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
     adapted = study.compensators, limits
     told = compensated_points(study)
     compensation = Compensation(np.array(limits), at(told, *scatter)[1], at(told, *adapted)[1])
     models = at(own, *adapted)[1]
     left = tuple(less_model(field, model) for field, model in zip(fields, models, strict=True))
-    return _Known(tuple(judged), changes, compensation, left)
+    return StudyDerivatives(tuple(judged), changes, compensation, left)
 
 
 def replace_draws(study: Study, count: int) -> Study:
@@ -355,7 +327,9 @@ def first_order(field: FieldDifferentials) -> Array:
     return np.asarray((field.registered.T * field.weights) @ field.registered)
 
 
-def _point(known: _Known, k: int, amounts: Array, together: Array, squares: Array) -> PointPrediction:
+def _point(
+    known: StudyDerivatives, k: int, amounts: Array, together: Array, squares: Array
+) -> PointPrediction:
     judged, form = known.judged[k], first_order(known.fields[k])
     linear = float(np.mean(np.sum((together @ form) * together, axis=1)))
     # What a perturbation brings by itself is what compensators leave of it.

@@ -29,8 +29,9 @@ from tolerancing.wavefronts.as_drawn import (
     sheet_items,
     with_value,
 )
-from tolerancing.wavefronts.prediction import FirstOrderYield, drawn_batch, is_predicted_wavefront
-from tolerancing.wavefronts.rays import BLOCK, FirstOrderRays, predicted_merits
+from tolerancing.wavefronts.factor_yields import FirstOrderYield, JointYield
+from tolerancing.wavefronts.prediction import is_predicted_wavefront
+from tolerancing.wavefronts.rays import predicted_merits
 from tolerancing.wavefronts.sheet_item import OF_ELEMENT, Key, SheetItem
 from tolerancing.wavefronts.study_prediction import predict_study
 
@@ -48,9 +49,6 @@ SHARES = (0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 
 WAVE_STEPS, JOINT_STEPS = 100, 15
 """Most values that are tightened because all of them together cost too much."""
-
-JOINT_EVERY = 16
-"""Of a prediction's draws, every so manieth is one by which joint yields are compared."""
 
 YieldOf = Callable[[Array], float]
 
@@ -94,7 +92,7 @@ class StudySheets:
         if not self._predictable or all(item.origin not in ("general", "open") for item in items):
             return Derived(tuple(sheets), ())
         made = as_drawn_study(lens, self.study, items)
-        joint = _JointYield(lens, made.study).at
+        joint = JointYield(lens, made.study).at
         waves = None
         if any(is_predicted_wavefront(merit) for merit in self.study.merits):
             waves = FirstOrderYield(lens, made.study).at
@@ -148,32 +146,9 @@ class StudySheets:
         )
 
 
-class _JointYield:
-    """Joint yield of all predicted limits to first order, by some of a prediction's draws."""
-
-    def __init__(self, lens: Lens, study: Study) -> None:
-        waves = any(is_predicted_wavefront(merit) for merit in study.merits)
-        self._waves = FirstOrderYield(lens, study) if waves else None
-        self._merits = predicted_merits(study)
-        self._rays = FirstOrderRays(lens, study)
-        self._batch = drawn_batch(study, JOINT_EVERY)
-
-    def at(self, factors: Array) -> float:
-        """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
-        good = np.ones(len(self._batch), bool)
-        if self._waves is not None:
-            good &= self._waves.passed(factors)[::JOINT_EVERY]
-        changed = replace(self._batch, values=self._batch.values * factors)
-        for start in range(0, len(good), BLOCK) if self._merits else ():
-            part = slice(start, start + BLOCK)
-            for merit in self._merits:
-                good[part] &= merit.passed(merit.scores(self._rays, changed.part(part)))
-        return float(np.mean(good))
-
-
 def _losses(lens: Lens, made: AsDrawnStudy) -> list[tuple[str, float]]:
     """Yield that each indication costs alone which the study does not have, largest first."""
-    at = _JointYield(lens, made.study).at
+    at = JointYield(lens, made.study).at
     added = list({item.key: item for item in made.items if item is not None}.values())
 
     def factors(one: SheetItem | None) -> Array:

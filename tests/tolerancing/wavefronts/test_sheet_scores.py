@@ -1,0 +1,81 @@
+"""What a study leaves open is derived for a sheet, and the sheet's yield is that of the study it stands for."""
+
+from __future__ import annotations
+
+import pytest
+from places import GOLDEN
+
+from lensdesign.fabrication.drawing.assumed import load_tolerances
+from lensdesign.fabrication.drawing.scored import MOST_LOSS
+from lensdesign.fabrication.drawing.sheets import drawing_as_stated
+from tolerancing.study.files import LoadedStudy, load_study
+from tolerancing.wavefronts.sheet_scores import LOSS_ALL, StudySheets
+from tolerancing.wavefronts.study_prediction import predict_study
+
+FOLDER = GOLDEN / "designer_b"
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedStudy:
+    return load_study(FOLDER / "study_best.toml")
+
+
+@pytest.fixture(scope="module")
+def general(loaded: LoadedStudy):
+    """The lens as drawn, and the sheet with general tolerances where the study states none."""
+    assumed = load_tolerances(FOLDER / "study_best.toml", loaded.lens)
+    _, stated = drawing_as_stated(loaded.lens, None, assumed)
+    return stated
+
+
+def test_general_tolerances_cost_most_of_the_yield(loaded: LoadedStudy, general) -> None:
+    """The sheet of the study, with 20 arc minutes on the surface that the study does not tilt."""
+    (sheet,) = general.tolerances
+    assert sheet.left.centring_arcmin == 20.0
+    assert set(sheet.left.general) >= {"centring_arcmin", "irregularity_fringes", "chamfer_mm"}
+    assert not {"radius_mm", "rms_irregularity_fringes"} & set(sheet.left.general)
+    assert "thickness_mm" not in sheet.general
+    score = StudySheets(loaded.study, "study").score(loaded.lens, general.lens, general.tolerances)
+    assert score is not None
+    assert score.study_yield == predict_study(loaded.lens, loaded.study).yield_fraction > 0.98
+    assert score.as_drawn_yield < 0.5
+    worst = [text for text, _ in score.losses[:3]]
+    assert "centring of surface 1 (±20′)" in worst
+    assert "points" in score.worst
+
+
+def test_derived_values_keep_the_yield(loaded: LoadedStudy, general) -> None:
+    sheets = StudySheets(loaded.study, "study")
+    derived = sheets.derive(general.lens, general.tolerances)
+    (made,), (before,) = derived.tolerances, general.tolerances
+    score = sheets.score(loaded.lens, general.lens, derived.tolerances)
+    assert score is not None
+    assert score.loss < LOSS_ALL + 0.005 < MOST_LOSS
+    assert 0.0 < made.left.centring_arcmin < before.left.centring_arcmin
+    assert {"centring_arcmin", "decenter_mm"} <= set(made.left.derived)
+    assert "centring_arcmin" not in made.left.general
+    assert made.right.decenter_mm is not None  # an asphere whose displacement nobody has limited
+    assert made.index == before.index  # of the study
+    assert made.abbe_percent is not None
+    assert set(made.general) >= {"diameter_mm", "bubbles"}
+    assert made.left.radius_mm == before.left.radius_mm
+    assert "centring of surface 1" in derived.notes[0]
+
+
+def test_nothing_is_derived_where_general_tolerances_cost_nothing(loaded: LoadedStudy, general) -> None:
+    """By a limit that any lens keeps."""
+    (merit,) = loaded.study.all_merits
+    lax = loaded.study.model_copy(update={"all_merits": (merit.replaced(at_most=50.0),)})
+    (made,) = StudySheets(lax, "study").derive(general.lens, general.tolerances).tolerances
+    assert made.left == general.tolerances[0].left.with_derived(decenter_mm=made.left.decenter_mm)
+    assert "inhomogeneity" in made.general
+
+
+def test_a_study_of_other_merits_is_not_scored(loaded: LoadedStudy, general) -> None:
+    from tolerancing.merits.registry import merit_from_table
+
+    table = {"kind": "line_pair_contrast", "line_width_um": 1.0, "at_least": 0.5}
+    study = loaded.study.model_copy(update={"all_merits": (merit_from_table(table, "here"),)})
+    sheets = StudySheets(study, "study")
+    assert sheets.derive(general.lens, general.tolerances).tolerances == general.tolerances
+    assert sheets.score(loaded.lens, general.lens, general.tolerances) is None
