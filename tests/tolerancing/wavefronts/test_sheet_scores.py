@@ -65,7 +65,7 @@ def test_derived_values_keep_the_yield(loaded: LoadedStudy, general) -> None:
 def test_nothing_is_derived_where_general_tolerances_cost_nothing(loaded: LoadedStudy, general) -> None:
     """By a limit that any lens keeps."""
     (merit,) = loaded.study.all_merits
-    lax = loaded.study.model_copy(update={"all_merits": (merit.replaced(at_most=50.0),)})
+    lax = loaded.study.model_copy(update={"all_merits": (merit.model_copy(update={"at_most": 50.0}),)})
     (made,) = StudySheets(lax, "study").derive(general.lens, general.tolerances).tolerances
     assert made.left == general.tolerances[0].left.with_derived(decenter_mm=made.left.decenter_mm)
     assert "inhomogeneity" in made.general
