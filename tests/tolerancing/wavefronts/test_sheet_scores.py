@@ -1,4 +1,4 @@
-"""What a study leaves open is derived for a sheet, and the sheet's yield is that of the study it stands for."""
+"""Values that a study leaves open are derived, and a sheet yields what the study that it stands for does."""
 
 from __future__ import annotations
 
