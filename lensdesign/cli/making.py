@@ -170,8 +170,6 @@ def drawing(
         raise InputError(f"cannot write {study_as_drawn}: {unscored}, so that the sheet is not scored")
     _write_as_drawn(made, stated, score, (output, as_drawn, study_as_drawn), design)
     notes = list(stated.notes)
-    if unscored:
-        notes.append(f"the sheet is not scored: {unscored}")
     if score is not None:
         notes += _score_notes(score, accept_yield_loss)
     if assumed is not None and tolerances is not None:
@@ -181,6 +179,8 @@ def drawing(
             notes.append(f"not in {tolerances}, so not by it: {', '.join(missing)}")
         if assumed.left_out:
             notes.append(f"not on the sheet: {', '.join(assumed.left_out)}")
+    if unscored:
+        notes.append(f"the sheet is not scored: {unscored}")
     if as_json:
         figures = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
         if assumed is not None:

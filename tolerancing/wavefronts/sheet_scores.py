@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
 from lensdesign.fabrication.drawing.scored import MOST_LOSS, Derived, SheetScore
 from lensdesign.fabrication.drawing.tolerances import DrawingTolerances
 from lensdesign.lens.lens import Lens
@@ -133,6 +134,11 @@ class StudySheets:
             losses = _losses(drawn, made)
 
         def save(path: Path, design: str) -> None:
+            named = [p.file_name for p in made.study.perturbations if p.file_name is not None]
+            if named and path.resolve().parent != Path(self.source).resolve().parent:
+                raise InputError(
+                    f"the study as drawn needs {named[0]} beside it; write it beside {self.source}"
+                )
             title = f"{self.study.title or self.source}: as drawn"
             save_study(made.study.model_copy(update={"title": title, "design": design}), path)
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import pytest
 from places import GOLDEN
 
 from lensdesign.fabrication.drawing.assumed import load_tolerances
 from lensdesign.fabrication.drawing.scored import MOST_LOSS
 from lensdesign.fabrication.drawing.sheets import drawing_as_stated
-from tolerancing.study.files import LoadedStudy, load_study
+from tolerancing.perturbations.grades import starting_study
+from tolerancing.study.files import LoadedStudy, load_study, study_from_tables
+from tolerancing.wavefronts.as_drawn import as_drawn_study, sheet_items
 from tolerancing.wavefronts.sheet_scores import LOSS_ALL, StudySheets
 from tolerancing.wavefronts.study_prediction import predict_study
 
@@ -79,3 +83,21 @@ def test_a_study_of_other_merits_is_not_scored(loaded: LoadedStudy, general) -> 
     sheets = StudySheets(study, "study")
     assert sheets.derive(general.lens, general.tolerances).tolerances == general.tolerances
     assert sheets.score(loaded.lens, general.lens, general.tolerances) is None
+
+
+@pytest.mark.parametrize("grade", ["precision", "iso10110"])
+def test_a_graded_study_states_all_that_a_sheet_does(loaded: LoadedStudy, grade: str, tmp_path) -> None:
+    """But the homogeneity of the glass, which no perturbation stands for."""
+    text = starting_study(loaded.lens, "best.toml", grade)
+    (tmp_path / "study.toml").write_text(text)
+    study = study_from_tables(tomllib.loads(text), "here")
+    assumed = load_tolerances(tmp_path / "study.toml", loaded.lens)
+    _, stated = drawing_as_stated(loaded.lens, None, assumed)
+    items = sheet_items(stated.lens, study, stated.tolerances)
+    assert {item.kind for item in items if item.origin != "study"} == {"inhomogeneity"}
+    assert len(items) == 14
+    made = as_drawn_study(stated.lens, study, items).study.perturbations
+    assert made[: len(study.perturbations)] == study.perturbations
+    assert [p.name for p in made[len(study.perturbations) :]] == [
+        "inhomogeneity_of_element_1_irregularity_pv_waves"
+    ]
