@@ -73,7 +73,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
         Tolerances of each element's sheet.
     """
     stated = {key for p in study.perturbations if (key := item_key(p, lens)) and sheet_value(p, lens)}
-    found = []
+    found = dict[Key, SheetItem]()
     for element, sheet in zip(glass_elements(lens), sheets, strict=True):
         size = max(2.0 * element.edge_mm, element.back.vertex_z_mm - element.front.vertex_z_mm)
         general = general_tolerances(min(size, max(GENERAL)))
@@ -98,8 +98,11 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
                     ratio = general.fringe_wavelength_um / sheet.fringe_wavelength_um
                     number = float(f"{ratio * number:.4g}")
                 item = SheetItem(kind, element.number, surface, name, number, origin, ())
-                found.append(with_value(item, lens, sheet, number))
-    return tuple(item for item in found if item.deviations)
+                # Two cemented elements share a surface: the sheet that allows more counts.
+                other = found.get(item.key)
+                if other is None or (other.field == name and other.value < number):
+                    found[item.key] = with_value(item, lens, sheet, number)
+    return tuple(item for item in found.values() if item.deviations)
 
 
 def _has(lens: Lens, kind: Kind, surface: int) -> bool:

@@ -318,12 +318,17 @@ def _written(
     """The sheet of an element with the chosen values."""
     front = lens.glass_fronts[element]
     for item in chosen.values():
-        if item.element != element:
+        # A cemented surface stands on the sheets of both its elements.
+        if element != item.element if item.kind in OF_ELEMENT else item.surface not in (front, front + 1):
             continue
         side = None if item.kind in OF_ELEMENT else "left" if item.surface == front else "right"
         part = sheet if side is None else getattr(sheet, side)
         value = f"{item.value:g};1" if item.kind == "inhomogeneity" else item.value
-        if getattr(part, item.field) == value:
+        old = getattr(part, item.field)
+        given = old not in (None, "") and item.field not in part.general
+        stated = given and item.origin in ("general", "open")
+        closer = isinstance(old, float) and old <= item.value
+        if stated or closer or old == value:
             continue
         own = part.with_derived(**{item.field: value})
         sheet = own if side is None else sheet.replaced(**{side: own})

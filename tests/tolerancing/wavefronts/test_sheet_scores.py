@@ -5,9 +5,10 @@ from __future__ import annotations
 import tomllib
 
 import pytest
-from places import GOLDEN
+from drawing_checks import lens_of
+from places import DESIGNS, GOLDEN
 
-from lensdesign.fabrication.drawing.assumed import load_tolerances
+from lensdesign.fabrication.drawing.assumed import AssumedTolerances, load_tolerances
 from lensdesign.fabrication.drawing.scored import MOST_LOSS
 from lensdesign.fabrication.drawing.sheets import drawing_as_stated
 from tolerancing.perturbations.grades import starting_study
@@ -101,3 +102,47 @@ def test_a_graded_study_states_all_that_a_sheet_does(loaded: LoadedStudy, grade:
     assert [p.name for p in made[len(study.perturbations) :]] == [
         "inhomogeneity_of_element_1_irregularity_pv_waves"
     ]
+
+
+def test_a_cemented_surface_is_scored_once_and_stands_on_both_sheets(loaded: LoadedStudy) -> None:
+    glass = {"thickness_mm": 3.0, "material": "N-BK7", "semi_diameter_mm": 5.0}
+    lens = lens_of(
+        {"radius_mm": 40.0, "stop": True} | glass,
+        {"radius_mm": -40.0} | glass | {"material": "N-SF2"},
+        {"radius_mm": -200.0, "semi_diameter_mm": 5.0},
+    )
+    (merit,) = loaded.study.all_merits
+    strict = merit.model_copy(update={"at_most": 0.02, "field_points_mm": ((0.0, 0.0),)})
+    mount = tuple(p for p in loaded.study.perturbations if p.target == "lens")
+    study = loaded.study.model_copy(update={"all_merits": (strict,), "perturbations": mount})
+    assumed = AssumedTolerances([{}, {}], [{}, {}, {}])
+    _, stated = drawing_as_stated(lens, None, assumed)
+    items = sheet_items(stated.lens, study, stated.tolerances)
+    assert len({item.key for item in items}) == len(items)
+    assert [item.surface for item in items if item.kind == "centring"] == [0, 1, 2]
+    derived = StudySheets(study, "study").derive(stated.lens, stated.tolerances).tolerances
+    assert derived[0].right.centring_arcmin == derived[1].left.centring_arcmin
+    assert derived[0].right.irregularity_fringes == derived[1].left.irregularity_fringes
+    assert derived[0].right.irregularity_fringes < stated.tolerances[0].right.irregularity_fringes
+    assert "irregularity_fringes" in derived[1].left.derived
+
+
+def test_a_wedge_that_the_study_gives_one_surface_is_shared_where_it_must() -> None:
+    """Both surfaces are held to the ground edge, and the yield has no room for a second tilt."""
+    paper = load_study(DESIGNS / "paper_tolerances.toml")
+    strehl = tuple(merit for merit in paper.study.all_merits if merit.kind == "strehl")
+    study = paper.study.model_copy(update={"all_merits": strehl})
+    _, stated = drawing_as_stated(
+        paper.lens, None, load_tolerances(DESIGNS / "paper_tolerances.toml", paper.lens)
+    )
+    assert stated.tolerances[0].right.centring_arcmin == 0.72
+    sheets = StudySheets(study, "study")
+    derived = sheets.derive(stated.lens, stated.tolerances)
+    (made,) = derived.tolerances
+    assert made.left.centring_arcmin == made.right.centring_arcmin < 0.72
+    assert "centring_arcmin" in made.left.derived
+    assert "centring_arcmin" in made.right.derived
+    assert derived.notes[0].startswith("derived from the study, whose tilt of one surface is shared by both")
+    score = sheets.score(paper.lens, stated.lens, derived.tolerances)
+    assert score is not None
+    assert score.loss < MOST_LOSS
