@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,12 @@ from lensdesign.common.text import finite_or_none
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
-from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport
+from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import at_temperatures, check_against
 from lensdesign.optimization.local_search import Found
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.reach import Reach, largest_that_can
-from lensdesign.optimization.rows.requirements import AS_BUILT_SCALE_WAVES
 from lensdesign.optimization.rows.row import KEPT, Row
 
 BINDING = 1e-4
@@ -219,7 +218,7 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
     check = check_against(lens, specification, built)
     if not check.feasible and not unfinished:
         reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
-    value, unit = _goal(specification, goals)
+    value, unit = _goal(specification, goals) if built is None else _built_goal(specification, goals, built)
     starts = len(chosen.found)
     return OptimizationResult(
         lens=lens,
@@ -255,17 +254,18 @@ def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
     if specification.optimize.start == "design":
         lenses.append(("start", specification.lens))
     lenses.append(("lens of the study", study.reference))
-    kept = [(name, own) for name, own in lenses if _can_be_tried(study, own)]
+    others = [row for own in lenses for row in _rows_if_possible(study, own, tolerances.trials)]
     hot = [(named_at("result", t), one) for t, one in at_temperatures(lens, specification)]
-    return study.trials([*kept, ("result", lens), *hot], tolerances.trials)
+    found = study.trials([("result", lens), *hot], tolerances.trials)
+    return replace(found, rows=(*others, *found.rows))
 
 
-def _can_be_tried(study: AsBuilt, lens: Lens) -> bool:
+def _rows_if_possible(study: AsBuilt, named: tuple[str, Lens], trials: int) -> tuple[TrialsOf, ...]:
+    """Trials of a lens that stands beside the result; none where they cannot be made."""
     try:
-        study.trials([("", lens)], 1)
+        return study.trials([named], trials).rows
     except TransferLensError:
-        return False
-    return True
+        return ()
 
 
 def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried) -> list[str]:
@@ -323,11 +323,18 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
-    if goal == "as-built rms":
-        return largest * AS_BUILT_SCALE_WAVES, "waves"
-    if goal == "yield":
-        return 100.0 * (1.0 - largest), "%"
     return largest * specification.exit_vertex_z_mm, "mm"
+
+
+def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltReport) -> tuple[float, str]:
+    """A goal of lenses as built: what is predicted of the finished lens, at all temperatures."""
+    environment = specification.environment
+    own = built.rows[-1 - (0 if environment is None else len(environment.temperatures_c)) :]
+    if specification.optimize.goal == "as-built rms":
+        return max(max(row.predicted_rms_waves) for row in own), "waves"
+    if specification.optimize.goal == "yield":
+        return 100.0 * min(row.predicted_good for row in own), "%"
+    return _goal(specification, goals)
 
 
 def _spread(row: WavelengthCheck) -> WavelengthSpread:
