@@ -209,6 +209,8 @@ def _with_settings(specification: Specification, **changes: object) -> Specifica
 def _print_optimization(result: OptimizationResult) -> None:
     from rich.markup import escape
 
+    from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+
     for sentence in result.unfinished:
         typer.echo(f"not finished: {visible(sentence)}")
     variables = table(result.lens.title, "variable", "value")
@@ -218,6 +220,8 @@ def _print_optimization(result: OptimizationResult) -> None:
     variables.add_section()
     of_limit = result.goal_unit == "%" and result.goal != "yield"
     goal = f"{result.goal}, share of its limit" if of_limit else result.goal
+    if result.goal in AS_BUILT_GOALS:
+        goal = f"{result.goal}, predicted"
     variables.add_row(goal, f"{result.goal_value:.6g} {result.goal_unit}")
     if len(result.spreads) > 1:
         for s in result.spreads:
@@ -227,8 +231,10 @@ def _print_optimization(result: OptimizationResult) -> None:
     if any(one.temperature_c is not None for one in result.check.constraints):
         tables.append(_at_temperatures(result.check.constraints))
     if result.as_built is not None:
-        tables.append(_as_built(result.as_built))
+        tables += _as_built(result.as_built)
     print_tables(*tables)
+    for line in [] if result.as_built is None else _limits_of(result.as_built):
+        typer.echo(visible(line))
     for name in result.binding:
         typer.echo(f"binding: {name}")
     for sentence in result.violations:
@@ -263,16 +269,37 @@ def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
     return shown
 
 
-def _as_built(report: AsBuiltReport) -> Any:
-    """Start and result beside each other, by trials."""
-    points = [f"rms at {place}" for place in report.places]
+def _as_built(report: AsBuiltReport) -> list[Any]:
+    """Yields and wavefronts of start and result beside each other, by trials and as predicted."""
     trials = report.rows[0].trials
-    found = table(f"As built: waves over {trials} trials each, and as predicted", "lens", *points, "good")
+    title = f"Yield of {trials} trials each (seed {report.seed}), and as predicted"
+    merits = [f"{one.merit} {one.limit}" for one in report.rows[0].merits]
+    found = table(title, "lens", "all limits", *map(visible, merits) if len(merits) > 1 else ())
     for row in report.rows:
-        waves = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
-        found.add_row(
-            visible(row.name),
-            *(f"{rms:.4f} +- {2.0 * error:.4f} ({told:.4f})" for rms, error, told in waves),
-            f"{100.0 * row.good:.1f} % ({100.0 * row.low:.1f} to {100.0 * row.high:.1f})",
-        )
-    return found
+        parts = [_yield_text(one.good, one.low, one.high, one.predicted) for one in row.merits]
+        joint = _yield_text(row.good, row.low, row.high, row.predicted_good)
+        found.add_row(visible(row.name), joint, *parts if len(parts) > 1 else ())
+    if not report.points_mm:
+        return [found]
+    points = [f"rms at {place}" for place in report.places]
+    waves = table("Wavefronts of the same trials, in waves, and as predicted", "lens", *points)
+    for row in report.rows:
+        values = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
+        cells = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
+        waves.add_row(visible(row.name), *cells)
+    return [found, waves]
+
+
+def _yield_text(good: float, low: float, high: float, predicted: float | None) -> str:
+    own = f"{100.0 * good:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
+    return own if predicted is None else f"{own}; {100.0 * predicted:.1f} % predicted"
+
+
+def _limits_of(report: AsBuiltReport) -> list[str]:
+    """Which limits a good lens keeps, and which of them trials alone can judge; a line each."""
+    merits = report.rows[-1].merits
+    lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]
+    lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
+    if report.trials_only:
+        lines.append(f"scored by trials only, not by search and predictions: {', '.join(report.trials_only)}")
+    return lines

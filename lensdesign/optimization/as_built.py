@@ -26,20 +26,67 @@ READERS = "lensdesign.as_built"
 
 @dataclass(frozen=True)
 class AsBuiltValues:
-    """What is predicted of a lens; p object points, v variables.
+    """What a search is told of a lens; p object points, v variables.
 
     Attributes
     ----------
     rms_waves, rms_by : ndarray, shapes (p,) and (p, v)
         Root of the mean square of the wavefront error over pupil and lenses, and its derivatives.
     failing, failing_by : float, and ndarray of shape (v,)
-        Share of lenses that miss a limit at some point, smoothed so that it has derivatives.
+        Fraction of lenses that miss at least one limit of the study, of those limits that can be predicted;
+        smoothed where derivatives are asked for.
     """
 
     rms_waves: Array
     rms_by: Array
     failing: float
     failing_by: Array
+
+
+@dataclass(frozen=True)
+class MeritYield:
+    """Fraction of lenses that keep the limit of one merit, whatever they do to the others.
+
+    Attributes
+    ----------
+    merit
+        The merit's name.
+    limit
+        Its limit in words.
+    conditions
+        Its object points and other settings in words.
+    good, low, high
+        Fraction of trials, and its 95 % interval.
+    predicted
+        The same without trials; None for a merit that trials alone can score.
+    """
+
+    merit: str
+    limit: str
+    conditions: str
+    good: float
+    low: float
+    high: float
+    predicted: float | None
+
+
+@dataclass(frozen=True)
+class AsBuiltPrediction:
+    """What is predicted of a finished lens, by the function that `tolerancing predict` prints.
+
+    Attributes
+    ----------
+    rms_waves : tuple of float
+        At each object point, over pupil and lenses.
+    good
+        Fraction of lenses that keep all limits that can be predicted.
+    merits : dict
+        The same fraction for each of these limits alone, by the merits' names.
+    """
+
+    rms_waves: tuple[float, ...]
+    good: float
+    merits: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -57,9 +104,13 @@ class TrialsOf:
     rms_errors_waves : tuple of float
         Their standard errors.
     predicted_rms_waves : tuple of float
-        The same from derivatives.
+        The same without trials.
     good, low, high
-        Share of lenses that are good at all points, and its 95 % interval.
+        Yield: the fraction of lenses that keep all limits of the study, and its 95 % interval.
+    predicted_good
+        Predicted fraction of lenses that keep all limits that can be predicted.
+    merits : tuple of MeritYield
+        Each limit of the study by itself.
     """
 
     name: str
@@ -70,6 +121,8 @@ class TrialsOf:
     good: float
     low: float
     high: float
+    predicted_good: float
+    merits: tuple[MeritYield, ...]
 
 
 @dataclass(frozen=True)
@@ -79,11 +132,15 @@ class AsBuiltReport:
     Attributes
     ----------
     points_mm : tuple of (x, y)
-        Object points.
+        Object points of the study's merits of the wavefront.
     wavelengths_um : tuple of float or None
         At which each is judged; None: the lens's first.
     limits_waves : tuple of float
         Largest root mean square of a good lens at each.
+    seed
+        With which a run of the study draws the same trials.
+    trials_only : tuple of str
+        Names of the merits that cannot be predicted: the search left them out, trials count them.
     rows : tuple of TrialsOf
         The result stands last, as designed and then at each temperature that is asked for.
     """
@@ -91,6 +148,8 @@ class AsBuiltReport:
     points_mm: tuple[tuple[float, float], ...]
     wavelengths_um: tuple[float | None, ...]
     limits_waves: tuple[float, ...]
+    seed: int
+    trials_only: tuple[str, ...]
     rows: tuple[TrialsOf, ...]
 
     @property
@@ -118,6 +177,9 @@ class AsBuilt(Protocol):
 
         Derivatives are by the variables' own values.
         """
+
+    def predict(self, lens: Lens) -> AsBuiltPrediction:
+        """Predict a finished lens without trials, as reports show it."""
 
     def scaled(self, factor: float) -> AsBuilt:
         """The study with all tolerances multiplied."""

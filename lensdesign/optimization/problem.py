@@ -14,6 +14,7 @@ from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
+from lensdesign.lens.temperature import lens_at_temperature
 from lensdesign.optimization.as_built import AsBuiltValues, read_as_built
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.asked.variables import VariableRange
@@ -196,9 +197,12 @@ class DesignProblem:
         )
 
     def trace(
-        self, point: Array, rays: Rays, derivatives: bool, planes_mm: Array, wavelength: int
+        self, point: Array, rays: Rays, derivatives: bool, planes_mm: Array | None, wavelength: int
     ) -> GradientTrace:
-        """Trace rays at a wavelength of that number to planes of one's own, which heat does not move."""
+        """Trace rays at a wavelength of that number to other planes, which heat does not move.
+
+        None are the sensor's planes, which it does move.
+        """
         return self._trace(point, self.compiled[wavelength], rays, derivatives, planes_mm)
 
     def _trace(
@@ -249,21 +253,42 @@ class DesignProblem:
                 object_z -= share
         return shapes, vertices, object_z
 
+    def planes_by(self, point: Array, variable: int) -> Array:
+        """Derivatives of the sensor planes' distances by a variable: heat moves them with the lens."""
+        if self.heat is None:
+            return np.zeros(len(self.base.sensor.plane_distances_mm))
+        return np.asarray(self._heated(point, True).chain.planes[:, variable])
+
     def predicted(self, point: Array) -> tuple[AsBuiltValues, ...]:
         """What the specification's tolerances make of the lens at a point, whether or not that is asked for.
 
-        As designed, and at each temperature.
+        As designed, and at each temperature; by the function that predicts finished lenses, which goes to
+        second order, and not by the values of the search.
 
         Raises
         ------
         DesignError
-            If the specification names no tolerances.
+            If the specification names no tolerances, or the lens cannot be finished.
         """
         tolerances = self.specification.tolerances
         if tolerances is None:
             raise DesignError("lenses as built need their tolerances: [tolerances] study")
-        study = read_as_built(tolerances)
-        return tuple(study.evaluate(one, point, False) for one in (self, *self.heated))
+        study, lens = read_as_built(tolerances), finished_lens(self, point, self._rim)
+        found = (study.predict(one) for one in (lens, *self._at_temperatures(lens)))
+        return tuple(
+            AsBuiltValues(
+                np.array(one.rms_waves), np.zeros((len(one.rms_waves), 0)), 1.0 - one.good, np.zeros(0)
+            )
+            for one in found
+        )
+
+    def _at_temperatures(self, lens: Lens) -> list[Lens]:
+        """A finished lens at each temperature that is asked for."""
+        asked = self.specification.environment
+        if asked is None:
+            return []
+        mount = asked.mount_expansion_per_k
+        return [lens_at_temperature(lens, t, mount_expansion_per_k=mount) for t in asked.temperatures_c]
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
         """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""

@@ -21,7 +21,6 @@ from lensdesign.optimization.compliance import at_temperatures, check_against
 from lensdesign.optimization.local_search import Found
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.reach import Reach, largest_that_can
-from lensdesign.optimization.rows.requirements import AS_BUILT_SCALE_WAVES
 from lensdesign.optimization.rows.row import KEPT, Row
 
 BINDING = 1e-4
@@ -219,7 +218,7 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
     check = check_against(lens, specification, built)
     if not check.feasible and not unfinished:
         reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
-    value, unit = _goal(specification, goals)
+    value, unit = _goal(specification, goals) if built is None else _built_goal(specification, goals, built)
     starts = len(chosen.found)
     return OptimizationResult(
         lens=lens,
@@ -323,11 +322,18 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
         return math.degrees(math.asin(min(1.0, sine))), "deg"
     if goal == "smallest aperture":
         return math.sqrt(largest) * specification.stop_semi_diameter_mm, "mm"
-    if goal == "as-built rms":
-        return largest * AS_BUILT_SCALE_WAVES, "waves"
-    if goal == "yield":
-        return 100.0 * (1.0 - largest), "%"
     return largest * specification.exit_vertex_z_mm, "mm"
+
+
+def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltReport) -> tuple[float, str]:
+    """A goal of lenses as built: what is predicted of the finished lens, at all temperatures."""
+    environment = specification.environment
+    own = built.rows[-1 - (0 if environment is None else len(environment.temperatures_c)) :]
+    if specification.optimize.goal == "as-built rms":
+        return max(max(row.predicted_rms_waves) for row in own), "waves"
+    if specification.optimize.goal == "yield":
+        return 100.0 * min(row.predicted_good for row in own), "%"
+    return _goal(specification, goals)
 
 
 def _spread(row: WavelengthCheck) -> WavelengthSpread:

@@ -13,6 +13,7 @@ from tolerancing.cli.tables import print_table
 if TYPE_CHECKING:
     from tolerancing.wavefronts.prediction import WavefrontPrediction
     from tolerancing.wavefronts.rays import RayPrediction
+    from tolerancing.wavefronts.study_prediction import StudyPrediction
 
 MOST_ROWS = 12
 """Perturbations that the table shows."""
@@ -24,36 +25,55 @@ def predict(
 ) -> None:
     """Predict wavefronts, spreads, footprints and yields from the rays of the nominal lens, without trials.
 
-    Path differences to second order in the perturbations, shift and focus taken out, at the object points of
-    the study's merits of kind rms_waves and strehl; for largest_spread_deg and footprint_radius_mm rays to
-    first order, of which 64 draws are traced to know whether that suffices.
+    The yield is joint: the fraction of lenses that keep all limits at once. Limits of the merits rms_waves,
+    strehl, largest_spread_deg and footprint_radius_mm are predicted; others are named. Wavefronts go to
+    second order in the perturbations, shift and focus taken out. Rays go to first order, and 64 draws are
+    traced to know whether that suffices.
 
     Exit status: 0, 1 if these orders do not suffice and trials should be run, 2 for bad input.
     """
     from tolerancing.study.files import load_study
-    from tolerancing.wavefronts.prediction import predict as predicted
-    from tolerancing.wavefronts.prediction import wavefront_points
-    from tolerancing.wavefronts.rays import predict_rays
+    from tolerancing.wavefronts.study_prediction import predict_study
 
     loaded = load_study(study)
-    rays = predict_rays(loaded.lens, loaded.study)
-    waves = predicted(loaded.lens, loaded.study) if wavefront_points(loaded.study) or not rays else None
+    found = predict_study(loaded.lens, loaded.study)
     columns = tuple(p.column for p in loaded.study.perturbations)
     if as_json:
-        print_json(({} if waves is None else _as_dict(waves)) | {"rays": _rays_dict(rays, columns)})
+        waves = {} if found.wavefronts is None else _as_dict(found.wavefronts)
+        print_json(
+            {
+                "yield": found.yield_fraction,
+                "limits": {one.merit.label: one.yield_fraction for one in found.limits},
+                "not_predicted": list(found.not_predicted),
+                **waves,
+                "draws": found.draws,
+                "rays": _rays_dict(found.rays, columns),
+            }
+        )
     else:
-        if waves is not None:
-            _print(loaded.study.title, waves)
-        if rays:
-            _print_rays(loaded.study.title, rays, columns)
-    suffices = (waves is None or waves.second_order_suffices) and all(r.first_order_suffices for r in rays)
-    raise typer.Exit(0 if suffices else 1)
+        if found.wavefronts is not None:
+            _print(loaded.study.title, found.wavefronts)
+        if found.rays:
+            _print_rays(loaded.study.title, found.rays, columns)
+        _print_yield(found)
+    raise typer.Exit(0 if found.is_trustworthy else 1)
+
+
+def _print_yield(found: StudyPrediction) -> None:
+    rows = [
+        (one.merit.label, one.merit.limit_text, one.location, f"{100.0 * one.yield_fraction:.1f}")
+        for one in found.limits
+    ]
+    last = ("all limits at once", "", "", f"{100.0 * found.yield_fraction:.1f}")
+    print_table("Predicted yield", ["merit", "limit", "field points"], ["good, %"], rows, last)
+    print(f"{found.draws} drawn lenses; no trial was traced")
+    if found.not_predicted:
+        print(f"not predicted, so not in this yield: {', '.join(found.not_predicted)}: run the study")
 
 
 def _as_dict(found: WavefrontPrediction) -> dict[str, Any]:
     return {
         "good": found.good,
-        "draws": found.draws,
         "second_order_suffices": found.second_order_suffices,
         "points": [
             {
@@ -107,7 +127,6 @@ def _print(title: str, found: WavefrontPrediction) -> None:
     ]
     points = ["({:g}, {:g})".format(*p.judged.field_mm) for p in found.points]
     print_table("Share of the mean square, %", ["perturbation"], points, shares)
-    print(f"good at all points: {100.0 * found.good:.1f} % of {found.draws} draws; no trial was traced")
     if not found.second_order_suffices:
         print("tolerances are too large for second order, which may be 5 % off and more: run the study")
 

@@ -106,8 +106,40 @@ class Context:
         """
         return batch_of(parameters, values, self._pivot_z_mm, self.noise_seed, numbers)
 
-    def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
+    def extreme_samples(
+        self, field_points_mm: Points, wavelength_um: float | None, plane_distances_mm: tuple[float, ...]
+    ) -> PupilSamples:
+        """As :meth:`stop_samples`, with the extreme rays of the nominal lens, which have no weight."""
+        wavelength = self.wavelength_um(wavelength_um)
+
+        def work() -> PupilSamples:
+            from lensdesign.analysis.extreme_rays import with_extreme_rays
+
+            return with_extreme_rays(
+                self.lens, field_points_mm, self.stop_samples(), wavelength, plane_distances_mm
+            )
+
+        return self.kept(("extreme rays", field_points_mm, wavelength, plane_distances_mm), work)
+
+    def rays(
+        self,
+        batch: PerturbationBatch,
+        field_points_mm: Points,
+        wavelength_um: float | None,
+        stop: PupilSamples | None = None,
+    ) -> Arrival:
         """Rays from field points through the stop to the first sensor plane, as the sensor sees them.
+
+        Parameters
+        ----------
+        batch
+            The trials.
+        field_points_mm
+            Object points (x, y).
+        wavelength_um
+            Vacuum wavelength; None is the first of the lens.
+        stop
+            Samples of the stop; default: :meth:`stop_samples`.
 
         Returns
         -------
@@ -119,9 +151,11 @@ class Context:
         def work() -> Arrival:
             from tolerancing.merits.arrival import arriving_rays
 
-            return arriving_rays(self.lens, batch, field_points_mm, self.stop_samples().points, wavelength)
+            samples = self.stop_samples() if stop is None else stop
+            return arriving_rays(self.lens, batch, field_points_mm, samples.points, wavelength)
 
-        return self._once(batch, ("rays", field_points_mm, wavelength), work)
+        # Samples are made once and kept, so that they are one by being the same object.
+        return self._once(batch, ("rays", field_points_mm, wavelength, id(stop)), work)
 
     def placements(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Placement]:
         """The perturbed systems of a batch."""

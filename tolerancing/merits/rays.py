@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,16 @@ from pydantic import field_validator
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, rows
 from lensdesign.lens.lens import Lens
+from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit, check_field_point, points_text
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
+
+if TYPE_CHECKING:
+    from lensdesign.tracing.bundles import PupilSamples
+
+SAME_HEIGHT = 1e-6
+"""Field heights that differ by less than this fraction of the half field are one."""
 
 
 class RayMerit(Merit):
@@ -22,7 +29,8 @@ class RayMerit(Merit):
     Attributes
     ----------
     field_points_mm
-        Object points (x, y). Where left out: the axis, and eight points on the rim of the field.
+        Object points (x, y). Default: the whole field, that is its axis, eight points on its rim, and eight
+        more at the height where the nominal lens has its largest angle, if that is neither of both.
     """
 
     field_points_mm: tuple[tuple[Finite, Finite], ...] = ()
@@ -40,15 +48,40 @@ class RayMerit(Merit):
     def details(self) -> tuple[str, ...]:
         if self.field_points_mm:
             return points_text(self.field_points_mm), *super().details
-        return "on the axis and at eight points on the rim of the field", *super().details
+        return "over the whole field", *super().details
 
     def points(self, lens: Lens) -> Points:
-        """The field points of this lens."""
+        """The field points at which this lens is judged."""
         if self.field_points_mm:
             return self.field_points_mm
-        angles = np.arange(8) * np.pi / 4.0
-        rim = [(float(lens.half_field_mm * np.cos(a)), float(lens.half_field_mm * np.sin(a))) for a in angles]
-        return ((0.0, 0.0), *rim)
+        return ((0.0, 0.0), *_ring(lens.half_field_mm))
+
+    def extreme_points(self, context: Context) -> Points:
+        """The field points, and behind them those of the extreme rays of the nominal lens."""
+        points, lens = self.points(context.lens), context.lens
+        if self.field_points_mm:
+            return points
+        wavelength = context.wavelength_um(self.wavelength_um)
+
+        def work() -> Points:
+            from lensdesign.analysis.spread import largest_spread
+
+            height = float(np.hypot(*largest_spread(lens, wavelength).field_mm))
+            known = min(height, lens.half_field_mm - height)
+            return points if known <= SAME_HEIGHT * lens.half_field_mm else (*points, *_ring(height))
+
+        return context.kept(("extreme field points", wavelength), work)
+
+    def stop_samples(self, context: Context, plane_mm: float | None = None) -> PupilSamples:
+        """Points on the stop through which rays go; extreme rays of the nominal lens have no weight."""
+        own = () if plane_mm is None else (plane_mm,)
+        planes = tuple(dict.fromkeys((*context.lens.sensor.plane_distances_mm, *own)))
+        return context.extreme_samples(self.extreme_points(context), self.wavelength_um, planes)
+
+    def rays_of(self, context: Context, batch: PerturbationBatch, plane_mm: float | None = None) -> Arrival:
+        """Rays to the first sensor plane, shape (trials, field points * stop points, ...)."""
+        stop = self.stop_samples(context, plane_mm)
+        return context.rays(batch, self.extreme_points(context), self.wavelength_um, stop)
 
 
 class LargestSpread(RayMerit):
@@ -57,7 +90,7 @@ class LargestSpread(RayMerit):
     kind_unit: ClassVar[str] = "deg"
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
-        rays = context.rays(batch, self.points(context.lens), self.wavelength_um)
+        rays = self.rays_of(context, batch)
         sine = np.hypot(rays.direction[..., 0], rays.direction[..., 1])
         return np.rad2deg(np.arcsin(_largest(sine, rays.ok)))
 
@@ -85,8 +118,8 @@ class FootprintRadius(RayMerit):
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         lens = context.lens
-        rays = context.rays(batch, self.points(lens), self.wavelength_um)
         distance = self.plane_distance_mm or lens.sensor.plane_distances_mm[-1]
+        rays = self.rays_of(context, batch, distance)
         further = distance - lens.sensor.plane_distances_mm[0]
         along = np.where(rays.ok, rays.direction[..., 2], 1.0)
         across = rays.position_mm + further * rays.direction[..., :2] / along[..., None]
@@ -97,9 +130,10 @@ class Throughput(RayMerit):
     """Share of the light through the stop that arrives, all field points weighing the same."""
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
-        points = self.points(context.lens)
-        rays = context.rays(batch, points, self.wavelength_um)
-        weights = np.tile(context.stop_samples().weights / len(points), len(points))
+        rays, weighted = self.rays_of(context, batch), len(self.points(context.lens))
+        stop = self.stop_samples(context)
+        weights = np.zeros(rays.ok.shape[-1])
+        weights[: weighted * len(stop.points)] = np.tile(stop.weights / weighted, weighted)
         return np.sum(np.where(rays.ok, weights, 0.0), axis=-1)
 
 
@@ -107,3 +141,9 @@ def _largest(values: Array, ok: NDArray[np.bool_]) -> Array:
     """Largest value of the rays that arrived, by trial; NaN where none did."""
     largest = np.max(np.where(ok, values, -np.inf), axis=-1)
     return np.where(np.isfinite(largest), largest, np.nan)
+
+
+def _ring(height_mm: float) -> Points:
+    """Eight field points at one height."""
+    angles = np.arange(8) * np.pi / 4.0
+    return tuple((float(height_mm * np.cos(a)), float(height_mm * np.sin(a))) for a in angles)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,11 @@ class PerturbationBatch:
         return PerturbationBatch(
             self.parameters, self.values[one], self.pivot_z_mm, shapes, self.numbers[one], (self, i)
         )
+
+    def part(self, rows: slice) -> PerturbationBatch:
+        """A batch of some of these trials, which shares nothing with this one."""
+        shapes = {column: shape[rows] for column, shape in self.shapes.items()}
+        return replace(self, values=self.values[rows], shapes=shapes, numbers=self.numbers[rows], origin=None)
 
     def single_trials(self) -> list[PerturbationBatch]:
         """A batch of its own for each of these trials."""

@@ -105,6 +105,8 @@ def arrival_differentials(
 def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     """Derivatives of positions and direction cosines on the sensor by q motions, both of shape (n, 2, q).
 
+    Complex paths and figures give complex derivatives, for complex steps of design variables.
+
     Parameters
     ----------
     motions
@@ -119,8 +121,8 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     # The sensor's point is free in place of the stop's.
     free = paths.sliding.copy()
     free[:, :, kept] = pulled
-    moved = -np.linalg.solve(free, motions.slide)
-    position = np.array(moved[:, kept], float)
+    moved: Array = -np.asarray(np.linalg.solve(free, motions.slide))
+    position = moved[:, kept].copy()
     moved[:, kept] = 0.0
     optical = np.swapaxes(pulled, 1, 2) @ moved
     optical += paths.stiffness[:, sensor] @ motions.points
@@ -129,4 +131,4 @@ def arrivals_by(motions: Motions, stop: int) -> tuple[Array, Array]:
     pull = paths.pulls[:, -1]
     for c in range(2):
         optical[:, c, turns] += np.cross(np.eye(3)[c], pull)
-    return position, np.array(optical / paths.index[-1], float)
+    return np.asarray(position), np.asarray(optical / paths.index[-1])

@@ -78,7 +78,8 @@ class Motions:
         """Change of the stations' points, rays staying where they are on each; shape (n, 3 (s + 2), q)."""
         own = self.paths.own_points
         n, stations = own.shape[:2]
-        found = np.zeros((n, stations, 3, self.count))
+        kinds = (own, *(sag for _, _, sag in self._sags))
+        found = np.zeros((n, stations, 3, self.count), np.result_type(*kinds))
         for k in range(stations):
             found[:, k, :, 6 * k : 6 * k + 3] = _turns(own[:, k])
             found[:, k, :, 6 * k + 3 : 6 * k + 6] = np.eye(3)

@@ -10,13 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
+from tolerancing.merits.base import Merit
 from tolerancing.merits.pupil import PupilMerit, RmsWaves, Strehl
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
 from tolerancing.study.evaluate import compensated_points, realise
 from tolerancing.study.study import Study
@@ -71,15 +75,20 @@ class PointPrediction:
         The same, were path differences linear in the perturbations.
     shares : ndarray, shape (perturbations,)
         Of the mean square that each perturbation brings by itself; to first order.
-    good : float
-        Share of lenses within the limit.
+    passed : ndarray of bool, shape (draws,)
+        Which of the drawn lenses are within the limit.
     """
 
     judged: Judged
     rms_waves: float
     first_order_rms_waves: float
     shares: Array
-    good: float
+    passed: NDArray[np.bool_]
+
+    @property
+    def good(self) -> float:
+        """Fraction of lenses within the limit."""
+        return float(np.mean(self.passed))
 
     @property
     def second_order_share(self) -> float:
@@ -94,23 +103,35 @@ class WavefrontPrediction:
     Attributes
     ----------
     points : tuple of PointPrediction
-    good : float
-        Share of lenses that are within the limit at every point.
     draws : int
-        By which it was found.
+        Number of drawn lenses.
     perturbations : tuple of str
         Their columns.
     """
 
     points: tuple[PointPrediction, ...]
-    good: float
     draws: int
     perturbations: tuple[str, ...]
+
+    @property
+    def passed(self) -> NDArray[np.bool_]:
+        """Which of the drawn lenses are within the limit at every point."""
+        return np.all([point.passed for point in self.points], axis=0)
+
+    @property
+    def good(self) -> float:
+        """Fraction of lenses that are within the limit at every point."""
+        return float(np.mean(self.passed))
 
     @property
     def second_order_suffices(self) -> bool:
         """Whether third order is small, as far as the second tells."""
         return all(point.second_order_share <= SECOND_MATTERS for point in self.points)
+
+
+def is_predicted_wavefront(merit: Merit) -> TypeGuard[RmsWaves | Strehl]:
+    """Whether a merit judges the refocused wavefront, which is predicted without trials."""
+    return isinstance(merit, RmsWaves | Strehl) and merit.refocus
 
 
 def wavefront_points(study: Study) -> tuple[Judged, ...]:
@@ -121,7 +142,7 @@ def wavefront_points(study: Study) -> tuple[Judged, ...]:
     return tuple(
         Judged(point, merit.wavelength_um, _limit_waves(merit))
         for merit in study.merits
-        if isinstance(merit, RmsWaves | Strehl) and merit.refocus
+        if is_predicted_wavefront(merit)
         for point in merit.points
     )
 
@@ -190,15 +211,17 @@ def predict(
     together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
     squares = np.stack([mean_squares(field, together) for field in known.fields], axis=1)
     found = tuple(_point(known, k, amounts, together, squares[:, k]) for k in range(len(judged)))
-    limits = np.array([point.limit_waves for point in judged])
-    good = np.all(squares <= limits**2, axis=1)
-    columns = tuple(p.column for p in study.perturbations)
-    return WavefrontPrediction(found, float(np.mean(good)), len(amounts), columns)
+    return WavefrontPrediction(found, len(amounts), tuple(p.column for p in study.perturbations))
+
+
+def drawn_batch(study: Study, every: int = 1) -> PerturbationBatch:
+    """The lenses that predictions draw, or every so many of them."""
+    return realise(replace_draws(study, DRAWS), range(0, DRAWS, every))
 
 
 def drawn_amounts(study: Study) -> Array:
     """Amounts of the study's perturbations by which predictions know them, shape (draws, d)."""
-    return amounts_of(realise(replace_draws(study, DRAWS), range(DRAWS)))
+    return amounts_of(drawn_batch(study))
 
 
 @dataclass(frozen=True)
@@ -316,5 +339,5 @@ def _point(known: _Known, k: int, amounts: Array, together: Array, squares: Arra
         math.sqrt(float(np.mean(squares))),
         math.sqrt(max(linear, 0.0)),
         np.array(shares) / max(float(np.sum(alone)), np.finfo(float).tiny),
-        float(np.mean(squares <= judged.limit_waves**2)),
+        squares <= judged.limit_waves**2,
     )

@@ -10,19 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
+from lensdesign.tracing.bundles import PupilSamples
 from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.context import Context, Points
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.study.evaluate import realise
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.arrivals import ArrivalDifferentials, arrival_differentials
-
-RAY_DRAWS = 4096
-"""Sobol draws of a study's perturbations."""
+from tolerancing.wavefronts.prediction import drawn_batch
 
 BLOCK = 128
 """Draws whose rays are held at one time; and those that tell what each perturbation does by itself."""
@@ -48,8 +47,8 @@ class RayPrediction:
         Of the nominal lens.
     mean, deviation : float
         Over lenses.
-    good : float
-        Share of lenses within the limit.
+    passed : ndarray of bool, shape (draws,)
+        Which of the drawn lenses are within the limit.
     alone : ndarray, shape (perturbations,)
         Deviation that each perturbation brings by itself.
     left : float
@@ -60,9 +59,14 @@ class RayPrediction:
     nominal: float
     mean: float
     deviation: float
-    good: float
+    passed: NDArray[np.bool_]
     alone: Array
     left: float
+
+    @property
+    def good(self) -> float:
+        """Fraction of lenses within the limit."""
+        return float(np.mean(self.passed))
 
     @property
     def shares(self) -> Array:
@@ -83,8 +87,15 @@ class FirstOrderRays(Context):
         super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
         self._study = study
 
-    def rays(self, batch: PerturbationBatch, field_points_mm: Points, wavelength_um: float | None) -> Arrival:
+    def rays(
+        self,
+        batch: PerturbationBatch,
+        field_points_mm: Points,
+        wavelength_um: float | None,
+        stop: PupilSamples | None = None,
+    ) -> Arrival:
         wavelength, study = self.wavelength_um(wavelength_um), self._study
+        samples = self.stop_samples() if stop is None else stop
 
         def make() -> ArrivalDifferentials:
             return arrival_differentials(
@@ -92,15 +103,15 @@ class FirstOrderRays(Context):
                 study.perturbations,
                 np.array([p.tolerance for p in study.perturbations]),
                 field_points_mm,
-                self.stop_samples(),
+                samples,
                 wavelength_um=wavelength,
                 pivot_z_mm=study.pivot_z_mm,
             )
 
-        known = self.kept(("arrivals", field_points_mm, wavelength), make)
+        known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
         return self._once(
             batch,
-            ("rays", field_points_mm, wavelength),
+            ("rays", field_points_mm, wavelength, id(stop)),
             lambda: known.arrival(known.changes.amounts(batch)),
         )
 
@@ -110,7 +121,9 @@ def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
     return tuple(merit for merit in study.merits if isinstance(merit, LargestSpread | FootprintRadius))
 
 
-def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
+def predict_rays(
+    lens: Lens, study: Study, batch: PerturbationBatch | None = None, *, checked: bool = True
+) -> tuple[RayPrediction, ...]:
     """Predict a study's largest spreads and footprints.
 
     What it neglects: second order of the single ray, and rays that a perturbed lens clips or lets through
@@ -122,6 +135,10 @@ def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
         The study's lens.
     study
         What scatters, and its merits.
+    batch
+        The drawn lenses; default: those of :func:`tolerancing.wavefronts.prediction.drawn_batch`.
+    checked
+        Whether the first draws are traced, too, to measure what first order neglects.
 
     Returns
     -------
@@ -136,24 +153,26 @@ def predict_rays(lens: Lens, study: Study) -> tuple[RayPrediction, ...]:
     merits = predicted_merits(study)
     if not merits:
         return ()
-    drawn = study.model_copy(update={"draws": "sobol", "trials": RAY_DRAWS})
+    drawn = drawn_batch(study) if batch is None else batch
     context = FirstOrderRays(lens, study)
-    blocks = [realise(drawn, range(start, start + BLOCK)) for start in range(0, RAY_DRAWS, BLOCK)]
+    blocks = [drawn.part(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
     scores = np.concatenate([_scores(merits, context, block) for block in blocks])
     still = replace(blocks[0], values=np.zeros_like(blocks[0].values))
     nominal = _scores(merits, context, still)[0]
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
-    traced = _scores(merits, Context(lens, study.sampling), realise(drawn, range(TRACED)))
-    off = np.sqrt(np.mean((scores[:TRACED] - traced) ** 2, axis=0))
-    # What no perturbation moves deviates by rounding alone.
-    left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
+    left = np.zeros(len(merits))
+    if checked:
+        traced = _scores(merits, Context(lens, study.sampling), drawn.part(slice(0, TRACED)))
+        off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
+        # What no perturbation moves deviates by rounding alone.
+        left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))
     return tuple(
         RayPrediction(
             merit,
             float(nominal[k]),
             float(np.mean(scores[:, k])),
             float(np.std(scores[:, k])),
-            float(np.mean(merit.passed(scores[:, k]))),
+            merit.passed(scores[:, k]),
             alone[:, k],
             float(left[k]),
         )

@@ -177,6 +177,12 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
     specification = specification.model_copy(update={"tolerances": tolerances})
     if specification.as_built is not None:
         specification.as_built.check(specification.lens)
+        wanted = specification.constraints.max_as_built_rms_waves is not None
+        if (wanted or specification.optimize.goal == "as-built rms") and not specification.as_built.points_mm:
+            raise DesignError(
+                f"{path}: as-built rms: no merit of {tolerances.study} limits the refocused wavefront: add "
+                "one of kind rms_waves or strehl, with field_points_mm, to the study"
+            )
     return specification
 
 

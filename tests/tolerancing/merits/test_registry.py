@@ -82,8 +82,10 @@ def test_words_tell_what_counts_at_the_level():
 
 
 def test_ray_merits_match_rays_traced_one_lens_at_a_time(paper_lens, context, batch):
-    points = [[0.0, 0.0], [0.0, -1.5]]
-    pupil = pupil_rings(3, 8, edge=True)
+    points = ((0.0, 0.0), (0.0, -1.5))
+    planes = (*paper_lens.sensor.plane_distances_mm, 9.0)
+    pupil = context.extreme_samples(points, None, planes)
+    assert len(pupil_rings(3, 8, edge=True).points) < len(pupil.points)
     spread = merit("largest_spread_deg", field_points_mm=points).scores(context, batch)
     footprint = merit("footprint_radius_mm", field_points_mm=points, plane_distance_mm=9.0)
     radius = footprint.scores(context, batch)

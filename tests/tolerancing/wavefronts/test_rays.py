@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from tolerancing import load_study
 from tolerancing.cli.commands import app
 from tolerancing.merits.context import Context
-from tolerancing.study.evaluate import realise
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.rays import RAY_DRAWS, predict_rays
+from tolerancing.wavefronts.prediction import drawn_batch
+from tolerancing.wavefronts.rays import predict_rays
 
 RAYS = """
 [[merit]]
@@ -41,8 +41,7 @@ def ray_study(wavefront_study: Path) -> Path:
 
 
 def traced(study: Study, path: Path) -> np.ndarray:
-    drawn = study.model_copy(update={"draws": "sobol", "trials": RAY_DRAWS})
-    context, batch = Context(load_study(path).lens, study.sampling), realise(drawn, range(RAY_DRAWS))
+    context, batch = Context(load_study(path).lens, study.sampling), drawn_batch(study)
     return np.stack([merit.scores(context, batch) for merit in study.merits], axis=1)
 
 

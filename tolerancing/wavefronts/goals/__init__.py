@@ -1,0 +1,1 @@
+"""Goals of a search for lenses as built: values of drawn lenses with exact derivatives."""
