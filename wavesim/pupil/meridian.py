@@ -186,14 +186,15 @@ class Meridian:
 
     def _plane(self, number: int, distance_mm: float) -> MeridianPlane:
         z_mm, samples = self.lens.exit_vertex_z_mm + distance_mm, self.coordinates_mm
-        nodes = np.cos(np.pi * (np.arange(self.fans) + 0.5) / max(self.fans, 1))
-        fans = [self._fan(x, z_mm) for x in (0.5 * self.length_mm * nodes if self.fans else samples)]
+        nodes = [math.cos(math.pi * (n + 0.5) / self.fans) for n in range(self.fans)]
+        traced = [0.5 * self.length_mm * x for x in nodes] if self.fans else samples.tolist()
+        fans = [self._fan(x, z_mm) for x in traced]
         pixel = 1e-3 * self.lens.sensor.pixel_pitch_um
         low, high = (pick(at(fan[0]) for fan in fans) for pick, at in ((min, np.min), (max, np.max)))
         every = max(1, int(int((high - low) / pixel) / (self.pixels_per_sample * len(samples))))
         pixels = np.arange(math.floor(low / pixel), math.ceil(high / pixel) + 1, every) * pixel
         if self.fans:
-            matrix, cosines = self._between(pixels, fans, np.asarray(nodes, float))
+            matrix, cosines = self._between(pixels, fans, nodes)
         else:
             matrix, cosines = np.zeros((len(pixels), len(fans)), complex), np.zeros((len(pixels), len(fans)))
             for column, fan in enumerate(fans):
@@ -204,7 +205,7 @@ class Meridian:
         return MeridianPlane(number, matrix, cosines / self._aperture, *self._nodes(z_mm))
 
     def _between(
-        self, pixels: Array, fans: Sequence[tuple[Array, Array, Array, Array]], nodes: Array
+        self, pixels: Array, fans: Sequence[tuple[Array, Array, Array, Array]], nodes: list[float]
     ) -> tuple[ComplexArray, Array]:
         """Elements at all samples from fans at a few object points."""
         from numpy.polynomial.chebyshev import chebvander
