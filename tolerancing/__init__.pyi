@@ -1,9 +1,9 @@
-from .analysis.budgets import StudyBudget, budget, scaled_study
 from .analysis.limits import StudyLimits, inverse
 from .analysis.sensitivities import StudySensitivity, sensitivity
 from .analysis.summary import Summary, summarize
 from .analysis.trial import SingleTrial, single_trial
 from .analysis.yields import Yield
+from .budgets.study_budget import StudyBudget, budget, scaled_study
 from .merits.base import Merit
 from .perturbations.batch import PerturbationBatch
 from .perturbations.distributions import Distribution

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from lensdesign.common.text import finite_or_none
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
-from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport
+from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import at_temperatures, check_against
 from lensdesign.optimization.local_search import Found
@@ -254,17 +254,18 @@ def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
     if specification.optimize.start == "design":
         lenses.append(("start", specification.lens))
     lenses.append(("lens of the study", study.reference))
-    kept = [(name, own) for name, own in lenses if _can_be_tried(study, own)]
+    others = [row for own in lenses for row in _rows_if_possible(study, own, tolerances.trials)]
     hot = [(named_at("result", t), one) for t, one in at_temperatures(lens, specification)]
-    return study.trials([*kept, ("result", lens), *hot], tolerances.trials)
+    found = study.trials([("result", lens), *hot], tolerances.trials)
+    return replace(found, rows=(*others, *found.rows))
 
 
-def _can_be_tried(study: AsBuilt, lens: Lens) -> bool:
+def _rows_if_possible(study: AsBuilt, named: tuple[str, Lens], trials: int) -> tuple[TrialsOf, ...]:
+    """Trials of a lens that stands beside the result; none where they cannot be made."""
     try:
-        study.trials([("", lens)], 1)
+        return study.trials([named], trials).rows
     except TransferLensError:
-        return False
-    return True
+        return ()
 
 
 def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried) -> list[str]:

@@ -1,4 +1,3 @@
-from .budgets import BudgetInterrupted, StudyBudget, budget, budget_of_study, scaled_study
 from .control_variates import choose_trials, combined_mean, combined_yield
 from .correlation import rank_correlation
 from .indices import IndicesError, VarianceIndices, variance_indices
@@ -9,13 +8,10 @@ from .response import Response, fit_response
 from .scorer import StudyScorer, scatter_of
 from .sensitivities import StudySensitivity, sensitivity
 from .summary import MeritSummary, Summary, summarize
-from .tolerance_search import Budget, loosest_tolerances
 from .trial import SingleTrial, single_trial
 from .yields import Yield, yield_of
 
 __all__ = [
-    "Budget",
-    "BudgetInterrupted",
     "IndicesError",
     "InverseLimit",
     "MeritSummary",
@@ -23,15 +19,12 @@ __all__ = [
     "Response",
     "Sensitivity",
     "SingleTrial",
-    "StudyBudget",
     "StudyLimits",
     "StudyScorer",
     "StudySensitivity",
     "Summary",
     "VarianceIndices",
     "Yield",
-    "budget",
-    "budget_of_study",
     "choose_trials",
     "combined_mean",
     "combined_yield",
@@ -39,11 +32,9 @@ __all__ = [
     "fit_response",
     "inverse",
     "inverse_limits",
-    "loosest_tolerances",
     "rank_correlation",
     "rare_yield",
     "root_sum_square",
-    "scaled_study",
     "scatter_of",
     "sensitivity",
     "single_trial",

@@ -15,9 +15,9 @@ from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
-    from tolerancing.analysis.budgets import StudyBudget
     from tolerancing.analysis.limits import StudyLimits
     from tolerancing.analysis.parabolas import Sensitivity
+    from tolerancing.budgets.study_budget import StudyBudget
     from tolerancing.cost.pricing import Cost
     from tolerancing.perturbations.parameters import Perturbation
     from tolerancing.study.study import Study
@@ -29,9 +29,6 @@ Processes = Annotated[
     list[str] | None,
     typer.Option(metavar="[N=]NAME", help="Process of element N, or of all; several times."),
 ]
-NO_COST = 1e-12
-"""Weight of what nobody makes; a search asks for some."""
-
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Store that a run made.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Trust = Annotated[
@@ -120,19 +117,23 @@ def budget(
     ] = None,
     costs: Costs = None,
     process: Processes = None,
-    verify: Annotated[int, typer.Option(help="Trials of the lens itself, and as many fresh ones.")] = 500,
+    verify: Annotated[
+        int, typer.Option(min=20, help="Trials of the lens by which each round is verified.")
+    ] = 500,
     trust: Trust = False,
     as_json: Json = False,
 ) -> None:
-    """Find the loosest tolerances that keep a yield, from a run's trials, and write them as a study.
+    """Find the cheapest tolerances that keep a yield, from a run's trials, and write them as a study.
 
-    What is found is verified by random trials of another seed. Interrupted, it writes the loosest tolerances
-    that were known to do until then. Lenses are scored again: Python that the store holds is run only
-    with --trust, or where your own copy of the file lies beside the store.
+    Tolerances are searched and verified by random trials of another seed until yield and requirement agree.
+    Interrupted, the command writes the best tolerances found until then. Lenses are scored again: Python that
+    the store holds is run only with --trust, or where your own copy of the file lies beside the store.
+
+    Exit status: 0, 1 if yield and requirement do not agree in the end, 2 for bad input.
     """
     from lensdesign.common.console import progress_bar
     from lensdesign.common.text import duration_text
-    from tolerancing.analysis.budgets import (
+    from tolerancing.budgets.study_budget import (
         BudgetInterrupted,
         budget,
         most_seconds,
@@ -141,7 +142,7 @@ def budget(
     from tolerancing.store.store import open_store
     from tolerancing.study.files import save_study
 
-    interrupted, weights = False, _weights(weight or [])
+    interrupted, weights, base_cost = False, _weights(weight or []), 0.0
     if weights and (costs or process):
         raise InputError("--weight and --costs both say what tolerances cost; give one of them")
     with open_store(store, trust=trust) as opened:
@@ -150,7 +151,7 @@ def budget(
             priced = priced_study(study, opened.loaded.lens, costs, process)
             weights = {line.perturbation: line.cost for line in priced.lines if line.quantity}
             fixed = [line.perturbation for line in priced.lines if not line.quantity]
-            weights |= dict.fromkeys(fixed, NO_COST)
+            base_cost = float(priced.elements)
         try:
             with messages_only(), progress_bar() as bar:
                 task = bar.add_task("trials of the lens", total=None)
@@ -161,7 +162,15 @@ def budget(
                         print(f"at most {most} trials of the lens, about {expected}", file=sys.stderr)
                     bar.update(task, completed=done, total=most)
 
-                found = budget(opened, required, weights, fixed=fixed, fresh=verify, report=report)
+                found = budget(
+                    opened,
+                    required,
+                    weights,
+                    fixed=fixed,
+                    base_cost=base_cost,
+                    fresh=verify,
+                    report=report,
+                )
         except BudgetInterrupted as stop:
             if stop.found is None:
                 raise KeyboardInterrupt(
@@ -173,10 +182,12 @@ def budget(
         rest = _budget_dict(study, found)
         print_json({"store": str(store), "study": str(output), "complete": not interrupted, **rest})
     else:
-        _print_budget(study, found, required)
+        _print_budget(study, found)
         print(f"wrote {output}")
     if interrupted:
         raise KeyboardInterrupt(f"interrupted; {output} holds what was found until then")
+    if not found.agrees:
+        raise typer.Exit(1)
 
 
 def cost(
@@ -278,35 +289,52 @@ def _print_limits(found: StudyLimits, change: float | None) -> None:
 
 
 def _budget_dict(study: Study, found: StudyBudget) -> dict[str, Any]:
+    budget = found.budget
     return {
-        "scales": {p.column: float(s) for p, s in zip(study.perturbations, found.budget.scales, strict=True)},
+        "scales": {p.column: float(s) for p, s in zip(study.perturbations, budget.scales, strict=True)},
+        "required_yield": found.required,
+        "agrees": found.agrees,
         "verified_yield": None if found.verified is None else vars(found.verified),
         "verified_seed": found.seed,
-        "yield_before": vars(found.budget.before),
-        "cost": found.budget.cost,
-        "cost_before": found.budget.cost_before,
-        "cross_validated_r_squared": {
-            m.column: float(r)
-            for m, r in zip(study.merits, found.response.cross_validated_r_squared, strict=True)
-        },
+        "estimated_yield": found.estimated_yield,
+        "estimated_yield_error": found.estimated_yield_error,
+        "predicted_yield_before": budget.predicted_yield_before,
+        "cost": found.cost,
+        "cost_before": found.cost_before,
+        "uniform_scale": budget.uniform_scale,
+        "uniform_cost": found.uniform_cost,
     }
 
 
-def _print_budget(study: Study, found: StudyBudget, required: float) -> None:
+def _print_budget(study: Study, found: StudyBudget) -> None:
     rows = [
         (p.column, _tolerance(p), f"{scale:.3f}", _tolerance(p, scale))
         for p, scale in zip(study.perturbations, found.budget.scales.tolist(), strict=True)
     ]
-    title = f"loosest tolerances for a yield of {100.0 * required:g} %"
+    title = f"cheapest tolerances for a yield of {100.0 * found.required:g} %"
     _print_table(title, ["was", "scale", "tolerance"], rows)
-    good = found.verified
-    verified = "not verified"
-    if good is not None:
-        verified = (
-            f"{good.total} fresh trials (seed {found.seed}): {100.0 * good.share:.1f} % good "
-            f"({100.0 * good.low:.1f} - {100.0 * good.high:.1f} %)"
-        )
-    print(f"{verified}, cost {found.budget.cost:.4g}, was {found.budget.cost_before:.4g}")
+    budget, good = found.budget, found.verified
+    costs = [
+        ("tolerances of the study", "1.000", f"{found.cost_before:.4g}"),
+        ("these tolerances", "", f"{found.cost:.4g}"),
+    ]
+    if budget.uniform_scale is not None:
+        common = ("all tolerances scaled alike", f"{budget.uniform_scale:.3f}", f"{found.uniform_cost:.4g}")
+        costs.insert(1, common)
+    print_table("", ["cost"], ["scale", ""], costs)
+    print(f"predicted yield with the tolerances of the study: {100.0 * budget.predicted_yield_before:.1f} %")
+    if good is None:
+        print("not verified by trials")
+        return
+    print(
+        f"{good.total} fresh trials (seed {found.seed}): {100.0 * good.share:.1f} % good "
+        f"({100.0 * good.low:.1f} to {100.0 * good.high:.1f} %)"
+    )
+    if found.estimated_yield is not None and found.estimated_yield_error is not None:
+        interval = 100.0 * 1.96 * found.estimated_yield_error
+        print(f"with the model as control variate: {100.0 * found.estimated_yield:.1f} ± {interval:.1f} %")
+    if not found.agrees:
+        print("not met: yield and requirement do not agree; allow more trials (--verify)")
 
 
 def _tolerance(perturbation: Perturbation, scale: float = 1.0) -> str:

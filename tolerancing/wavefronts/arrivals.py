@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
@@ -42,6 +43,16 @@ class ArrivalDifferentials:
     direction: Array
     position_by: Array
     direction_by: Array
+
+    def part(self, rays: NDArray[np.int64]) -> ArrivalDifferentials:
+        """Some of the rays."""
+        return ArrivalDifferentials(
+            self.changes,
+            self.position_mm[rays],
+            self.direction[rays],
+            self.position_by[rays],
+            self.direction_by[rays],
+        )
 
     def arrival(self, amounts: Array) -> Arrival:
         """Rays of trials, to first order in their amounts of each change, shape (trials, d)."""

@@ -205,7 +205,7 @@ def predict(
         If rays from an object point do not pass.
     """
     judged = judged_points(study) if points is None else tuple(points)
-    known = _known(lens, study, judged, second=second)
+    known = study_derivatives(lens, study, judged, second=second)
     if amounts is None:
         amounts = drawn_amounts(study)
     together = np.concatenate([amounts, known.compensation.values(amounts)], axis=1)
@@ -250,7 +250,7 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
         As of :func:`predict`.
     """
     judged = judged_points(study)
-    known = _known(lens, study, judged, second=False)
+    known = study_derivatives(lens, study, judged, second=False)
     forms = [first_order(field) for field in known.fields]
     amounts, limits = drawn_amounts(study), np.array([point.limit_waves**2 for point in judged])
 
@@ -268,8 +268,8 @@ def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
-    """Of a study: its changes, what compensators take, and derivatives by both at the judged points."""
+class StudyDerivatives:
+    """Derivatives of a study's wavefronts by its changes and compensators, at the judged field points."""
 
     judged: tuple[Judged, ...]
     changes: Changes
@@ -277,7 +277,7 @@ class _Known:
     fields: tuple[FieldDifferentials, ...]
 
 
-def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> _Known:
+def study_derivatives(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> StudyDerivatives:
     """Derivatives by all that a study perturbs and compensates."""
 
     def at(points: Sequence[Place], perturbed: Sequence[PerturbedParameter], sizes: list[float]) -> _At:
@@ -303,13 +303,13 @@ def _known(lens: Lens, study: Study, judged: Sequence[Judged], second: bool) -> 
     changes, fields = at(own, *scatter)
     limits = [c.limit for c in study.compensators]
     if not limits:
-        return _Known(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
+        return StudyDerivatives(tuple(judged), changes, Compensation(np.zeros(0), (), ()), fields)
     adapted = study.compensators, limits
     told = compensated_points(study)
     compensation = Compensation(np.array(limits), at(told, *scatter)[1], at(told, *adapted)[1])
     models = at(own, *adapted)[1]
     left = tuple(less_model(field, model) for field, model in zip(fields, models, strict=True))
-    return _Known(tuple(judged), changes, compensation, left)
+    return StudyDerivatives(tuple(judged), changes, compensation, left)
 
 
 def replace_draws(study: Study, count: int) -> Study:
@@ -327,7 +327,9 @@ def first_order(field: FieldDifferentials) -> Array:
     return np.asarray((field.registered.T * field.weights) @ field.registered)
 
 
-def _point(known: _Known, k: int, amounts: Array, together: Array, squares: Array) -> PointPrediction:
+def _point(
+    known: StudyDerivatives, k: int, amounts: Array, together: Array, squares: Array
+) -> PointPrediction:
     judged, form = known.judged[k], first_order(known.fields[k])
     linear = float(np.mean(np.sum((together @ form) * together, axis=1)))
     # What a perturbation brings by itself is what compensators leave of it.

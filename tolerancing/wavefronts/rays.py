@@ -29,6 +29,10 @@ BLOCK = 128
 TRACED = 64
 """Draws that are traced."""
 
+CLOSE = 0.5
+"""A ray is followed for all draws if it comes so close to the extreme of one of the first, or of the nominal
+lens, in standard deviations of the extreme."""
+
 FIRST_SUFFICES = 0.05
 """Root mean square that first order may leave of the traced draws, as a share of their deviation."""
 
@@ -115,6 +119,37 @@ class FirstOrderRays(Context):
             lambda: known.arrival(known.changes.amounts(batch)),
         )
 
+    def narrow(self, batch: PerturbationBatch, distances_mm: tuple[float, ...]) -> None:
+        """Leave out the rays that are never near the extreme of one of these lenses or of the nominal one.
+
+        Parameters
+        ----------
+        batch
+            The lenses.
+        distances_mm
+            Planes on which footprints are judged, from the first sensor plane.
+        """
+        for key, known in self._kept.items():
+            if isinstance(known, ArrivalDifferentials):
+                self._kept[key] = known.part(_extreme_rays(known, batch, distances_mm))
+
+
+def _extreme_rays(
+    known: ArrivalDifferentials, batch: PerturbationBatch, distances_mm: tuple[float, ...]
+) -> NDArray[np.int64]:
+    """Rays with the largest angles and footprints, and those that come close to them."""
+    amounts = known.changes.amounts(batch)
+    found = known.arrival(np.concatenate([amounts, np.zeros_like(amounts[:1])]))
+    across = found.direction[..., :2] / found.direction[..., 2:]
+    kept = np.zeros(across.shape[1], bool)
+    for distance in (None, *distances_mm):
+        ends = found.direction[..., :2] if distance is None else found.position_mm + distance * across
+        sizes = np.hypot(ends[..., 0], ends[..., 1])
+        largest = np.max(sizes, axis=1)
+        near = largest - CLOSE * np.std(largest) - ROUNDING * largest
+        kept |= np.any(sizes >= near[:, None], axis=0)
+    return np.flatnonzero(kept)
+
 
 def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
     """Merits of rays that can be predicted: spreads and footprints."""
@@ -156,7 +191,11 @@ def predict_rays(
     drawn = drawn_batch(study) if batch is None else batch
     context = FirstOrderRays(lens, study)
     blocks = [drawn.part(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
-    scores = np.concatenate([_scores(merits, context, block) for block in blocks])
+    planes = lens.sensor.plane_distances_mm
+    judged = [m.plane_distance_mm or planes[-1] for m in merits if isinstance(m, FootprintRadius)]
+    first = _scores(merits, context, blocks[0])
+    context.narrow(blocks[0], tuple(distance - planes[0] for distance in judged))
+    scores = np.concatenate([first, *(_scores(merits, context, block) for block in blocks[1:])])
     still = replace(blocks[0], values=np.zeros_like(blocks[0].values))
     nominal = _scores(merits, context, still)[0]
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])

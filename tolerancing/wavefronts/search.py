@@ -187,8 +187,10 @@ class StudyAsBuilt:
             squares = [waves.squares(k) for k in range(len(self.judged))]
             rms = np.sqrt([np.mean(own) for own in squares])
             even = np.full(count, 1.0 / count)
-            by = [waves.weighted(k, even) / (2.0 * rms[k]) for k in range(len(rms))]
-            rms_by = np.reshape(by, (len(rms), len(variables)))
+            if variables:
+                rms_by = np.stack([waves.weighted(k, even) / (2.0 * rms[k]) for k in range(len(rms))])
+            else:
+                rms_by = np.zeros((len(rms), 0))
             limits += [WavefrontLoads(waves, k, own.limit_waves) for k, own in enumerate(self.judged)]
         for merit in predicted_merits(self.study):
             design = design_at(merit.wavelength_um)
@@ -212,6 +214,7 @@ class StudyAsBuilt:
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
         """Predict a finished lens by the function that `tolerancing predict` prints."""
+        lens = self._fitting(lens)
         return predicted_of(lens, self._toleranced(self.study, lens))
 
     def trials(self, lenses: Sequence[tuple[str, Lens]], count: int, seed: int = 0) -> AsBuiltReport:
@@ -225,17 +228,28 @@ class StudyAsBuilt:
             If a lens cannot be scored.
         """
         fresh = self.study.model_copy(update={"seed": self.study.seed + 1 + seed, "trials": count})
-        rows = tuple(
-            trials_of(name, lens, self._toleranced(fresh, lens), self.judged) for name, lens in lenses
-        )
+        rows = []
+        for name, given in lenses:
+            lens = self._fitting(given)
+            rows.append(
+                trials_of(name, lens, self._toleranced(fresh, lens), self.judged, self.predict(given))
+            )
         return AsBuiltReport(
             self.points_mm,
             tuple(p.wavelength_um for p in self.judged),
             tuple(p.limit_waves for p in self.judged),
             fresh.seed,
             self.trials_only,
-            rows,
+            tuple(rows),
         )
+
+    def _fitting(self, lens: Lens) -> Lens:
+        """The lens, with planes bent by next to nothing where the study perturbs the radius of one."""
+        try:
+            check_against(self.study, lens, self.source)
+        except DesignError:
+            return bent(lens)
+        return lens
 
     def _toleranced(self, study: Study, lens: Lens) -> Study:
         """The study with the tolerances of a lens."""

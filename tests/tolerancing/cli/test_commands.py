@@ -15,10 +15,9 @@ from stopping import heeding
 from stored_rows import rows
 from typer.testing import CliRunner
 
-from tolerancing.analysis import scorer
+from tolerancing.budgets import study_budget
 from tolerancing.cli.commands import main
 from tolerancing.study.files import load_study
-from tolerancing.study.scoring import score_batch
 
 HEAVY = ("scipy", "pandas", "matplotlib", "jinja2", "numba")
 
@@ -57,7 +56,11 @@ def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray
     )
     assert ran.returncode == 0, ran.stderr
     found, now = json.loads(ran.stdout), json.loads(command("cost", out, "--json").stdout)
-    assert found["cost"] == pytest.approx(now["total"] - 1.0, rel=2e-3)
+    assert found["cost"] == pytest.approx(now["total"], rel=1e-3)
+    assert found["cost_before"] == pytest.approx(
+        json.loads(command("cost", study, "--json").stdout)["total"], rel=1e-12
+    )
+    assert found["cost"] <= found["uniform_cost"]
     both = command("budget", store, "--yield", "0.6", "-o", out, "--costs", "relative", "--weight", "a=1")
     assert (both.returncode, both.stdout) == (2, "")
     assert "give one of them" in both.stderr
@@ -237,24 +240,20 @@ def test_a_study_is_started_run_ranked_inverted_and_budgeted(command, paper_desi
     assert limits["lens_decenter_y_mm"]["above"] > 0.0
     found = command("budget", store, "--yield", "0.6", "-o", out, "--verify", "40")
     assert found.returncode == 0, found.stderr
-    assert "40 fresh trials (seed 20240602)" in found.stdout
-    assert found.stderr.startswith("at most 760 trials of the lens, about ")
+    assert "40 fresh trials (seed 202406" in found.stdout
+    assert "all tolerances scaled alike" in found.stdout
+    assert found.stderr.startswith("at most 320 trials of the lens, about ")
     assert command("run", out, "--store", tmp_path / "c.db", "--trials", "4").returncode == 0
 
-    batches = []
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
 
-    def score_until_interrupted(*arguments):
-        batches.append(arguments)
-        if len(batches) > 4:
-            raise KeyboardInterrupt
-        return score_batch(*arguments)
-
-    monkeypatch.setattr(scorer, "score_batch", score_until_interrupted)
+    monkeypatch.setattr(study_budget, "score_batch", interrupted)
     early = tmp_path / "early.toml"
     broken_off = command("budget", store, "--yield", "0.6", "-o", early, "--verify", "40")
     assert broken_off.returncode == 130
     assert broken_off.stderr.endswith(f"interrupted; {early} holds what was found until then\n")
-    assert "not verified, cost " in broken_off.stdout
+    assert "not verified by trials" in broken_off.stdout
     assert all(p.distribution.limit > 0.0 for p in load_study(early).study.perturbations[:2])
 
 

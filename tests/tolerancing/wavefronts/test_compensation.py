@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from places import DESIGNS
+from scipy.optimize import lsq_linear
 
 from lensdesign import load_design
 from tolerancing.perturbations.parameters import PerturbedParameter
-from tolerancing.wavefronts.compensation import Compensation, less_model
+from tolerancing.wavefronts.compensation import Compensation, bounded_least_squares, less_model
 from tolerancing.wavefronts.derivatives import FieldDifferentials, differentials
 
 SIZES = np.array([0.01, 0.05])
@@ -41,3 +42,18 @@ def test_without_compensators_nothing_is_taken(field: FieldDifferentials) -> Non
     none = Compensation(np.zeros(0), (), ())
     assert none.values(np.ones((3, 2))).shape == (3, 0)
     np.testing.assert_array_equal(none.following(2), np.eye(2))
+
+
+def test_bounded_values_are_those_of_an_established_solver() -> None:
+    generator = np.random.default_rng(0)
+    for count in (1, 2, 5):
+        root = generator.normal(size=(2 * count, count))
+        matrix = root.T @ root + 3.0 * np.ones((count, count))
+        wanted = generator.normal(scale=2.0 * np.trace(matrix) / count, size=(60, count))
+        values, free = bounded_least_squares(matrix, wanted)
+        triangle = np.linalg.cholesky(matrix)
+        for own, goal in zip(values, wanted, strict=True):
+            known = lsq_linear(triangle.T, np.linalg.solve(triangle, goal), (-1.0, 1.0), method="bvls")
+            np.testing.assert_allclose(own, known.x, atol=1e-9)
+        np.testing.assert_array_equal(free, np.abs(values) < 1.0)
+        assert 0.1 < np.mean(free) < 0.9

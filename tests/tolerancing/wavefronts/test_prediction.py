@@ -16,7 +16,7 @@ from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
 from tolerancing.study.evaluate import context_of, realise
 from tolerancing.study.files import LoadedStudy
-from tolerancing.wavefronts.prediction import Judged, _known, judged_points, mean_squares, predict
+from tolerancing.wavefronts.prediction import Judged, judged_points, mean_squares, predict, study_derivatives
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_trials_with_compensators_agree(loaded: LoadedStudy, limit: float) -> No
     for point, alone in zip(found.points, bare.points, strict=True):
         assert point.rms_waves < alone.rms_waves
         assert 0.6 < np.sum(point.shares) < 1.4
-    known = _known(loaded.lens, study, judged_points(study), second=True)
+    known = study_derivatives(loaded.lens, study, judged_points(study), second=True)
     amounts = known.changes.amounts(batch)
     values = known.compensation.values(amounts)
     np.testing.assert_allclose(values, context.compensator_values(batch), atol=0.01 * limit + 3e-4)

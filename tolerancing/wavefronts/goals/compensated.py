@@ -20,13 +20,8 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from tolerancing.merits.compensators import steadied
+from tolerancing.wavefronts.compensation import bounded_least_squares
 from tolerancing.wavefronts.goals.joint import WAVEFRONT_SOFTNESS
-
-MOST_PIVOTS = 60
-"""Exchanges between free and bound compensators; a few suffice, and each lens ends where it has come to."""
-
-ALL_AT_ONCE = 10
-"""Exchanges after which compensators change over one at a time, which ends surely (Murty, 1974)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +75,11 @@ class CompensatedWaves:
         """Derivatives of the sum of the mean squares with these weights, shape (v,)."""
         together, free = self._solved
         moments = (together.T * weights) @ together
-        by = np.einsum("vde,de->v", self.forms_by[:, point], moments)
+        by = np.tensordot(self.forms_by[:, point], moments, 2)
         if len(self.limits):
             pulled = self._adjoint(together @ self.forms[point], free)
             crossed = (pulled.T * weights) @ together
-            by -= 2.0 * np.einsum("vde,de->v", self.total_by[:, -len(self.limits) :], crossed)
+            by = by - 2.0 * np.tensordot(self.total_by[:, -len(self.limits) :], crossed, 2)
         return np.asarray(by)
 
     def _adjoint(self, response: Array, free: NDArray[np.bool_]) -> Array:
@@ -126,48 +121,3 @@ class WavefrontLoads:
     def weighted(self, weights: Array) -> Array:
         """Derivatives of the sum of the loads with these weights, shape (v,)."""
         return self.waves.weighted(self.point, weights / self.limit_waves**2)
-
-
-def bounded_least_squares(matrix: Array, wanted: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Minimize x^T N x / 2 - w^T x within -1 and 1 for many w at once.
-
-    Block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63, 625, 1994): bound variables whose
-    gradient points inwards are freed and free ones beyond a bound are bound, until there are none.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (k, k)
-        Positive definite.
-    wanted : ndarray, shape (t, k)
-
-    Returns
-    -------
-    values : ndarray, shape (t, k)
-    free : ndarray of bool, shape (t, k)
-    """
-    count = wanted.shape[1]
-    bound = np.zeros(wanted.shape)  # -1, 1 where bound, 0 where free
-    values = np.zeros(wanted.shape)
-    left = np.arange(len(wanted))
-    for turn in range(MOST_PIVOTS):
-        patterns, own = np.unique(bound[left], axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            rows, free = left[own.ravel() == number], pattern == 0.0
-            values[rows] = pattern
-            if np.any(free):
-                rest = wanted[np.ix_(rows, free)] - pattern[~free] @ matrix[np.ix_(~free, free)]
-                part = matrix[np.ix_(free, free)]
-                values[np.ix_(rows, free)] = np.linalg.solve(part, rest.T).T
-        at, slope = bound[left], wanted[left] - values[left] @ matrix
-        beyond = np.where((at == 0.0) & (np.abs(values[left]) > 1.0), np.sign(values[left]), 0.0)
-        inward = (at != 0.0) & (slope * at < 0.0)
-        wrong = (beyond != 0.0) | inward
-        going = np.any(wrong, axis=1)
-        if not np.any(going):
-            break
-        if turn >= ALL_AT_ONCE:
-            last = count - 1 - np.argmax(wrong[:, ::-1], axis=1)
-            wrong &= np.arange(count) == last[:, None]
-        bound[left] = np.where(wrong, beyond, at)
-        left = left[going]
-    return np.clip(values, -1.0, 1.0), bound == 0.0

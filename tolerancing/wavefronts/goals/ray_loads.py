@@ -24,12 +24,13 @@ from tolerancing.wavefronts.arrivals import arrivals_by
 from tolerancing.wavefronts.goals.design import STEP, DesignPoint, TracedRays
 from tolerancing.wavefronts.motions import Motions, motions_of
 
-DEVIATIONS = 4.0
-"""Rays that are further behind the outermost one, in standard deviations of both, are never the outermost."""
+LEADING, BEHIND = 48, 6.0
+"""Rays with the largest nominal loads, and by how many of their standard deviations others may lie behind the
+first of them and still be the outermost of a lens."""
 
-LEADING, WIDER = 48, 1.5
-"""Deviations of so many rays with the largest nominal loads are calculated first; those of others are taken
-to be at most so much larger than the largest of these."""
+PROBED, CLOSE = 128, 0.1
+"""Drawn lenses that show which rays are followed for all: those that are the outermost of one of them, or
+come so close to it, in standard deviations of the largest loads."""
 
 FAN, HEIGHTS = 41, (0.4, 0.7, 0.85)
 """Points of a fan along each field point's own azimuth, where extreme rays mostly lie; and field heights, as
@@ -133,32 +134,36 @@ class RayLoads:
     @cached_property
     def _candidates(self) -> FollowedRays:
         """Rays that can be the outermost of some lens."""
-        loads, _ = self._load(self.followed.values, self._further)
-        leading = np.argsort(-loads)[:LEADING]
-        widest = WIDER * np.max(self._deviations(self.followed.part(leading)))
-        near = self.followed.part(np.flatnonzero(loads >= np.max(loads) - 2.0 * DEVIATIONS * widest))
-        loads, _ = self._load(near.values, self._further)
-        reach = DEVIATIONS * self._deviations(near)
-        return near.part(np.flatnonzero(loads + reach >= np.max(loads - reach)))
+        loads = self._loads_of(self.followed.values)
+        leading = self.followed.part(np.argsort(-loads)[:LEADING])
+        responses = np.einsum("nac,nacd->nd", self._slopes_of(leading.values), leading.responses)
+        probed = self.amounts[:PROBED]
+        reach = BEHIND * np.max(np.std(probed @ responses.T, axis=0))
+        near = self.followed.part(np.flatnonzero(loads >= np.max(loads) - reach))
+        loads = self._drawn_loads(near, probed)
+        largest = np.max(loads, axis=1, keepdims=True)
+        close = np.any(loads >= largest - CLOSE * np.std(largest), axis=0)
+        return near.part(np.flatnonzero(close))
 
-    def _deviations(self, rays: FollowedRays) -> Array:
-        """Standard deviations of the rays' loads."""
-        _, slopes = self._load(rays.values, self._further)
-        responses = np.einsum("nac,nacd->nd", slopes, rays.responses)
-        moments = self.amounts.T @ self.amounts / len(self.amounts)
-        return np.sqrt(np.maximum(np.sum((responses @ moments) * responses, axis=1), 0.0))
+    def _drawn_loads(self, rays: FollowedRays, amounts: Array) -> Array:
+        """Loads of all rays of drawn lenses, shape (t, n)."""
+        used = self._used
+        n, responses = len(rays.values), rays.responses[:, used]
+        moved = amounts @ responses.reshape(-1, responses.shape[-1]).T
+        return self._loads_of(rays.values[:, used] + moved.reshape(len(amounts), n, -1, 2))
 
     @cached_property
     def _outermost(self) -> tuple[Array, NDArray[np.intp], Array]:
         """Loads of the lenses, the ray that gives each, and slopes by that ray's values, shape (t, 2, 2)."""
         rays = self._candidates
-        n = len(rays.values)
-        moved = self.amounts @ rays.responses.reshape(4 * n, -1).T
-        values = rays.values + moved.reshape(-1, n, 2, 2)
-        loads, slopes = self._load(values, self._further)
+        loads = self._drawn_loads(rays, self.amounts)
         worst = np.argmax(loads, axis=1)
-        lenses = np.arange(len(worst))
-        return loads[lenses, worst], worst, slopes[lenses, worst]
+        slopes = np.empty((len(worst), 2, 2))
+        for number in np.unique(worst):
+            own = worst == number
+            moved = np.tensordot(self.amounts[own], rays.responses[number], (1, 2))
+            slopes[own] = self._slopes_of(rays.values[number] + moved)
+        return loads[np.arange(len(worst)), worst], worst, slopes
 
     @property
     def loads(self) -> Array:
@@ -174,12 +179,17 @@ class RayLoads:
         for number in range(len(used)):
             own = place.ravel() == number
             nominal[number] = np.sum(pull[own], axis=0)
-            moved[number] = np.einsum("tac,td->acd", pull[own], self.amounts[own])
+            moved[number] = np.tensordot(pull[own], self.amounts[own], (0, 0))
         by: Array = np.einsum("nac,nacv->v", nominal, rays.values_by)
         by = by + [float(np.sum(moved * rays.responses_by(v))) for v in range(len(by))]
         if self._follows_the_sensor:
             by += self._by_planes(weights)
         return np.asarray(by)
+
+    @property
+    def _used(self) -> slice:
+        """What the loads depend on: of spreads the direction cosines alone."""
+        return slice(0, 2) if isinstance(self.merit, FootprintRadius) else slice(1, 2)
 
     @property
     def _further(self) -> float:
@@ -207,20 +217,34 @@ class RayLoads:
         _, worst, _ = self._outermost
         rays = self._candidates
         moved = np.einsum("td,tacd->tac", self.amounts, rays.responses[worst])
-        return self._load(rays.values[worst] + moved, further)[0]
+        return self._loads_of(rays.values[worst] + moved, further)
 
-    def _load(self, values: Array, further: float) -> tuple[Array, Array]:
-        """Loads of rays with these positions and cosines, shape (..., 2, 2), and their slopes by them."""
-        position, cosines = values[..., 0, :], values[..., 1, :]
-        slopes = np.zeros_like(values)
+    def _loads_of(self, values: Array, further: float | None = None) -> Array:
+        """Loads of rays with these positions and direction cosines, shape (..., 2, 2), or cosines alone."""
+        cosines = values[..., -1, :]
         if not isinstance(self.merit, FootprintRadius):
-            limit = np.sin(np.deg2rad(self.merit.limit)) ** 2
-            slopes[..., 1, :] = 2.0 * cosines / limit
-            return np.sum(cosines**2, axis=-1) / limit, slopes
-        limit = self.merit.limit**2
-        along = np.sqrt(np.maximum(1.0 - np.sum(cosines**2, axis=-1), 1e-12))[..., None]
-        across = position + further * cosines / along
-        slopes[..., 0, :] = 2.0 * across / limit
+            return np.asarray(np.sum(cosines**2, axis=-1) / np.sin(np.deg2rad(self.merit.limit)) ** 2)
+        across = values[..., 0, :] + self._beyond(cosines, further)
+        return np.asarray(np.sum(across**2, axis=-1) / self.merit.limit**2)
+
+    def _slopes_of(self, values: Array) -> Array:
+        """Derivatives of the loads by positions and cosines, shape (..., 2, 2)."""
+        cosines, slopes = values[..., 1, :], np.zeros_like(values)
+        if not isinstance(self.merit, FootprintRadius):
+            slopes[..., 1, :] = 2.0 * cosines / np.sin(np.deg2rad(self.merit.limit)) ** 2
+            return slopes
+        across = values[..., 0, :] + self._beyond(cosines)
+        along = self._along(cosines)
+        slopes[..., 0, :] = 2.0 * across / self.merit.limit**2
         turned = np.sum(across * cosines, axis=-1, keepdims=True) * cosines / along**3
-        slopes[..., 1, :] = 2.0 * further / limit * (across / along + turned)
-        return np.sum(across**2, axis=-1) / limit, slopes
+        slopes[..., 1, :] = 2.0 * self._further / self.merit.limit**2 * (across / along + turned)
+        return slopes
+
+    def _beyond(self, cosines: Array, further: float | None = None) -> Array:
+        """How far rays go sideways between the first plane and that of the limit."""
+        distance = self._further if further is None else further
+        return np.asarray(distance * cosines / self._along(cosines))
+
+    def _along(self, cosines: Array) -> Array:
+        """Direction cosines along the axis, with an axis of length 1 behind them."""
+        return np.sqrt(np.maximum(1.0 - np.sum(cosines**2, axis=-1), 1e-12))[..., None]

@@ -40,8 +40,10 @@ def predicted_of(lens: Lens, study: Study) -> AsBuiltPrediction:
     )
 
 
-def trials_of(name: str, lens: Lens, study: Study, judged: Sequence[Judged]) -> TrialsOf:
-    """Score all trials of a study of a lens as a run of it does, and predict them.
+def trials_of(
+    name: str, lens: Lens, study: Study, judged: Sequence[Judged], predicted: AsBuiltPrediction
+) -> TrialsOf:
+    """Score all trials of a study of a lens as a run of it does.
 
     Parameters
     ----------
@@ -51,6 +53,8 @@ def trials_of(name: str, lens: Lens, study: Study, judged: Sequence[Judged]) -> 
         What is tried.
     judged
         Object points of the wavefront whose root mean square is asked for.
+    predicted
+        What is predicted of the lens by the draws of the study as it is, whatever seed the trials have.
 
     Raises
     ------
@@ -68,12 +72,13 @@ def trials_of(name: str, lens: Lens, study: Study, judged: Sequence[Judged]) -> 
         squares.append(_mean_squares(context, batch, judged))
         if start == 0 and all(messages):
             raise InputError(f"{name or 'the lens'}: no trial can be scored: {messages[0]}")
-    return _summary(name, lens, study, np.concatenate(scores), np.concatenate(squares))
+    return _summary(name, study, np.concatenate(scores), np.concatenate(squares), predicted)
 
 
-def _summary(name: str, lens: Lens, study: Study, scores: Array, squares: Array) -> TrialsOf:
+def _summary(
+    name: str, study: Study, scores: Array, squares: Array, predicted: AsBuiltPrediction
+) -> TrialsOf:
     turns = replicates(study.draws, range(study.trials))
-    predicted = predicted_of(lens, study)
     passed = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
     good = yield_of(np.all(passed, axis=0), turns)
     assert good is not None  # there are trials
