@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -277,17 +278,34 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
     found = table(title, "lens", "all limits", *map(visible, merits) if len(merits) > 1 else ())
     for row in report.rows:
         parts = [_yield_text(one.good, one.low, one.high, one.predicted) for one in row.merits]
-        joint = _yield_text(row.good, row.low, row.high, row.predicted_good)
+        predicted = None if math.isnan(row.predicted_good) else row.predicted_good
+        joint = _yield_text(row.good, row.low, row.high, predicted)
         found.add_row(visible(row.name), joint, *parts if len(parts) > 1 else ())
+    tables = [found, *_losses(report)]
     if not report.points_mm:
-        return [found]
+        return tables
     points = [f"rms at {place}" for place in report.places]
     waves = table("Wavefronts of the same trials, in waves, and as predicted", "lens", *points)
     for row in report.rows:
         values = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
         cells = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
         waves.add_row(visible(row.name), *cells)
-    return [found, waves]
+    return [*tables, waves]
+
+
+def _losses(report: AsBuiltReport) -> list[Any]:
+    """Mean reconstruction losses of the same trials; none where the study has no such merit."""
+    merits = report.rows[0].losses
+    if not merits:
+        return []
+    heads = [f"{one.merit}, {'calibrated' if one.calibrated else 'nominal'} model" for one in merits]
+    found = table(
+        "Mean reconstruction loss of the same trials, and as predicted", "lens", *map(visible, heads)
+    )
+    for row in report.rows:
+        cells = (f"{one.mean:.4g} +- {2.0 * one.error:.2g} ({one.predicted:.4g})" for one in row.losses)
+        found.add_row(visible(row.name), *cells)
+    return [found]
 
 
 def _yield_text(good: float, low: float, high: float, predicted: float | None) -> str:
@@ -301,5 +319,7 @@ def _limits_of(report: AsBuiltReport) -> list[str]:
     lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
     if report.trials_only:
-        lines.append(f"scored by trials only, not by search and predictions: {', '.join(report.trials_only)}")
+        lines.append(
+            f"limits that the predicted yield leaves out, scored by trials: {', '.join(report.trials_only)}"
+        )
     return lines

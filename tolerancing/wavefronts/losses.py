@@ -19,20 +19,26 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.compiled import CompiledSystem, compile_system
 from lensdesign.tracing.rays import trace_compiled
-from tolerancing.merits.compensators import bounded_change, steadied
+from tolerancing.merits.compensators import steadied
 from tolerancing.merits.loss import AZIMUTHS_DEG, ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
+from tolerancing.study.evaluate import realise
 from tolerancing.study.study import Study
+from tolerancing.wavefronts.compensation import bounded_least_squares
 from tolerancing.wavefronts.derivatives import figures_on, first_by
 from tolerancing.wavefronts.paths import Paths
-from tolerancing.wavefronts.system import Changes, changes_of, columns_of
+from tolerancing.wavefronts.prediction import replace_draws
+from tolerancing.wavefronts.system import Changes, amounts_of, changes_of, columns_of
 from wavesim.pupil import LinearisedChain
 from wavesim.pupil.chain_draws import TERMS, ChainDraws, polynomial_terms
 from wavesim.pupil.meridian import NODES, PIXELS_PER_SAMPLE
 
 DEPTH = 11
 """Place of a station's shift along the axis among the numbers of its pose."""
+
+DRAWS = 256
+"""Lenses by which the mean loss of a finished lens is predicted."""
 
 FANS = 9
 """Object points of a meridian from which nominal rays are traced."""
@@ -191,6 +197,26 @@ def expected_losses(lens: Lens, study: Study, merit: ReconstructionLoss, amounts
     return np.asarray(losses.max(axis=0))
 
 
+def mean_loss(lens: Lens, study: Study, merit: ReconstructionLoss, draws: int = DRAWS) -> float:
+    """Predict the mean of a merit over lenses as built.
+
+    The lenses are drawn from the perturbations of the study by a Sobol sequence.
+
+    Parameters
+    ----------
+    lens, study, merit
+        As of :func:`expected_losses`.
+    draws
+        How many lenses.
+    """
+    return float(np.mean(expected_losses(lens, study, merit, drawn_losses(study, draws))))
+
+
+def drawn_losses(study: Study, draws: int) -> Array:
+    """Return amounts of the study's perturbations, drawn by a Sobol sequence; shape (draws, d)."""
+    return amounts_of(realise(replace_draws(study, draws), range(draws)))
+
+
 def _coarser(chain: LinearisedChain, pixels_per_sample: float) -> LinearisedChain:
     """The chain with fewer fans, and with fewer pixels that hold as much light."""
     meridian = replace(chain.meridian, fans=FANS, pixels_per_sample=pixels_per_sample)
@@ -205,10 +231,7 @@ def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts
     matrix = sum(m.T @ see @ m for see, m in zip(sees, model, strict=True))
     across = sum(m.T @ see @ own for see, own, m in zip(sees, lens, model, strict=True))
     wanted = amounts @ across.T
-    free = np.linalg.solve(steadied(matrix), wanted.T).T
-    for k in np.flatnonzero(np.any(np.abs(free) > 1.0, axis=1)):
-        free[k] = bounded_change(matrix, wanted[k], np.zeros(len(matrix)))
-    return np.asarray(np.clip(free, -1.0, 1.0))
+    return bounded_least_squares(steadied(np.asarray(matrix)), wanted)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,7 +285,8 @@ class _Nodes:
         directions = lens.object.numerical_aperture * p[:, None] * along
         directions[:, 2] = np.sqrt(1.0 - np.sum(directions**2, axis=1))
         plane_z = lens.exit_vertex_z_mm + distances
-        rays = trace_compiled(system, origins, directions, float(plane_z[0]), record_hits=True)
+        # No stop clips them, so that all lenses of a search are known by the same rays.
+        rays = trace_compiled(system, origins, directions, float(plane_z[0]), record_hits=True, clip=False)
         assert rays.hits is not None  # they were asked for
         ok = rays.ok
         if np.count_nonzero(ok) <= TERMS:

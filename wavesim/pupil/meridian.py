@@ -192,7 +192,8 @@ class Meridian:
         pixel = 1e-3 * self.lens.sensor.pixel_pitch_um
         low, high = (pick(at(fan[0]) for fan in fans) for pick, at in ((min, np.min), (max, np.max)))
         every = max(1, int(int((high - low) / pixel) / (self.pixels_per_sample * len(samples))))
-        pixels = np.arange(math.floor(low / pixel), math.ceil(high / pixel) + 1, every) * pixel
+        numbers = range(math.floor(low / pixel), math.ceil(high / pixel) + 1, every)
+        pixels = pixel * np.array(numbers, float)
         if self.fans:
             matrix, cosines = self._between(pixels, fans, nodes)
         else:

@@ -199,6 +199,8 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
                 f"{path}: as-built reconstruction loss: {tolerances.study} has no merit of kind "
                 "reconstruction_loss: add one, with patch_mm and field_points_mm, to the study"
             )
+        if specification.asks_losses:
+            specification.as_built.check_losses(specification.lens)
     return specification
 
 
