@@ -13,6 +13,7 @@ SCRIPTS = (
     "trace_limit",
     "as_built",
     "wavefronts",
+    "budgets",
     "monte_carlo_speed",
     "optimizer",
     "pupil_trial",

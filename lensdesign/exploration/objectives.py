@@ -185,7 +185,7 @@ def values_of(
             sines = [np.max(np.linalg.norm(t.cosines[t.ok], axis=-1)) for s in state.all for t in s.traces]
             value = float(np.degrees(np.arcsin(max(sines))))
         else:
-            built = problem.predicted(point)
+            built = problem.predicted(point, lens)
             rms, failing = (max(np.max(b.rms_waves) for b in built), max(b.failing for b in built))
             value = rms if name == "as_built_rms" else 1.0 - failing
         found[axis.objective.column] = float(value)

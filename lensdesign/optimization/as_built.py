@@ -222,6 +222,9 @@ class AsBuilt(Protocol):
     def check(self, lens: Lens) -> None:
         """Refuse, with a DesignError, tolerances of what a lens does not have."""
 
+    def check_yields(self) -> None:
+        """Refuse, with a DesignError, a study of which no yield can be predicted."""
+
     def check_losses(self, lens: Lens) -> None:
         """Refuse, with a DesignError, losses that a search for such a lens cannot know."""
 

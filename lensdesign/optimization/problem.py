@@ -261,11 +261,18 @@ class DesignProblem:
             return np.zeros(len(self.base.sensor.plane_distances_mm))
         return np.asarray(self._heated(point, True).chain.planes[:, variable])
 
-    def predicted(self, point: Array) -> tuple[AsBuiltValues, ...]:
+    def predicted(self, point: Array, lens: Lens | None = None) -> tuple[AsBuiltValues, ...]:
         """What the specification's tolerances make of the lens at a point, whether or not that is asked for.
 
         As designed, and at each temperature; by the function that predicts finished lenses, which goes to
         second order, and not by the values of the search.
+
+        Parameters
+        ----------
+        point
+            Of the unit box.
+        lens
+            The finished lens of the point; default: finished by a few rays.
 
         Raises
         ------
@@ -275,7 +282,8 @@ class DesignProblem:
         tolerances = self.specification.tolerances
         if tolerances is None:
             raise DesignError("lenses as built need their tolerances: [tolerances] study")
-        study, lens = read_as_built(tolerances), finished_lens(self, point, self._rim)
+        study = read_as_built(tolerances)
+        lens = finished_lens(self, point, self._rim) if lens is None else lens
         found = (study.predict(one) for one in (lens, *self._at_temperatures(lens)))
         return tuple(
             AsBuiltValues(

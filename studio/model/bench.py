@@ -21,7 +21,6 @@ from studio.model.built import Workmanship, workmanship
 from studio.model.document import Aside, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
 from studio.model.figures import Asked, Figures, patch_of, rays_of, waves_of
-from studio.model.picture import heights_of
 from studio.model.values import parsed, place_of
 from studio.model.whatif import WhatIf
 
@@ -222,7 +221,7 @@ class Workbench:
         built_of = (len(lens.surfaces), lens.half_field_mm, tuple(s.material for s in lens.surfaces))
         if self._made is None or self._made[:2] != (self.grade, built_of):
             try:
-                made = workmanship(self.grade, lens, heights_of(lens)) if self.grade else None
+                made = workmanship(self.grade, lens) if self.grade else None
             except TransferLensError as error:
                 made = None
                 self.refused = {"grade": str(error)}

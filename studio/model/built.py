@@ -7,22 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
-from tolerancing.merits.pupil import RmsWaves
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.grades import GRADES, starting_study
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
-from tolerancing.wavefronts.prediction import (
-    Judged,
-    WavefrontPrediction,
-    drawn_amounts,
-    judged_points,
-    predict,
-)
+from tolerancing.wavefronts.prediction import drawn_batch
+from tolerancing.wavefronts.study_prediction import StudyPrediction, predict_study
 
 FEWER = 4
 """While a value moves: every so many of the draws, to first order."""
@@ -30,26 +24,28 @@ FEWER = 4
 
 @dataclass(frozen=True, eq=False)
 class Workmanship:
-    """How a lens is made: the study that says what scatters, and where wavefronts are judged.
+    """How a lens is made: the study that says what scatters, and what a good lens is.
 
     Attributes
     ----------
     name
         Of the grade, or of the study's file.
     study
-        What scatters.
-    judged
-        Object points, with limits.
+        What scatters, and the limits.
     """
 
     name: str
     study: Study
-    judged: tuple[Judged, ...]
 
     @cached_property
-    def amounts(self) -> Array:
-        """Of what scatters, by draws; the same for every lens."""
-        return drawn_amounts(self.study)
+    def drawn(self) -> PerturbationBatch:
+        """The drawn lenses of the prediction; the same for every lens."""
+        return drawn_batch(self.study)
+
+    @cached_property
+    def fewer(self) -> PerturbationBatch:
+        """Some of them, for a prediction while a value moves."""
+        return drawn_batch(self.study, FEWER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +57,18 @@ class Built:
     name
         Of the workmanship.
     prediction
-        Wavefronts and yield.
+        The joint yield of all limits, its parts, wavefronts and rays.
     cost
         Of tolerances and elements, in the units of the table; None where it has no price.
     """
 
     name: str
-    prediction: WavefrontPrediction
+    prediction: StudyPrediction
     cost: float | None
 
 
-def workmanship(name: str, lens: Lens, heights_mm: tuple[float, ...]) -> Workmanship:
-    """A grade's tolerances of a lens, or those of a study file, which names its own points.
+def workmanship(name: str, lens: Lens) -> Workmanship:
+    """The study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
 
     Parameters
     ----------
@@ -80,22 +76,18 @@ def workmanship(name: str, lens: Lens, heights_mm: tuple[float, ...]) -> Workman
         A grade, or a file.
     lens
         The lens.
-    heights_mm
-        Object points at which wavefronts are judged by a grade's limit.
 
     Raises
     ------
     InputError
         If it is neither, or the lens does not have what scatters.
     """
-    if name not in GRADES:
-        study = load_study(Path(name)).study
-        check_against(study, lens, name)
-        return Workmanship(Path(name).name, study, judged_points(study))
-    study = study_from_tables(tomllib.loads(starting_study(lens, "design.toml", name)), name)
-    limit = next(merit.at_most for merit in study.merits if isinstance(merit, RmsWaves))
-    assert limit is not None  # as the grades have it
-    return Workmanship(name, study, tuple(Judged((0.0, h), None, limit) for h in heights_mm))
+    if name in GRADES:
+        tables = tomllib.loads(starting_study(lens, "design.toml", name))
+        return Workmanship(name, study_from_tables(tables, name))
+    study = load_study(Path(name)).study
+    check_against(study, lens, name)
+    return Workmanship(Path(name).name, study)
 
 
 def built(lens: Lens, made: Workmanship, *, settled: bool = True) -> Built:
@@ -107,8 +99,8 @@ def built(lens: Lens, made: Workmanship, *, settled: bool = True) -> Built:
         If rays do not pass.
     """
     check_against(made.study, lens, made.name)
-    amounts = made.amounts if settled else made.amounts[::FEWER]
-    prediction = predict(lens, made.study, made.judged, amounts, second=settled)
+    batch = made.drawn if settled else made.fewer
+    prediction = predict_study(lens, made.study, batch, quick=not settled)
     try:
         cost = cost_of(made.study, lens, _costs()).total
     except InputError:

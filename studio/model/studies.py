@@ -10,14 +10,12 @@ from lensdesign.files.design import save_design
 from lensdesign.lens.lens import Lens
 from studio.model.built import Workmanship
 from studio.model.whatif import WhatIf
-from tolerancing.merits.pupil import RmsWaves
-from tolerancing.merits.rays import LargestSpread
 from tolerancing.study.files import load_study, save_study
 from tolerancing.study.results import TrialResults
 
 
 def write_study(lens: Lens, made: Workmanship, trials: int, folder: Path) -> Path:
-    """Write a study that scores wavefronts at the page's object points, and the spread, and its design.
+    """Write a study and its design, with all merits by which the page predicts the yield.
 
     Raises
     ------
@@ -25,12 +23,9 @@ def write_study(lens: Lens, made: Workmanship, trials: int, folder: Path) -> Pat
         If the folder cannot be written.
     """
     save_design(lens, folder / "design.toml")
-    limit = min(p.limit_waves for p in made.judged)
-    points = tuple(p.field_mm for p in made.judged)
-    spread = [m for m in made.study.all_merits if isinstance(m, LargestSpread)]
-    merits = (RmsWaves(kind="rms_waves", field_points_mm=points, at_most=limit), *spread)
-    changes = {"design": "design.toml", "all_merits": merits, "trials": trials}
-    save_study(made.study.model_copy(update=changes), folder / "study.toml")
+    save_study(
+        made.study.model_copy(update={"design": "design.toml", "trials": trials}), folder / "study.toml"
+    )
     return folder / "study.toml"
 
 

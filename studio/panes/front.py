@@ -14,7 +14,6 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.built import workmanship
 from studio.model.jobs import Job
-from studio.model.picture import heights_of
 from studio.model.searches import Search, run_exploration, variables_of
 from studio.panes.common import bench_of, follow, text
 from studio.panes.themes import Dresser, Theme, chart, dressed
@@ -81,7 +80,7 @@ class _Explore:
             return
         try:
             built = any(name in BUILT for name in self.over)
-            made = workmanship(bench.grade, bench.lens, heights_of(bench.lens)) if built else None
+            made = workmanship(bench.grade, bench.lens) if built else None
         except TransferLensError as error:
             self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
             return

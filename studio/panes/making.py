@@ -12,7 +12,6 @@ from studio.model.bench import Workbench
 from studio.model.built import workmanship
 from studio.model.exports import KINDS, write_export
 from studio.model.jobs import Job
-from studio.model.picture import heights_of
 from studio.panes.common import bench_of, follow, text
 
 
@@ -32,7 +31,7 @@ def export(lens: Workbench | Lens) -> pn.Column:
     def begin(_: object) -> None:
         path = Path(file.value.strip())
         try:
-            made = None if path.suffix else workmanship(bench.grade, bench.lens, heights_of(bench.lens))
+            made = None if path.suffix else workmanship(bench.grade, bench.lens)
         except TransferLensError as error:
             said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
             return

@@ -14,7 +14,6 @@ from studio.model.bench import Workbench
 from studio.model.built import workmanship
 from studio.model.editing import lens_from
 from studio.model.jobs import Job
-from studio.model.picture import heights_of
 from studio.model.searches import CONSTRAINTS, GOALS, Found, Search, run_search, variables_of
 from studio.panes.beside import comparison
 from studio.panes.common import bench_of, follow, text
@@ -103,7 +102,7 @@ class _Optimize:
             if not asked.variables:
                 raise InputError("nothing may vary: tick what may")
             grade = bench.grade or next(iter(GRADES))
-            made = workmanship(grade, bench.lens, heights_of(bench.lens))
+            made = workmanship(grade, bench.lens)
             needs = asked.goal in ("as-built rms", "yield") or "min_yield" in asked.constraints
         except InputError as error:
             self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'

@@ -61,25 +61,29 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         if why or found is None:
             shown.object = f'<div class="told"><p class="miss">{text(why)}</p></div>'
             return
-        told = found.prediction
-        points = "".join(
-            f"<tr><td>{p.judged.field_mm[1]:.3g} mm</td><td>{p.rms_waves:.4f} λ</td>"
-            f"<td>{100.0 * p.good:.1f} %</td></tr>"
-            for p in told.points
+        predicted, waves = found.prediction, found.prediction.wavefronts
+        limits = "".join(
+            f"<tr><td>{text(one.merit.label)} {text(one.merit.limit_text)}</td><td>{text(one.location)}</td>"
+            f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
+            for one in predicted.limits
         )
-        limits = sorted({p.judged.limit_waves for p in told.points})
-        shares = _shares(told)
+        points = "".join(
+            f"<tr><td>{p.judged.field_mm[1]:.3g} mm</td><td>{p.rms_waves:.4f} λ</td></tr>"
+            for p in (() if waves is None else waves.points)
+        )
         bars = "".join(
             f'<tr><td>{text(name.replace("_", " "))}</td><td class="bar">'
             f'<i style="width:{share:.1f}%"></i></td><td>{share:.0f} %</td></tr>'
-            for name, share in shares[:MOST_SHARES]
+            for name, share in (() if waves is None else _shares(waves)[:MOST_SHARES])
         )
         cost = "" if found.cost is None else f" · cost {found.cost:.2f}"
+        others = ", ".join(predicted.not_predicted)
+        note = f"<p>not predicted, scored by trials only: {text(others)}</p>" if others else ""
         shown.object = (
-            f'<div class="told"><p class="yield" data-yield="{told.good!r}">'
-            f"<b>{100.0 * told.good:.1f} %</b> of lenses good{cost}</p>"
-            "<table class='facts'><tr><th>field</th><th>rms</th>"
-            f"<th>within {', '.join(f'{limit:.3g}' for limit in limits)} λ</th></tr>{points}</table>"
+            f'<div class="told"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
+            f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits{cost}</p>"
+            f"<table class='facts'><tr><th>limit</th><th>field points</th><th>good</th></tr>{limits}</table>"
+            f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
             f'<table class="bars">{bars}</table></div>'
         )
 
@@ -87,11 +91,11 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
     return pane
 
 
-def _shares(told: WavefrontPrediction) -> list[tuple[str, float]]:
+def _shares(waves: WavefrontPrediction) -> list[tuple[str, float]]:
     """What each perturbation brings of the mean square over all points, in per cent, the largest first."""
-    squares = np.array([point.rms_waves**2 for point in told.points])
-    brought = squares @ np.stack([point.shares for point in told.points]) / squares.sum()
-    return sorted(zip(told.perturbations, (100.0 * brought).tolist(), strict=True), key=lambda one: -one[1])
+    squares = np.array([point.rms_waves**2 for point in waves.points])
+    brought = squares @ np.stack([point.shares for point in waves.points]) / squares.sum()
+    return sorted(zip(waves.perturbations, (100.0 * brought).tolist(), strict=True), key=lambda one: -one[1])
 
 
 def _constraint(one: Constraint) -> str:

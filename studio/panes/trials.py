@@ -14,11 +14,12 @@ from lensdesign.lens.lens import Lens
 from studio.model.bench import Workbench
 from studio.model.built import workmanship
 from studio.model.jobs import Job
-from studio.model.picture import heights_of
 from studio.model.studies import run_trials, trial_what_if, trials_so_far
 from studio.panes.common import bench_of, follow, text
 from studio.panes.themes import Dresser, Theme, chart, dressed
 from tolerancing.analysis.yields import yield_of
+from tolerancing.merits.base import Merit
+from tolerancing.merits.pupil import RmsWaves
 
 POLL_MILLISECONDS = 700
 
@@ -48,8 +49,10 @@ class _Tolerances:
         self.said = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
         self.source = ColumnDataSource({"x": [], "y": [], "number": [], "color": []})
         self.colors = ("#00796b", "#c62828")
-        self.passed, self.limit, self.by_wavefront = np.zeros(0, bool), 0.0, 0.0
-        made = chart(dressers, height=260, x="trial", y="rms wavefront, worst field (λ)")
+        self.passed, self.by_merit = np.zeros(0, bool), dict[str, float]()
+        self.merits: tuple[Merit, ...] = ()
+        self.column = 0
+        self.chart = made = chart(dressers, height=260, x="trial", y="rms waves")
         made.add_tools("tap")
         made.scatter("x", "y", source=self.source, size=5, color="color", line_color=None, alpha=0.8)
         dressers.append(self._dress)
@@ -76,11 +79,13 @@ class _Tolerances:
             return
         bench = self.bench
         try:
-            made = workmanship(bench.grade, bench.lens, heights_of(bench.lens))
+            made = workmanship(bench.grade, bench.lens)
         except TransferLensError as error:
             self.said.object = f'<div class="told"><p class="miss">{text(error)}</p></div>'
             return
-        self.limit = min(p.limit_waves for p in made.judged)
+        self.merits = made.study.merits
+        self.column = next((k for k, m in enumerate(self.merits) if isinstance(m, RmsWaves)), 0)
+        self.chart.yaxis.axis_label = self.merits[self.column].column.replace("_", " ")
         self.folder = tempfile.TemporaryDirectory(prefix="studio")
         self.source.selected.indices = []
         self.passed = np.zeros(0, bool)
@@ -99,10 +104,13 @@ class _Tolerances:
         if found is None or len(found.trials) == len(self.passed):
             return
         self.passed = np.asarray(found.passed, bool)
-        self.by_wavefront = float(np.mean(found.scores[:, 0] <= self.limit))
+        self.by_merit = {
+            merit.label: float(np.mean(merit.passed(found.scores[:, k])))
+            for k, merit in enumerate(self.merits)
+        }
         self.source.data = {
             "x": list(found.trials),
-            "y": found.scores[:, 0],
+            "y": found.scores[:, self.column],
             "number": list(found.trials),
             "color": self._painted(),
         }
@@ -130,12 +138,12 @@ class _Tolerances:
         elif (good := yield_of(self.passed)) is None:
             new = f"<p>{text(job.progress or 'starting')}…</p>"
         else:
-            share, low, high, waves = (
-                100.0 * v for v in (good.share, good.low, good.high, self.by_wavefront)
-            )
+            share, low, high = (100.0 * v for v in (good.share, good.low, good.high))
+            parts = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
             new = (
-                f"<p><b>{share:.1f} %</b> of {good.total} lenses keep the limits of wavefront and spread "
-                f"({low:.1f} to {high:.1f} %), {waves:.1f} % that of the wavefront; {text(job.state)}. "
+                f"<p><b>{share:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "
+                f"{high:.1f} %); "
+                f"each limit alone: {parts}; {text(job.state)}. "
                 "Click a trial to look at its lens.</p>"
             )
         self.said.object = f'<div class="told">{new}</div>'

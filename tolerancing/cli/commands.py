@@ -6,13 +6,13 @@ import os
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
 from lensdesign.common.text import visible
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, TransferLensError
 from tolerancing.cli import predict as cli_predict
 from tolerancing.cli import statistics as cli_statistics
 from tolerancing.cli import tolerances as cli_tolerances
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tolerancing.analysis.yields import Yield
     from tolerancing.merits.base import Merit
     from tolerancing.store.store import Store
+    from tolerancing.wavefronts.study_prediction import StudyPrediction
 
 app = make_app("Monte Carlo tolerancing of transfer lenses: studies, sensitivities, budgets, reports.")
 
@@ -81,11 +82,12 @@ def run(
         message = f"interrupted; {kept if os.path.exists(store) else 'nothing is stored yet'}"
         raise KeyboardInterrupt(message) from None
     with open_store(store) as opened:
-        summary = summarize(opened)
+        summary, predicted = summarize(opened), _predicted(opened)
     if as_json:
-        print_json({"store": str(store), "run": vars(outcome), **summary.as_dict()})
+        found = _summary_dict(summary, predicted)
+        print_json({"store": str(store), "run": vars(outcome), **found})
         return
-    _print_summary(summary)
+    _print_summary(summary, predicted)
     done = {
         "trials": outcome.trials_run,
         "steps": outcome.steps_run,
@@ -124,11 +126,11 @@ def show(
         if trial is not None:
             _show_trial(opened, trial, output, dear, as_json)
             return
-        summary = summarize(opened)
+        summary, predicted = summarize(opened), _predicted(opened)
     if as_json:
-        print_json({"store": str(store), **summary.as_dict()})
+        print_json({"store": str(store), **_summary_dict(summary, predicted)})
     else:
-        _print_summary(summary)
+        _print_summary(summary, predicted)
 
 
 def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_json: bool) -> None:
@@ -227,7 +229,27 @@ def _print_trial(trial: SingleTrial) -> None:
         print("the same as stored" if trial.same else "NOT the same as stored: another toolkit or machine")
 
 
-def _print_summary(summary: Summary) -> None:
+def _predicted(store: Store) -> StudyPrediction | None:
+    """The yield as `tolerancing predict` finds it; None where nothing of the study can be predicted."""
+    from tolerancing.wavefronts.study_prediction import predict_study
+
+    try:
+        return predict_study(store.loaded.lens, store.study)
+    except TransferLensError:
+        return None
+
+
+def _summary_dict(summary: Summary, predicted: StudyPrediction | None) -> dict[str, Any]:
+    own: dict[str, Any] = {"predicted_yield": None}
+    if predicted is not None:
+        own = {
+            "predicted_yield": predicted.yield_fraction,
+            "predicted_limits": [one.merit.label for one in predicted.limits],
+        }
+    return summary.as_dict() | own
+
+
+def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
     planned = summary.record.planned_trials
     rows = [
         (
@@ -246,6 +268,12 @@ def _print_summary(summary: Summary) -> None:
         rows,
         ("all limits", "", "", "", *_yield_cells(summary.good)),
     )
+    for row in summary.merits:
+        if row.merit.details:
+            print(f"{row.merit.label}: {row.merit.details[0]}")
+    if predicted is not None:
+        merits = ", ".join(one.merit.label for one in predicted.limits)
+        print(f"predicted without trials: {100.0 * predicted.yield_fraction:.1f} % within {merits} at once")
     if summary.failed:
         print(f"{summary.failed} trials could not be scored and count as bad")
     if not summary.complete:

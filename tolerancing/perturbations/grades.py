@@ -18,6 +18,7 @@ from lensdesign.errors import InputError
 from lensdesign.fabrication.drawing.tolerances import GENERAL, MERCURY_LINE_UM
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
+from lensdesign.tracing.paths import FIELD_SHARES
 
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
@@ -324,7 +325,14 @@ def _merits(lens: Lens) -> str:
             ("field_mm", field, "the axis" if place == "axis" else "0.7 of the half field"),
             ("at_least", 0.5, ""),
         )
-    text += _table("merit", ("kind", "rms_waves", ""), ("at_most", 0.25, "a quarter wave, root mean square"))
+    edge = lens.half_field_mm
+    points = [[0.0, min(_number(share * edge), edge)] for share in FIELD_SHARES]
+    text += _table(
+        "merit",
+        ("kind", "rms_waves", ""),
+        ("field_points_mm", points, ""),
+        ("at_most", 0.25, "a quarter wave, root mean square"),
+    )
     return text + _spread(lens, limit.spread_limit_deg)
 
 

@@ -224,49 +224,6 @@ def drawn_amounts(study: Study) -> Array:
     return amounts_of(drawn_batch(study))
 
 
-@dataclass(frozen=True)
-class Loosened:
-    """What one tolerance alone does to the yield, all others as they are.
-
-    Attributes
-    ----------
-    perturbation
-        Its column.
-    halved, doubled
-        Share of good lenses with half of it, and with twice as much.
-    """
-
-    perturbation: str
-    halved: float
-    doubled: float
-
-
-def loosen_each(lens: Lens, study: Study) -> tuple[Loosened, ...]:
-    """Yields with each tolerance halved and doubled, to first order; perturbation by perturbation.
-
-    Raises
-    ------
-    InputError, DesignError
-        As of :func:`predict`.
-    """
-    judged = judged_points(study)
-    known = study_derivatives(lens, study, judged, second=False)
-    forms = [first_order(field) for field in known.fields]
-    amounts, limits = drawn_amounts(study), np.array([point.limit_waves**2 for point in judged])
-
-    def good(columns: slice, factor: float) -> float:
-        changed = amounts.copy()
-        changed[:, columns] *= factor
-        together = np.concatenate([changed, known.compensation.values(changed)], axis=1)
-        squares = np.stack([np.sum((together @ form) * together, axis=1) for form in forms], axis=1)
-        return float(np.mean(np.all(squares <= limits, axis=1)))
-
-    return tuple(
-        Loosened(p.column, good(columns, 0.5), good(columns, 2.0))
-        for p, columns in zip(study.perturbations, known.changes.columns, strict=True)
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class StudyDerivatives:
     """Derivatives of a study's wavefronts by its changes and compensators, at the judged field points."""

@@ -8,6 +8,7 @@ first order suffices.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.tracing.bundles import PupilSamples
 from tolerancing.merits.arrival import Arrival
+from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context, Points
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, RayMerit
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -151,9 +153,14 @@ def _extreme_rays(
     return np.flatnonzero(kept)
 
 
+def is_predicted_ray_merit(merit: Merit) -> TypeGuard[LargestSpread | FootprintRadius]:
+    """Whether a merit is one of rays that can be predicted: a spread or a footprint."""
+    return isinstance(merit, LargestSpread | FootprintRadius)
+
+
 def predicted_merits(study: Study) -> tuple[RayMerit, ...]:
-    """Merits of rays that can be predicted: spreads and footprints."""
-    return tuple(merit for merit in study.merits if isinstance(merit, LargestSpread | FootprintRadius))
+    """Merits of rays that can be predicted."""
+    return tuple(merit for merit in study.merits if is_predicted_ray_merit(merit))
 
 
 def predict_rays(

@@ -125,6 +125,8 @@ class StudyAsBuilt:
 
     @cached_property
     def _scatter(self) -> Scatter:
+        # A search ends with trials: whether all merits can score is known before it begins.
+        make_ready(self.study)
         return Scatter(self.study, self.factor)
 
     @cached_property
@@ -134,12 +136,6 @@ class StudyAsBuilt:
         own = compensated_points(self.study) if self.study.compensators else ()
         return (*judged, *(place for place in own if place not in judged))
 
-    @cached_property
-    def _ready(self) -> bool:
-        """Whether all merits can score: known before a search that ends with trials begins."""
-        make_ready(self.study)
-        return True
-
     def check(self, lens: Lens) -> None:
         """Refuse tolerances of what a lens does not have.
 
@@ -147,12 +143,6 @@ class StudyAsBuilt:
         ------
         DesignError
         """
-        if not self.judged and not predicted_merits(self.study) and not self.loss_merits:
-            raise DesignError(
-                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
-                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
-                "footprint_radius_mm"
-            )
         check_against(self.study, bent(lens), self.source)
         if self.amount is not None:
             if self.amount <= (elements := len(lens.glass_fronts)):
@@ -175,18 +165,36 @@ class StudyAsBuilt:
         """Predict the lens at a point of the unit box, to first order in the perturbations.
 
         Derivatives are by the variables' own values.
+
+        Raises
+        ------
+        InputError
+            If a merit that only trials use cannot score, as the code of a user that does not load.
         """
-        assert self._ready
-        variables = problem.variables if derivatives else ()
+        variables, scatter = problem.variables if derivatives else (), self._scatter
         try:
             with np.errstate(all="ignore"):
-                found = self._values(problem, point, variables)
+                found = self._values(scatter, problem, point, variables)
         except (TransferLensError, np.linalg.LinAlgError):
             return untraceable(len(self.judged), len(variables))
         numbers = (found.rms_waves, found.rms_by, found.failing, found.failing_by)
         if not all(np.all(np.isfinite(own)) for own in numbers) or np.any(found.rms_waves <= 0.0):
             return untraceable(len(self.judged), len(variables))
         return found
+
+    def check_yields(self) -> None:
+        """Refuse a study of which no yield can be predicted.
+
+        Raises
+        ------
+        DesignError
+        """
+        if not self.judged and not predicted_merits(self.study):
+            raise DesignError(
+                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
+                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
+                "footprint_radius_mm"
+            )
 
     def check_losses(self, lens: Lens) -> None:
         """Refuse losses that a search for such a lens cannot know.
@@ -203,7 +211,6 @@ class StudyAsBuilt:
 
         Derivatives are by the variables' own values.
         """
-        assert self._ready
         count = len(problem.variables) if derivatives else 0
         try:
             with np.errstate(all="ignore"):
@@ -214,8 +221,10 @@ class StudyAsBuilt:
             return without_losses(len(self.loss_merits), count)
         return found
 
-    def _values(self, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]) -> AsBuiltValues:
-        wavelengths, scatter = problem.base.wavelengths_um, self._scatter
+    def _values(
+        self, scatter: Scatter, problem: DesignProblem, point: Array, variables: tuple[Variable, ...]
+    ) -> AsBuiltValues:
+        wavelengths = problem.base.wavelengths_um
         designs: dict[int, DesignPoint] = {}
 
         def design_at(wavelength_um: float | None) -> DesignPoint:

@@ -23,7 +23,7 @@ from tolerancing.wavefronts.prediction import (
     is_predicted_wavefront,
     predict,
 )
-from tolerancing.wavefronts.rays import RayPrediction, predict_rays
+from tolerancing.wavefronts.rays import RayPrediction, is_predicted_ray_merit, predict_rays
 from tolerancing.wavefronts.system import amounts_of
 
 
@@ -94,6 +94,11 @@ class StudyPrediction:
         """Whether the neglected orders are small, as far as the prediction can tell."""
         waves = self.wavefronts is None or self.wavefronts.second_order_suffices
         return waves and all(ray.first_order_suffices for ray in self.rays)
+
+
+def is_predicted(merit: Merit) -> bool:
+    """Whether the limit of a merit is predicted without trials."""
+    return is_predicted_wavefront(merit) or is_predicted_ray_merit(merit)
 
 
 def predict_study(

@@ -54,7 +54,7 @@ class Constraints(Section):
     max_semi_diameter_mm
         Largest distance from the axis of any ray on any surface.
     min_yield
-        Share of lenses that are good as built, by the tolerances given.
+        Fraction of lenses as built that keep all limits of the tolerance study.
     max_as_built_rms_waves
         Largest wavefront error as built, root mean square over pupil and lenses, at each object point.
     max_as_built_reconstruction_loss
@@ -90,9 +90,8 @@ class Tolerances(Section):
     Attributes
     ----------
     study
-        Tolerance study, relative to the specification: its perturbations, and its merits `rms_waves` or
-        `strehl`, which say what a good lens is at which object points. The design that it names counts for
-        nothing.
+        Tolerance study, relative to the specification: its perturbations and compensators, and the limits of
+        its merits, all of which a good lens keeps. The design that it names counts for nothing.
     factor
         By which all tolerances are multiplied.
     cost
@@ -161,9 +160,9 @@ class Settings(Section):
         ``smallest spread`` (the largest share that a wavelength takes of its own limit, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
         ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``as-built rms`` (the largest
-        wavefront error of built lenses at the tolerances' object points), ``yield``, or
-        ``as-built reconstruction loss`` (the largest mean over built lenses of a merit `reconstruction_loss`
-        of the study).
+        wavefront error of built lenses at the tolerances' object points), ``yield`` (the fraction of
+        lenses that keep all limits of the study), or ``as-built reconstruction loss`` (the largest mean
+        over built lenses of a merit `reconstruction_loss` of the study).
     start
         ``design`` is the lens in the file, ``plate`` makes its variable surfaces flat, ``random`` draws
         from the bounds.

@@ -188,6 +188,8 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
     specification = specification.model_copy(update={"tolerances": tolerances})
     if specification.as_built is not None:
         specification.as_built.check(specification.lens)
+        if specification.asks_yields:
+            specification.as_built.check_yields()
         wanted = specification.constraints.max_as_built_rms_waves is not None
         if (wanted or specification.optimize.goal == "as-built rms") and not specification.as_built.points_mm:
             raise DesignError(

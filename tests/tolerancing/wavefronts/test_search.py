@@ -19,6 +19,8 @@ from lensdesign.optimization import check_against, load_specification
 from lensdesign.optimization.as_built import read_as_built
 from lensdesign.optimization.asked.sections import Tolerances
 from lensdesign.optimization.problem import DesignProblem
+from tolerancing import load_study
+from tolerancing.wavefronts import predict_study
 
 CONIC = """
 [[variable]]
@@ -123,6 +125,42 @@ def test_goal_is_met_from_a_plate_and_told_beside_the_studys_lens(wavefront_stud
     assert after["good"] > before["good"] + 0.2
     np.testing.assert_allclose(after["rms_waves"], after["predicted_rms_waves"], rtol=0.15)
     assert max(after["predicted_rms_waves"]) == pytest.approx(found["goal_value"], rel=1e-2)
+
+
+COMPENSATORS = """
+[[compensator]]
+target = "lens"
+parameter = "decenter_x_mm"
+limit = 0.01
+
+[[compensator]]
+target = "lens"
+parameter = "decenter_y_mm"
+limit = 0.05
+"""
+
+
+def test_compensators_are_searched_and_predicted_as_trials_take_them(
+    wavefront_study: Path, tmp_path: Path
+) -> None:
+    """More lenses are good than without; what is predicted lies in the interval of the trials."""
+    (tmp_path / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+    study = tmp_path / "study.toml"
+    text = wavefront_study.read_text(encoding="utf-8").replace("at_most = 0.12", "at_most = 0.09")
+    study.write_text(text + COMPENSATORS, encoding="utf-8")
+    path = specified(study, "spec.toml", **{'"thinnest lens"': '"yield"'})
+    output = tmp_path / "found.toml"
+    shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1", "--json"])
+    assert shown.exit_code == 0, shown.output
+    found = json.loads(shown.output)
+    before, after = found["as_built"]["rows"]
+    assert before["good"] < after["good"] < 0.99
+    for row in (before, after):
+        assert row["low"] <= row["predicted_good"] <= row["high"]
+        np.testing.assert_allclose(row["rms_waves"], row["predicted_rms_waves"], rtol=0.1)
+    assert found["goal_value"] == pytest.approx(100.0 * after["predicted_good"])
+    again = predict_study(load_design(output), load_study(study).study)
+    assert after["predicted_good"] == pytest.approx(again.yield_fraction, abs=1e-3)
 
 
 def test_a_yield_that_no_lens_reaches_ends_with_the_best(wavefront_study: Path) -> None:

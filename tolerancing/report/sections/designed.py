@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensdesign.errors import InputError
 from tolerancing.analysis.summary import Summary
@@ -27,6 +28,7 @@ from tolerancing.report.figures.style import BLUE, GREY, RED, styled, styled_fig
 
 if TYPE_CHECKING:
     from tolerancing.wavefronts.prediction import WavefrontPrediction
+    from tolerancing.wavefronts.study_prediction import StudyPrediction
 
 
 @dataclass(frozen=True)
@@ -111,22 +113,75 @@ def _beside(data: ReportData, before: Summary | None) -> list[Block]:
     return [table(headings, rows, f"This lens beside the start: {title}.")]
 
 
-def _prediction(data: ReportData) -> WavefrontPrediction | None:
+def _prediction(data: ReportData) -> StudyPrediction | None:
     """What is predicted of the lens; None where nothing of the study can be."""
-    from tolerancing.wavefronts.prediction import predict
+    from tolerancing.wavefronts.study_prediction import predict_study
 
     try:
-        return predict(data.lens, data.study)
+        return predict_study(data.lens, data.study)
     except InputError:
         return None
 
 
-def _predicted(data: ReportData, found: WavefrontPrediction | None) -> list[Block]:
-    from tolerancing.wavefronts.prediction import loosen_each
-
+def _predicted(data: ReportData, found: StudyPrediction | None) -> list[Block]:
     if found is None:
         return []
-    loosened = loosen_each(data.lens, data.study)
+    blocks = [*_predicted_yield(data, found), *_loosened(data, found)]
+    if found.wavefronts is not None:
+        blocks += _predicted_wavefronts(found.wavefronts)
+    if not found.is_trustworthy:
+        blocks.append(
+            Warning("These tolerances are too large for predictions, which may be 5 % off or more.")
+        )
+    return blocks
+
+
+def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
+    """The joint yield and its parts, beside the yields of the trials."""
+    scores = dict(zip((m.label for m in data.study.merits), data.results.scores.T, strict=True))
+    kept = [one.merit.passed(scores[one.merit.label]) for one in found.limits]
+
+    def fraction(passed: NDArray[np.bool_]) -> float | None:
+        return float(np.mean(passed)) if len(passed) else None
+
+    rows = [
+        [
+            one.merit.label,
+            one.merit.limit_text,
+            one.location,
+            percent_text(one.yield_fraction),
+            percent_text(fraction(own)),
+        ]
+        for one, own in zip(found.limits, kept, strict=True)
+    ]
+    together = fraction(np.all(kept, axis=0))
+    rows.append(
+        ["all of these", "", "", percent_text(found.yield_fraction), percent_text(together)],
+    )
+    text = (
+        f"Predicted from the rays of the nominal lens, without trials: {percent_text(found.yield_fraction)} "
+        "of lenses keep all limits of the table at once."
+    )
+    if found.not_predicted:
+        text += f" Limits that only trials can score are not part of it: {', '.join(found.not_predicted)}."
+    headings = ["<Merit", "<Limit", "<Field points", "Predicted", "Trials"]
+    return [Paragraph(text), table(headings, rows, "Yield limit by limit, and of all limits at once.")]
+
+
+def _loosened(data: ReportData, found: StudyPrediction) -> list[Block]:
+    """The yield with each tolerance halved and doubled, those that matter most first."""
+    from tolerancing.budgets.loosening import loosen_each
+
+    loosened = sorted(loosen_each(data.lens, data.study), key=lambda one: one.doubled - one.halved)
+    rows = [[one.perturbation, percent_text(one.halved), percent_text(one.doubled)] for one in loosened]
+    caption = (
+        f"The predicted yield of {percent_text(found.yield_fraction)} with each tolerance halved or doubled, "
+        "all others as they are. What changes little when it is doubled may be loosened."
+    )
+    return [table(["<Perturbation", "Yield, if halved", "Yield, if doubled"], rows, caption)]
+
+
+def _predicted_wavefronts(found: WavefrontPrediction) -> list[Block]:
     points = [
         [
             "({:g}, {:g})".format(*p.judged.field_mm),
@@ -138,47 +193,29 @@ def _predicted(data: ReportData, found: WavefrontPrediction | None) -> list[Bloc
     ]
     worst = max(found.points, key=lambda p: p.rms_waves / p.judged.limit_waves)
     order = np.argsort(-worst.shares)
-    drivers = [
-        [
-            found.perturbations[k],
-            percent_text(float(worst.shares[k])),
-            percent_text(loosened[k].halved),
-            percent_text(loosened[k].doubled),
-        ]
-        for k in order
-    ]
-    blocks: list[Block] = [
-        Paragraph(
-            f"Predicted from the rays of the nominal lens, without trials: {percent_text(found.good)} of "
-            "lenses have a wavefront within the limits at every object point, shift and focus taken out."
-        ),
+    drivers = [[found.perturbations[k], percent_text(float(worst.shares[k]))] for k in order]
+    return [
         table(
             ["<Object point (mm)", "Rms (waves)", "Limit (waves)", "Good"],
             points,
-            "The wavefront's root mean square over pupil and lenses, and its limit; a limit on the Strehl "
-            "ratio S counts as the root mean square of S = exp(−(2π rms)²).",
+            "The wavefront's root mean square over pupil and lenses, shift and focus taken out, and its "
+            "limit; a limit on the Strehl ratio S counts as the root mean square of S = exp(−(2π rms)²).",
         ),
         table(
-            ["<Perturbation", "Share of rms squared", "Good, if halved", "Good, if doubled"],
+            ["<Perturbation", "Share of rms squared"],
             drivers,
-            f"What drives the yield of {percent_text(found.good)}, at the worst object point; and the yield "
-            "with each tolerance halved or doubled, all others as they are. What changes little when it is "
-            "doubled may be loosened.",
+            "What each perturbation contributes to the mean square of the wavefront at the worst object "
+            "point.",
         ),
     ]
-    if not found.second_order_suffices:
-        blocks.append(
-            Warning("These tolerances are too large for predictions, which may be 5 % off or more.")
-        )
-    return blocks
 
 
-def _on_front(data: ReportData, front: Front | None, found: WavefrontPrediction | None) -> list[Block]:
+def _on_front(data: ReportData, front: Front | None, found: StudyPrediction | None) -> list[Block]:
     if front is None:
         return []
     own = {"thickness_mm": data.lens.exit_vertex_z_mm}
-    if found is not None:
-        own["as_built_rms_waves"] = max(p.first_order_rms_waves for p in found.points)
+    if found is not None and found.wavefronts is not None:
+        own["as_built_rms_waves"] = max(p.rms_waves for p in found.wavefronts.points)
     with styled():
         figure = styled_figure(4.7, 3.0)
         axis = figure.subplots()

@@ -21,6 +21,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.optimization.as_built import LossValues
 from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.loss import ReconstructionLoss
+from tolerancing.study.evaluate import make_ready
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.goals.design import SHARE, bent, rim_heights, sized
 from tolerancing.wavefronts.losses import LossChains, drawn_losses, loss_chains, loss_paths
@@ -65,6 +66,7 @@ class SearchedLosses:
         ------
         DesignError
         """
+        make_ready(self.study)
         try:
             for merit in self.merits:
                 merit.check(lens)

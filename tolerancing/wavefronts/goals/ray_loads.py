@@ -43,18 +43,16 @@ def judged_rays(merit: RayMerit, lens: Lens, sampling: Sampling) -> Rays:
     Trials trace the extreme rays of the nominal lens instead, which to find takes longer than all else that a
     search does with a lens.
     """
-    fields = list(merit.points(lens))
-    stop = pupil_rings(sampling.rings, sampling.arms, edge=True).points
+    fields = np.array(merit.points(lens), float).reshape(-1, 2)
+    rings = pupil_rings(sampling.rings, sampling.arms, edge=True).points
+    where, points = [np.repeat(fields, len(rings), axis=0)], [np.tile(rings, (len(fields), 1))]
     if not merit.field_points_mm:
-        rim = np.array(fields[1:])
-        fields += [tuple(point) for share in HEIGHTS for point in (share * rim).tolist()]
-    along = np.linspace(-1.0, 1.0, FAN)
-    where, points = [], []
-    for field in np.array(fields, float).reshape(-1, 2):
+        fields = np.concatenate([fields, *(fraction * fields[1:] for fraction in HEIGHTS)])
+    along = np.linspace(-1.0, 1.0, FAN)[:, None]
+    for field in fields:
         height = float(np.hypot(*field))
-        azimuth = field / height if height else np.array([0.0, 1.0])
-        points += [stop, along[:, None] * azimuth]
-        where.append(np.tile(field, (len(stop) + FAN, 1)))
+        points.append(along * (field / height if height else np.array([0.0, 1.0])))
+        where.append(np.tile(field, (FAN, 1)))
     return Rays(np.concatenate(where), np.concatenate(points))
 
 
@@ -205,7 +203,7 @@ class RayLoads:
     def _by_planes(self, weights: Array) -> Array:
         """By the distance between the planes, which heat changes with the lens."""
         design = self.followed.design
-        step = 1e-3
+        step = 1e-3  # loads are quadratic in the distance, so central differences are exact
         ends = [self._at_distance(self._further + sign * step) for sign in (1.0, -1.0)]
         by = float(weights @ (ends[0] - ends[1])) / (2.0 * step)
         planes = [design.problem.planes_by(design.point, v) for v in range(len(design.variables))]

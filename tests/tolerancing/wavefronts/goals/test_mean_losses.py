@@ -89,7 +89,9 @@ def test_a_limit_is_judged_by_trials(tmp_path: Path) -> None:
     lens = load_design(DESIGNS / "paper_singlet.toml")
     specification = load_specification(specified(tmp_path, goal="thinnest lens", limit=1e-6))
     violations = check_against(lens, specification).violations
-    assert any("as-built reconstruction loss, loss: " in one and "limit of 1e-06" in one for one in violations)
+    assert any(
+        "as-built reconstruction loss, loss: " in one and "limit of 1e-06" in one for one in violations
+    )
     wide = load_specification(specified(tmp_path, goal="thinnest lens", limit=0.5))
     assert not any("reconstruction loss" in one for one in check_against(lens, wide).violations)
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lensdesign import load_design
 from lensdesign.cli.commands import app
 from lensdesign.errors import DesignError
 from lensdesign.optimization.as_built import read_as_built
@@ -38,17 +35,6 @@ COARSE = """
 pupil_samples = 32
 """
 LIMITS = SPREAD + CONTRAST + COARSE
-COMPENSATORS = """
-[[compensator]]
-target = "lens"
-parameter = "decenter_x_mm"
-limit = 0.004
-
-[[compensator]]
-target = "lens"
-parameter = "decenter_y_mm"
-limit = 0.02
-"""
 
 
 def test_a_run_with_the_same_seed_has_the_same_yields(specified, best_lens, tmp_path: Path) -> None:
@@ -76,32 +62,6 @@ def test_a_run_with_the_same_seed_has_the_same_yields(specified, best_lens, tmp_
     assert row.predicted_rms_waves == tuple(p.rms_waves for p in shown.wavefronts.points)
     assert report.trials_only == ("contrast",)
     assert [own.predicted for own in row.merits] == [*(one.yield_fraction for one in shown.limits), None]
-
-
-def test_compensators_are_searched_and_predicted_as_trials_take_them(specified, best_lens) -> None:
-    """The found lens's prediction lies in the interval of its trials, with its numbers shown alone."""
-    start = {
-        'start = "plate"': 'start = "design"\nstarts = 1\nmax_evaluations = 8',
-        "trials = 500": "trials = 200",
-    }
-    asked = specified(SPREAD + COMPENSATORS + COARSE, 0.035, **start)
-    folder = Path(asked.tolerances.study).parent
-    table = (folder / "spec.toml").read_text(encoding="utf-8")
-    begin, end = table.index("[[surface]]"), table.index("[optimize]")
-    best = (folder / "best.toml").read_text(encoding="utf-8")
-    table = table[:begin] + best[best.index("[[surface]]") :] + "\n" + table[end:]
-    table = table.replace("working_distance_mm = 8.0", "working_distance_mm = 4.371057357951045")
-    (folder / "spec.toml").write_text(table, encoding="utf-8")
-    output = folder / "found.toml"
-    shown = CliRunner().invoke(app, ["optimize", str(folder / "spec.toml"), "-o", str(output), "--json"])
-    found = json.loads(shown.output)
-    row = found["as_built"]["rows"][-1]
-    assert 0.1 < row["good"] < 0.995
-    assert row["low"] <= row["predicted_good"] <= row["high"]
-    np.testing.assert_allclose(row["rms_waves"], row["predicted_rms_waves"], rtol=0.1)
-    assert found["goal_value"] == pytest.approx(100.0 * row["predicted_good"])
-    again = predict_study(load_design(output), load_study(asked.tolerances.study).study)
-    assert row["predicted_good"] == pytest.approx(again.yield_fraction, abs=1e-3)
 
 
 def test_yield_is_printed_jointly_and_by_its_parts(specified) -> None:
