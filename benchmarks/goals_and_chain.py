@@ -32,7 +32,7 @@ from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.study.evaluate import realise
-from tolerancing.wavefronts.losses import mean_loss
+from tolerancing.wavefronts.losses import DRAWS, drawn_losses, loss_chains, loss_paths
 from wavesim.scene.placement import Placement
 
 Array = np.ndarray[Any, Any]
@@ -47,7 +47,7 @@ the nominal lens finds next to nothing, whatever the lens."""
 PLACE_MM, STOP_MM = (0.0, 0.011), 0.04
 """Middle and diameter of the twins' field stop."""
 
-TRIALS = {"nominal": 64, "calibrated": 16}
+TRIALS = {"nominal": 48, "calibrated": 12}
 """Perturbed twins of each lens, by the model of the reconstruction."""
 
 SEED, NOISE_SEED, CHART_SEED = 3, 5000, 23
@@ -67,9 +67,13 @@ class Found(NamedTuple):
 
 LENSES = {
     "smallest spread": Found((37.810083, -12.008605), (-6.2119651, -0.92805212), 9.7, (8.52, 9.5799988)),
-    "yield": Found((65.970642, -10.780227), (-20.0, -0.74082073), 8.6416477, (8.26, 9.2583451)),
+    "yield": Found((65.970643, -10.780227), (-20.0, -0.74082073), 8.6416477, (8.26, 9.2583451)),
+    "loss, nominal model": Found((65.087234, -10.985366), (-20.0, -0.69578335), 8.6428650, (8.26, 9.2693659)),
+    "loss, calibrated model": Found(
+        (75.576487, -10.660101), (20.0, -0.82929339), 8.7038468, (8.26, 9.2577576)
+    ),
 }
-"""By the goal of the search."""
+"""By the goal of the search; those for small losses began at the lens of the yield."""
 
 REFERENCE = "smallest spread"
 """The goal with which others are compared."""
@@ -173,14 +177,19 @@ def interval(values: Array) -> str:
 
 
 def predicted(goal: str) -> str:
-    """Mean losses of the lens at its own size, with the nominal and with a calibrated model."""
+    """Mean losses of the lens at its own size, with the nominal and with a calibrated model.
+
+    All lenses take the chain of the first, whose speckle would otherwise hide what paths differ by.
+    """
     study = load_study(DESIGNS / "as_built_tolerances.toml").study
     merit = merit_from_table(LOSS, "benchmark")
     assert isinstance(merit, ReconstructionLoss)
-    found = []
+    chains, amounts, found = loss_chains(lens_of(REFERENCE), merit), drawn_losses(study, DRAWS), []
     for compensators in ((), COMPENSATORS):
         own = study.model_copy(update={"compensators": compensators})
-        found.append(f"{mean_loss(lens_of(goal), own, merit):.2g}")
+        paths = loss_paths(lens_of(goal), own, merit)
+        losses, _ = chains.losses(chains.coefficients(paths, amounts))
+        found.append(f"{np.mean(losses.max(axis=0)):.3g}")
     return " | ".join(found)
 
 
@@ -189,12 +198,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--file", type=Path, default=Path("goals_and_chain.jsonl"), help="of what was done")
     rows = measured(parser.parse_args().file)
-    found: dict[tuple[str, str], Array] = {
-        (goal, model): np.array(
-            [row["correlation"] or 0.0 for row in rows if (row["goal"], row["model"]) == (goal, model)]
-        )
+    known = {(row["goal"], row["model"], row["trial"]): row["correlation"] or 0.0 for row in rows}
+    found = {
+        (goal, model): np.array([known[goal, model, trial] for trial in range(count)])
         for goal in LENSES
-        for model in TRIALS
+        for model, count in TRIALS.items()
     }
     print(
         "| goal of the search | nominal model | beside the first | calibrated model | beside the first "

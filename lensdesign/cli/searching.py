@@ -234,7 +234,7 @@ def _print_optimization(result: OptimizationResult) -> None:
     if result.as_built is not None:
         tables += _as_built(result.as_built)
     print_tables(*tables)
-    for line in [] if result.as_built is None else _limits_of(result.as_built):
+    for line in [] if result.as_built is None else _limits_of(result.as_built, result.goal):
         typer.echo(visible(line))
     for name in result.binding:
         typer.echo(f"binding: {name}")
@@ -313,13 +313,14 @@ def _yield_text(good: float, low: float, high: float, predicted: float | None) -
     return own if predicted is None else f"{own}; {100.0 * predicted:.1f} % predicted"
 
 
-def _limits_of(report: AsBuiltReport) -> list[str]:
+def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
     """Which limits a good lens keeps, and which of them trials alone can judge; a line each."""
+    from lensdesign.optimization.asked.sections import LOSS_GOAL
+
     merits = report.rows[-1].merits
     lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
-    if report.trials_only:
-        lines.append(
-            f"limits that the predicted yield leaves out, scored by trials: {', '.join(report.trials_only)}"
-        )
+    searched = {one.merit for one in report.rows[-1].losses} if goal == LOSS_GOAL else set()
+    if left := [name for name in report.trials_only if name not in searched]:
+        lines.append(f"scored by trials only, not by search and predictions: {', '.join(left)}")
     return lines
