@@ -56,6 +56,8 @@ SHORTER = {
     r"designs/paper_singlet.toml( .*)?(?= --engine two-level)": r"designs/tiny_twin.toml\1",
     # A bench on which all is wrong: its frames, not the engine that makes them.
     r"--engine two-level (.*) -o region$": r"--engine eikonal --error 0.3 \1 -o region",
+    # Of a study with four perturbations most of a sheet is derived, and its yield drops.
+    r"^(lensdesign drawing .*--tolerances .*)": r"\1 --accept-yield-loss",
     # Hundreds of tiles: some, which err by more.
     r"--tile-width-mm 0\.0005": "--tile-width-mm 0.01",
     # Nobody runs a cluster here: the whole field of another page in its place.
@@ -78,7 +80,7 @@ SHORTER = {
     r"^(tolerancing run study.*)": r"\1 --workers 1",
     r"(figure_7.*) --trials 16": r"\1 --trials 2",
     r"--trial 137": "--trial 7",
-    r"^(tolerancing budget .*)": r"\1 --verify 16",
+    r"^(tolerancing budget .*)": r"\1 --verify 40",
     # Eight glasses, and two elements (minutes): what the page explores before.
     r"^lensdesign explore designs/as_built_(?:track|pair)_spec.*": "lensdesign explore "
     "designs/as_built_spec.toml --over thickness,as_built_rms -o front",
@@ -92,13 +94,14 @@ SHORTER = {
     r"^(tolerancing rare .*--trials) 300": r"\1 50",
 }
 # Statuses beside 0 that are right: a constraint that is not met, which the pages say; frames that two
-# iterations do not explain.
+# iterations do not explain; a yield that so few trials do not verify.
 ALLOWED = {
     "lensdesign check": (0, 1),
     "lensdesign verify": (0, 1),
     "lensdesign optimize": (0, 1),
     "lensdesign explore": (0, 1),
     "lensdesign limits": (0, 1),
+    "tolerancing budget": (0, 1),
     "wavesim reconstruct": (0, 1),
     "wavesim calibrate": (0, 1),
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from lensdesign.analysis.form_error import form_errors
 from lensdesign.analysis.matching import Matching, match, smallest_exit_beam_diameter_mm
+from lensdesign.analysis.outline import thinnest_drawn_edge
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.report import CheckReport, Constraint, WavelengthCheck, WorstRay
 from lensdesign.analysis.spread import (
@@ -102,6 +103,7 @@ def check_design(lens: Lens | str | os.PathLike[str], *, refined: bool = True) -
         spot_plane_mm=observation_distance_mm(lens),
         throughput=min(r.throughput for r in rows),
         edge_thickness_mm=edge,
+        drawn_edge=thinnest_drawn_edge(lens),
         efl_mm=rows[0].efl_mm,
         bfl_mm=rows[0].bfl_mm,
         exit_beam_diameter_mm=max(r.exit_beam_diameter_mm for r in rows),

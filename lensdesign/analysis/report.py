@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lensdesign.analysis.form_error import FormError
+from lensdesign.analysis.outline import DrawnEdge
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none
 
@@ -106,6 +107,8 @@ class CheckReport:
         Smallest share of a field point's evenly filled stop that passes.
     edge_thickness_mm
         Of the thinnest glass element at its ground edge; None without one.
+    drawn_edge
+        Edge of the thinnest glass element at the ground diameter that its drawing has; None without glass.
     efl_mm, bfl_mm
         Effective and back focal length at the first wavelength; inf for an afocal lens.
     exit_beam_diameter_mm, smallest_exit_beam_diameter_mm
@@ -140,6 +143,7 @@ class CheckReport:
     spot_plane_mm: float
     throughput: float
     edge_thickness_mm: float | None
+    drawn_edge: DrawnEdge | None
     efl_mm: float
     bfl_mm: float
     exit_beam_diameter_mm: float

@@ -221,9 +221,17 @@ def _print_check(report: CheckReport) -> None:
         ("narrowest beam that the etendue bound allows", f"{report.smallest_exit_beam_diameter_mm:.3f} mm"),
         ("share of its beam's etendue that the lens fills", f"{100.0 * report.etendue_share:.1f} %"),
     ]
+    if (edge := report.drawn_edge) is not None:
+        label = f"edge at the drawn ground diameter, {edge.drawn_diameter_mm:g} mm"
+        rows.append((label, f"{edge.drawn_thickness_mm:.3f} mm"))
     for row in rows:
         figures.add_row(*row)
     print_tables(constraints, figures)
+    if edge is not None and not edge.fits:
+        typer.echo(
+            f"not drawable with general tolerances: {edge.element}: bevels and thickness tolerance take "
+            f"{edge.needed_mm:.4g} mm of its edge"
+        )
     for f in report.figures:
         typer.echo(
             f"surface {f.surface} as measured: PV {f.pv_waves:.3f}, RMS {f.rms_waves:.3f} waves at "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +17,13 @@ from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_l
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lensdesign.fabrication.drawing.nominal import Stated
+    from lensdesign.fabrication.drawing.scored import SheetScore
+    from lensdesign.fabrication.drawing.strokes import Drawing
     from lensdesign.files.draft import Imported
+    from lensdesign.lens.lens import Lens
     from lensdesign.lens.poses import Pose
 
 LENS_FILES = " or ".join(f"{of.program} {suffix}" for suffix, of in LENS_FORMATS.items())
@@ -40,6 +48,9 @@ def export(
 ) -> None:
     """Write the lens's glass as a mesh or as exact solids, or the lens as another program's file.
 
+    Where the design has no edge, glass has the ground diameter that the drawing of the lens has; the file and
+    a note state it.
+
     Surfaces have their nominal shape unless --measured is given, which only meshes take; a note names those
     whose figure is left out.
     """
@@ -50,6 +61,7 @@ def export(
     if as_json:
         print_json(made.figures)
     else:
+        print_outline(made.outline)
         typer.echo(f"wrote {file}: {made.sentence}")
 
 
@@ -62,11 +74,28 @@ def scene(
     from lensdesign.files.design import load_design
     from lensdesign.pictures.glb import write_scene
 
-    nodes = write_scene(load_design(design), output)
+    lens = load_design(design)
+    nodes = write_scene(lens, output)
+    outline = outline_of(lens)
     if as_json:
-        print_json({"file": str(output), "nodes": list(nodes)})
+        print_json({"file": str(output), "nodes": list(nodes), "outline": list(outline)})
     else:
+        print_outline(outline)
         typer.echo(f"wrote {output}: {', '.join(nodes)}")
+
+
+def outline_of(lens: Lens) -> tuple[str, ...]:
+    """The outline of each element in a scene, in one sentence."""
+    from lensdesign.analysis.outline import drawn_outline
+    from lensdesign.tracing.paths import sized_lens
+
+    return drawn_outline(sized_lens(lens)).statements
+
+
+def print_outline(statements: Sequence[str]) -> None:
+    """Print the outline of each element, as a note."""
+    for statement in statements:
+        typer.echo(f"outline: {visible(statement)}", err=True)
 
 
 def drawing(
@@ -84,6 +113,17 @@ def drawing(
         Path | None,
         typer.Option(metavar="DESIGN", help="Design to write, with the edges and values of the sheet."),
     ] = None,
+    study_as_drawn: Annotated[
+        Path | None,
+        typer.Option(metavar="STUDY", help="Tolerance study to write, of everything that the sheet allows."),
+    ] = None,
+    accept_yield_loss: Annotated[
+        bool,
+        typer.Option(
+            "--accept-yield-loss",
+            help="Draw sheets that lose more than 2 percentage points of the study's predicted yield.",
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Draw the lens for the shop, after ISO 10110: a sheet for each glass element.
@@ -91,40 +131,107 @@ def drawing(
     Where the design has no edge, one is chosen that leaves room for mount, bevel and tolerance; radii and
     thicknesses are rounded to a tenth of their tolerance. Notes say what was chosen and rounded. A lens that
     cannot be made so is refused.
+
+    With --tolerances the sheet states the tolerances of the study. What the study leaves open is derived from
+    it, or general where that costs no yield; the sheet marks both. The yield that is predicted with all
+    tolerances of the sheet is printed beside that of the study, and a sheet that loses more than 2 percentage
+    points is refused.
     """
     from lensdesign.common.toml_files import read_toml, validate
     from lensdesign.fabrication.drawing.assumed import load_tolerances
-    from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated, write_drawing
-    from lensdesign.files.design import design_text, load_design
+    from lensdesign.fabrication.drawing.sheets import DrawingOptions, drawing_as_stated
+    from lensdesign.files.design import load_design
 
-    for taken, what in ((design, "the design itself"), (output, "the drawing")):
-        if as_drawn is not None and as_drawn.resolve() == taken.resolve():
-            raise InputError(f"cannot write {as_drawn}: it is {what}; give another file name")
-    options = None if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
+    taken = {"the design itself": design, "the drawing": output, "the study": tolerances, "the sheet": sheet}
+    for written in (as_drawn, study_as_drawn):
+        for what, path in taken.items():
+            if written is not None and path is not None and written.resolve() == path.resolve():
+                raise InputError(f"cannot write {written}: it is {what}; give another file name")
+        taken["the design as drawn"] = written
+    if study_as_drawn is not None and tolerances is None:
+        raise InputError("--study-as-drawn needs --tolerances: the study that the sheet is scored by")
+    options = DrawingOptions() if sheet is None else validate(DrawingOptions, read_toml(sheet), sheet)
     lens = load_design(design)
     assumed = None if tolerances is None else load_tolerances(tolerances, lens)
-    made, stated = drawing_as_stated(lens, options, assumed)
-    if as_drawn is None:
-        write_drawing(made, output)
+    score, unscored = None, ""
+    if assumed is None or tolerances is None:
+        made, stated = drawing_as_stated(lens, options, assumed)
+    elif not assumed.is_study:
+        made, stated = drawing_as_stated(lens, options, assumed)
+        unscored = f"{tolerances} has no [[merit]] tables"
     else:
-        # Both or neither: a sheet beside a design that could not be written would be another lens's.
-        with atomic_path(as_drawn) as temporary:
-            temporary.write_text(design_text(stated.lens, as_drawn.parent), encoding="utf-8")
-            write_drawing(made, output)
+        from lensdesign.fabrication.drawing.scored import read_scorer, scored_drawing
+
+        done = scored_drawing(lens, options, assumed, read_scorer(tolerances), accept_yield_loss)
+        made, stated, score = done.drawing, done.stated, done.score
+        if score is None:
+            unscored = f"none of the merits of {tolerances} can be predicted without trials"
+    if study_as_drawn is not None and score is None:
+        raise InputError(f"cannot write {study_as_drawn}: {unscored}, so that the sheet is not scored")
+    _write_as_drawn(made, stated, score, (output, as_drawn, study_as_drawn), design)
     notes = list(stated.notes)
+    if score is not None:
+        notes += _score_notes(score, accept_yield_loss)
     if assumed is not None and tolerances is not None:
         if assumed.design and (tolerances.parent / assumed.design).resolve() != design.resolve():
             notes.append(f"{tolerances} is a study of {assumed.design}, not of {design}")
-        if missing := assumed.missing(lens):
+        if score is None and (missing := assumed.missing(lens)):
             notes.append(f"not in {tolerances}, so not by it: {', '.join(missing)}")
         if assumed.left_out:
             notes.append(f"not on the sheet: {', '.join(assumed.left_out)}")
+    if unscored:
+        notes.append(f"the sheet is not scored: {unscored}")
     if as_json:
-        print_json({"file": str(output), "sheets": len(made.sheets), "notes": notes})
+        figures = {"file": str(output), "sheets": len(made.sheets), "notes": notes}
+        if assumed is not None:
+            figures |= {
+                "study_yield": None if score is None else score.study_yield,
+                "as_drawn_yield": None if score is None else score.as_drawn_yield,
+            }
+        print_json(figures)
     else:
         for note in notes:
             typer.echo(f"note: {visible(note)}", err=True)
         typer.echo(f"wrote {output}: {len(made.sheets)} {'sheet' if len(made.sheets) == 1 else 'sheets'}")
+
+
+def _write_as_drawn(
+    made: Drawing,
+    stated: Stated,
+    score: SheetScore | None,
+    paths: tuple[Path, Path | None, Path | None],
+    design: Path,
+) -> None:
+    """Write the drawing, and the design and the study as drawn where they are asked for: all or none."""
+    from lensdesign.fabrication.drawing.sheets import write_drawing
+    from lensdesign.files.design import design_text
+
+    output, as_drawn, study = paths
+    with ExitStack() as stack:
+        if as_drawn is not None:
+            temporary = stack.enter_context(atomic_path(as_drawn))
+            temporary.write_text(design_text(stated.lens, as_drawn.parent), encoding="utf-8")
+        if study is not None and score is not None:
+            temporary = stack.enter_context(atomic_path(study))
+            lens_file = (as_drawn or design).resolve()
+            score.save(temporary, Path(os.path.relpath(lens_file, study.resolve().parent)).as_posix())
+        write_drawing(made, output)
+
+
+def _score_notes(score: SheetScore, accepted: bool) -> list[str]:
+    notes = [
+        f"predicted yield with all tolerances of the sheet: {100.0 * score.as_drawn_yield:.1f} %; "
+        f"by the study: {100.0 * score.study_yield:.1f} %"
+    ]
+    if score.losses and accepted:
+        notes.append(f"accepted loss of yield, most of it by {score.worst}")
+    if score.not_predicted:
+        notes.append(f"not part of the predicted yields: {', '.join(score.not_predicted)}")
+    if not score.is_trustworthy:
+        notes.append(
+            "tolerances are too large for the prediction: run the study that --study-as-drawn writes"
+        )
+    return notes
 
 
 def sag(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -272,15 +271,17 @@ def _at_temperatures(constraints: Sequence[Constraint]) -> Any:
 
 def _as_built(report: AsBuiltReport) -> list[Any]:
     """Yields and wavefronts of start and result beside each other, by trials and as predicted."""
-    trials = report.rows[0].trials
-    title = f"Yield of {trials} trials each (seed {report.seed}), and as predicted"
-    merits = [f"{one.merit} {one.limit}" for one in report.rows[0].merits]
-    found = table(title, "lens", "all limits", *map(visible, merits) if len(merits) > 1 else ())
-    for row in report.rows:
-        parts = [_yield_text(one.good, one.low, one.high, one.predicted) for one in row.merits]
-        predicted = None if math.isnan(row.predicted_good) else row.predicted_good
-        joint = _yield_text(row.good, row.low, row.high, predicted)
-        found.add_row(visible(row.name), joint, *parts if len(parts) > 1 else ())
+    first = report.rows[0]
+    heads = [head for row in report.rows for head in (row.name, "predicted")]
+    title = f"Yield of {first.trials} trials each (seed {report.seed}), and as predicted"
+    found = table(title, "limit", *map(visible, heads))
+    if len(first.merits) > 1:
+        cells = [_yield_cells(row.good, row.low, row.high, row.predicted_good) for row in report.rows]
+        found.add_row("all limits", *(cell for pair in cells for cell in pair))
+    for k, merit in enumerate(first.merits):
+        parts = [row.merits[k] for row in report.rows]
+        cells = [_yield_cells(one.good, one.low, one.high, one.predicted) for one in parts]
+        found.add_row(visible(merit.merit), *(cell for pair in cells for cell in pair))
     tables = [found, *_losses(report)]
     if not report.points_mm:
         return tables
@@ -288,8 +289,8 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
     waves = table("Wavefronts of the same trials, in waves, and as predicted", "lens", *points)
     for row in report.rows:
         values = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
-        cells = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
-        waves.add_row(visible(row.name), *cells)
+        texts = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
+        waves.add_row(visible(row.name), *texts)
     return [*tables, waves]
 
 
@@ -308,9 +309,10 @@ def _losses(report: AsBuiltReport) -> list[Any]:
     return [found]
 
 
-def _yield_text(good: float, low: float, high: float, predicted: float | None) -> str:
+def _yield_cells(good: float, low: float, high: float, predicted: float | None) -> tuple[str, str]:
+    """A yield with its interval by trials, and as predicted."""
     own = f"{100.0 * good:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
-    return own if predicted is None else f"{own}; {100.0 * predicted:.1f} % predicted"
+    return own, "-" if predicted is None else f"{100.0 * predicted:.1f} %"
 
 
 def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:

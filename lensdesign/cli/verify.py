@@ -25,19 +25,24 @@ def verify(
     """Hold a mesh, whoever made it, against the nominal shape of a lens.
 
     Says whether it is closed, and how far its vertices, edge midpoints and facet centres lie from each
-    optical surface. It must lie as the lens does: front vertex at z = 0, axis along z.
+    optical surface. It must lie as the lens does: front vertex at z = 0, axis along z. The body of the design
+    has the outline of its drawing, as exports have it.
 
     Exit status: 0 if it agrees, 1 if it is open, inside out, too far off or not of as many bodies as the
     design, 2 for bad input.
     """
+    from lensdesign.analysis.outline import drawn_outline
     from lensdesign.fabrication.mesh.reading import read_mesh
     from lensdesign.fabrication.mesh.verification import verify_mesh
     from lensdesign.files.design import load_design
 
-    report = verify_mesh(load_design(design), read_mesh(mesh), chord_error_um)
+    outline = drawn_outline(load_design(design))
+    report = verify_mesh(outline.lens, read_mesh(mesh), chord_error_um)
     if as_json:
-        print_json({"file": str(mesh)} | report.as_dict())
+        print_json({"file": str(mesh)} | report.as_dict() | {"outline": list(outline.statements)})
     else:
+        for statement in outline.statements:
+            typer.echo(f"outline of the design: {statement}")
         _print_report(report)
     raise typer.Exit(1 if report.faults else 0)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lensdesign.cli.making import Design, Json
+from lensdesign.cli.making import Design, Json, outline_of, print_outline
 from lensdesign.common.console import print_json
 
 
@@ -39,9 +39,11 @@ def view(
     if output.exists() and output.samefile(design):
         raise InputError(f"cannot write {output}: it is the design itself; give another file name")
     made = write_view(lens, output)
+    outline = outline_of(lens)
     if as_json:
-        print_json({"file": str(output)} | made.as_dict())
+        print_json({"file": str(output)} | made.as_dict() | {"outline": list(outline)})
     else:
+        print_outline(outline)
         typer.echo(
             f"wrote {output}: {made.bodies} {'body' if made.bodies == 1 else 'bodies'}, {made.rays} rays, "
             f"{1e-6 * made.bytes:.2g} MB"

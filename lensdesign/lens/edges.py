@@ -35,7 +35,8 @@ class Edge(Section):
     Attributes
     ----------
     semi_diameter_mm
-        Of the edge cylinder; None is the largest clear semi-diameter of the lens.
+        Of the edge cylinder; None is the largest clear semi-diameter of the lens, for which exports and
+        drawings choose a ground diameter (:func:`lensdesign.analysis.outline.drawn_outline`).
     front_flat_from_mm, back_flat_from_mm
         Radial height at which the surface ends and a flat ring goes on to the edge; None prolongs the surface
         with its own sag.

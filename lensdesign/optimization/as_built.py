@@ -151,7 +151,7 @@ class TrialsOf:
     good, low, high
         Yield: the fraction of lenses that keep all limits of the study, and its 95 % interval.
     predicted_good
-        Predicted fraction of lenses that keep all limits that can be predicted; NaN where none can.
+        Predicted fraction of lenses that keep all limits that can be predicted; None where none can.
     merits : tuple of MeritYield
         Each limit of the study by itself.
     losses : tuple of MeritLoss
@@ -166,7 +166,7 @@ class TrialsOf:
     good: float
     low: float
     high: float
-    predicted_good: float
+    predicted_good: float | None
     merits: tuple[MeritYield, ...]
     losses: tuple[MeritLoss, ...] = ()
 

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from lensdesign.analysis.check import ROUNDING, capped_sine, check_design, constraint
+from lensdesign.analysis.outline import drawn_edge_thicknesses_mm
 from lensdesign.analysis.report import CheckReport, Constraint
 from lensdesign.analysis.spread import largest_spread, spread_and_footprints
 from lensdesign.common.arrays import Array
@@ -184,25 +185,24 @@ def _aperture(lens: Lens, specification: Specification, report: CheckReport) -> 
 
 
 def _thicknesses(lens: Lens, specification: Specification) -> list[Constraint]:
-    """Of glass at the edge cylinder, of air at the largest clear height, of both on the axis."""
+    """Of glass at the ground diameter drawn, of air at the largest clear height, of both on the axis."""
     limits, rows = specification.constraints, []
     clear = max(s.semi_diameter_mm or 0.0 for s in lens.surfaces)
-    grounds = [clear if e.semi_diameter_mm is None else e.semi_diameter_mm for e in lens.edges]
+    edges = dict(zip(lens.glass_fronts, drawn_edge_thicknesses_mm(lens), strict=True))
     for i, (front, back) in enumerate(zip(lens.surfaces, lens.surfaces[1:], strict=False)):
         glass = front.material is not None
-        height = grounds[lens.glass_fronts.index(i)] if glass and grounds else clear
-        x, y = (height * part for part in directions(front.shape, back.shape))
         axis = front.thickness_mm or 0.0
-        edge = axis + float(np.min(back.shape.sag(x, y) - front.shape.sag(x, y)))
         if glass:
+            least = limits.min_edge_thickness_mm
             rows += [
-                _at_least(f"edge thickness behind surface {i + 1}", edge, limits.min_edge_thickness_mm, "mm"),
+                _at_least(f"edge thickness behind surface {i + 1}", edges[i], least, "mm"),
                 _at_least(
                     f"centre thickness behind surface {i + 1}", axis, limits.min_center_thickness_mm, "mm"
                 ),
             ]
         else:
-            gap = min(axis, edge)
+            x, y = (clear * part for part in directions(front.shape, back.shape))
+            gap = min(axis, axis + float(np.min(back.shape.sag(x, y) - front.shape.sag(x, y))))
             rows.append(_at_least(f"air gap behind surface {i + 1}", gap, limits.min_air_gap_mm, "mm"))
     return rows
 

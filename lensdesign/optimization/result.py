@@ -338,7 +338,7 @@ def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltRe
     if specification.optimize.goal == "as-built rms":
         return max(max(row.predicted_rms_waves) for row in own), "waves"
     if specification.optimize.goal == "yield":
-        return 100.0 * min(row.predicted_good for row in own), "%"
+        return 100.0 * min(row.predicted_good for row in own if row.predicted_good is not None), "%"
     if specification.optimize.goal == LOSS_GOAL:
         return max(loss.predicted for row in own for loss in row.losses), ""
     return _goal(specification, goals)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.analysis.outline import drawn_outline
 from lensdesign.common.arrays import Array
 from lensdesign.fabrication.mesh.mesh import lens_mesh
 from lensdesign.fabrication.mesh.rings import circle
@@ -83,7 +84,8 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
     Parameters
     ----------
     lens
-        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint.
+        Any lens whose elements close; surfaces without a semi-diameter are as large as their footprint. Its
+        glass has the outline of :func:`lensdesign.analysis.outline.drawn_outline`.
     chord_error_um
         Of the glass, as :func:`lensdesign.fabrication.mesh.mesh.lens_mesh` takes it.
 
@@ -93,7 +95,13 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
         If an element does not close.
     """
     lens = sized_lens(lens)
-    return [*_glass(lens, chord_error_um), _stop(lens), _object(lens), *_planes(lens), *_rays(lens)]
+    return [
+        *_glass(drawn_outline(lens).lens, chord_error_um),
+        _stop(lens),
+        _object(lens),
+        *_planes(lens),
+        *_rays(lens),
+    ]
 
 
 def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:

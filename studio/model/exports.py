@@ -56,10 +56,12 @@ def write_export(
         raise InputError(f"{path}: exists already; tick replace, or give another name")
     report(f"writing {path}")
     if path.suffix in (".pdf", ".svg"):
-        from lensdesign.fabrication.drawing.sheets import lens_drawing, write_drawing
+        from lensdesign.fabrication.drawing.sheets import drawing_as_stated, write_drawing
 
-        drawing = lens_drawing(lens)
+        drawing, stated = drawing_as_stated(lens)
         write_drawing(drawing, path)
+        for note in stated.notes:
+            report(note)
         return f"wrote {path}: {len(drawing.sheets)} sheets"
     if path.suffix == ".html":
         from lensdesign.pictures.page import write_view
@@ -69,9 +71,10 @@ def write_export(
     if path.suffix:
         from lensdesign.fabrication.exports import ExportOptions, export_lens
 
-        return (
-            f"wrote {path}: {export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report)).sentence}"
-        )
+        made_file = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
+        for statement in made_file.outline:
+            report(f"outline: {statement}")
+        return f"wrote {path}: {made_file.sentence}"
     return _write_report(lens, path, made, report)
 
 

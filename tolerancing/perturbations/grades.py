@@ -39,7 +39,8 @@ class Grade:
     Attributes
     ----------
     radius_percent, thickness_mm, irregularity_pv_waves, wedge_deg
-        Of a glass part. Irregularity: of the surface, peak to valley, at 632.8 nm.
+        Of a glass part. Irregularity: of the surface, peak to valley, at 632.8 nm. Wedge: tilt of each
+        surface against the ground edge.
     asphere_decenter_mm
         Of a conic or aspheric surface against the part's axis.
     index, abbe_percent
@@ -169,7 +170,8 @@ def _surface(lens: Lens, number: int, grade: str) -> str:
             across = made.grade.asphere_decenter_mm
             comment = f"+-{across:g} mm against the part's axis"
             text += _perturbation(target, f"decenter_{axis}_mm", across, comment)
-    if number - 1 in lens.glass_fronts:
+    if {number - 1, number} & set(lens.glass_fronts):
+        # A sheet states the centring of both surfaces of a part, against its ground edge.
         for axis in "xy":
             text += _perturbation(target, f"tilt_{axis}_deg", made.grade.wedge_deg, made.wedge)
     if number < len(lens.surfaces) - 1:
@@ -197,7 +199,7 @@ def _made(lens: Lens, number: int, grade: str) -> _Made:
             radius=f"+-{chosen.radius_percent:g} %",
             thickness=f"+-{chosen.thickness_mm:g} mm",
             irregularity=f"surface, 0 to {chosen.irregularity_pv_waves:g} waves of 632.8 nm",
-            wedge=f"wedge, +-{60.0 * chosen.wedge_deg:g} arc minutes",
+            wedge=f"+-{60.0 * chosen.wedge_deg:g} arc minutes against the ground edge",
         )
     dimension = _largest_dimension_mm(lens, number)
     up_to_mm = next((most for most in GENERAL if dimension <= most), None)

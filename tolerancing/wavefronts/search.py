@@ -38,6 +38,7 @@ from tolerancing.wavefronts.goals.ray_loads import FollowedRays, RayLoads, judge
 from tolerancing.wavefronts.goals.trials import predicted_of, trials_of
 from tolerancing.wavefronts.prediction import Judged, is_predicted_wavefront, wavefront_points
 from tolerancing.wavefronts.rays import predicted_merits
+from tolerancing.wavefronts.sheet_scores import StudySheets
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,10 @@ class StudyAsBuilt:
     source: str
     costs: Path | None = None
     amount: float | None = None
+
+    def sheets(self) -> StudySheets:
+        """What derives and scores the tolerances of a lens's sheets by the study."""
+        return StudySheets(self.study, self.source)
 
     def priced(self, costs: Path | None, cost: float | None) -> StudyAsBuilt:
         """The study with a table of costs; where a cost is given, tolerances are multiplied to cost it."""

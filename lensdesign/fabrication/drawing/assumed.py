@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
-from lensdesign.fabrication.drawing.tolerances import DrawingTolerances, SurfaceTolerances
+from lensdesign.fabrication.drawing.tolerances import GENERAL_MARK, DrawingTolerances, SurfaceTolerances
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import mechanical_semi_diameter_mm
@@ -72,6 +72,8 @@ class AssumedTolerances:
         Name of the file.
     design
         Design file that it names, relative to it; empty where it names none.
+    is_study
+        Whether the file holds limits, by which a yield can be predicted.
     """
 
     elements: list[Values]
@@ -79,8 +81,11 @@ class AssumedTolerances:
     left_out: list[str] = field(default_factory=list)
     source: str = ""
     design: str = ""
+    is_study: bool = False
 
-    def stated(self, number: int, front: int, given: DrawingTolerances) -> DrawingTolerances:
+    def stated(
+        self, number: int, front: int, given: DrawingTolerances, general: bool = False
+    ) -> DrawingTolerances:
         """The tolerances of an element's sheet, those that were assumed in the place of others.
 
         Parameters
@@ -89,13 +94,18 @@ class AssumedTolerances:
             Of the element, and of its front surface, from 0.
         given
             What the sheet says where nothing was assumed.
+        general
+            Whether these are general tolerances; what remains of them is then marked.
         """
         changes: dict[str, Any] = dict(self.elements[number])
         for side, surface in (("left", front), ("right", front + 1)):
-            changes[side] = _stated(getattr(given, side), self.surfaces[surface], given)
-        others = f"; others: {given.source}" if given.source else ""
+            stated = _stated(getattr(given, side), self.surfaces[surface], given)
+            changes[side] = stated.marked_general(self.surfaces[surface]) if general else stated
+        others = f"; {GENERAL_MARK if general else 'others:'} {given.source}" if given.source else ""
         changes["source"] = f"tolerances of {self.source}{others}"[:200]
-        return given.replaced(**changes, fringe_wavelength_um=TEST_WAVELENGTH_UM)
+        made = given.replaced(**changes, fringe_wavelength_um=TEST_WAVELENGTH_UM)
+        known = {*self.elements[number], "fringe_wavelength_um"}
+        return made.marked_general(known) if general else made
 
     def missing(self, lens: Lens) -> list[str]:
         """What a sheet states although the file assumed no scatter of it."""
@@ -153,6 +163,7 @@ def load_tolerances(path: str | os.PathLike[str], lens: Lens) -> AssumedToleranc
         )
     found = AssumedTolerances([{} for _ in lens.glass_fronts], [{} for _ in lens.surfaces], source=path.name)
     found.design = design if isinstance(design, str) else ""
+    found.is_study = "merit" in data
     for number, table in enumerate(tables, start=1):
         try:
             _add(found, lens, _Assumed.model_validate(table))

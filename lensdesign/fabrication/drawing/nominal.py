@@ -12,21 +12,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from lensdesign.analysis.matching import match
+from lensdesign.analysis.outline import (
+    EdgeRoom,
+    chosen_semi_diameter_mm,
+    clear_semi_diameter_mm,
+    edge_room_needed_mm,
+    seat_mm,
+    with_ground_edge,
+)
 from lensdesign.analysis.spread import largest_spread
 from lensdesign.errors import InputError
 from lensdesign.fabrication.drawing.tolerances import DrawingTolerances
 from lensdesign.lens.edges import Edge
 from lensdesign.lens.lens import Lens
-from lensdesign.lens.solid import Element, glass_element, glass_elements
-
-SEAT_SHARE, LEAST_SEAT_MM = 0.05, 0.1
-"""Room for the mount to each side: of the clear semi-diameter, and at least."""
+from lensdesign.lens.solid import Element, glass_elements
 
 LEAST_PLAY_MM = 0.01
 """A diameter is toleranced no closer than that."""
-
-LARGE_MM, LARGE_STEP_MM, SMALL_STEP_MM = 10.0, 0.5, 0.1
-"""Ground diameters from the first on are whole multiples of the second, smaller ones of the third."""
 
 SHARE_OF_TOLERANCE = 0.1
 LEAST_GROWTH = 1e-3
@@ -47,10 +49,13 @@ class Stated:
         With an edge for each element, and rounded.
     notes
         What was chosen and changed, and what that does, in words.
+    tolerances
+        Of the sheet of each element; empty where they are not yet made.
     """
 
     lens: Lens
     notes: tuple[str, ...]
+    tolerances: tuple[DrawingTolerances, ...] = ()
 
 
 def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:
@@ -94,14 +99,10 @@ def fitting(element: Element, general: DrawingTolerances) -> DrawingTolerances:
     if element.edge.flange is not None:
         sides = {"left": general.left, "right": general.right}
         general = general.replaced(**{k: side.replaced(chamfer_mm=None) for k, side in sides.items()})
-    room = 2.0 * (element.edge_mm - _least_bevel_mm(element, general) - _clear_mm(element))
+    room = 2.0 * (element.edge_mm - _least_bevel_mm(element, general) - clear_semi_diameter_mm(element))
     if general.diameter_mm is None or not LEAST_PLAY_MM <= room < general.diameter_mm:
         return general
     return general.replaced(diameter_mm=math.floor(100.0 * room + 1e-6) / 100.0)
-
-
-def _clear_mm(element: Element) -> float:
-    return max(m.surface.semi_diameter_mm or 0.0 for m in (element.front, element.back))
 
 
 def _least_bevel_mm(element: Element, made: DrawingTolerances) -> float:
@@ -113,31 +114,32 @@ def _least_bevel_mm(element: Element, made: DrawingTolerances) -> float:
 
 def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, list[str]]:
     """The edge of an element, and how it was chosen."""
-    clear = _clear_mm(element)
+    clear = clear_semi_diameter_mm(element)
     made = tolerances(element)
     if element.edge.semi_diameter_mm is not None:
         _refuse_narrow(element, clear, made)
         return element.edge, []
-    semi = clear
-    for _ in range(2):  # general tolerances go by the size that is chosen
-        chamfer, play = _chamfer_mm(element, made), 0.5 * (made.diameter_mm or 0.0)
-        seat = max(SEAT_SHARE * clear, LEAST_SEAT_MM)
-        needed = 2.0 * (clear + seat + chamfer + play)
-        step = LARGE_STEP_MM if needed >= LARGE_MM else SMALL_STEP_MM
-        semi = 0.5 * round(step * math.ceil(needed / step - 1e-9), 6)
-        edge = element.edge.replaced(semi_diameter_mm=semi)
-        edged = lens.replaced(edges=_only(lens, element, edge))
-        made = tolerances(glass_element(edged, element.number))
-    room = f"{seat:.3g} mm to each side for the mount, {chamfer:g} for the bevel, {play:g} for its tolerance"
+    semi = chosen_semi_diameter_mm(lens, element, lambda one: _room(one, tolerances(one)))
+    edge = element.edge.replaced(semi_diameter_mm=semi)
+    room = _room(element, tolerances(with_ground_edge(lens, element, semi)))
+    taken = (
+        f"{seat_mm(clear):.3g} mm to each side for the mount, {room.chamfer_mm:g} for the bevel, "
+        f"{room.play_mm:g} for its tolerance"
+    )
+    general = chosen_semi_diameter_mm(lens, element)
+    other = (
+        ""
+        if general == semi
+        else f"; exports of the design have {2.0 * general:g} mm, those of the design that --as-drawn writes "
+        f"{2.0 * semi:g} mm"
+    )
     return edge, [
-        f"{element.name}: ground diameter {2.0 * semi:g} mm chosen, clear {2.0 * clear:.6g}: {room}"
+        f"{element.name}: ground diameter {2.0 * semi:g} mm chosen, clear {2.0 * clear:.6g}: {taken}{other}"
     ]
 
 
-def _only(lens: Lens, element: Element, edge: Edge) -> tuple[Edge, ...]:
-    edges = list(lens.edges or [Edge() for _ in lens.glass_fronts])
-    edges[element.number] = edge
-    return tuple(edges)
+def _room(element: Element, made: DrawingTolerances) -> EdgeRoom:
+    return EdgeRoom(_chamfer_mm(element, made), 0.5 * (made.diameter_mm or 0.0), made.thickness_mm or 0.0)
 
 
 def _chamfer_mm(element: Element, made: DrawingTolerances) -> float:
@@ -164,9 +166,7 @@ def _refuse_narrow(element: Element, clear: float, made: DrawingTolerances) -> N
 
 def _refuse_thin(element: Element, made: DrawingTolerances, chosen: bool) -> None:
     """Refuse an edge without room for its bevels and the tolerance of the thickness."""
-    bevels = sum(bevel for _, bevel in element.edge.sides())
-    chamfers = 0.0 if bevels else 2.0 * _chamfer_mm(element, made)
-    needed = chamfers + (made.thickness_mm or 0.0)
+    needed = edge_room_needed_mm(element, _room(element, made))
     thickness = min(section.edge_thickness_mm for section in element.sections)
     if not thickness > needed:
         what = "the ground diameter that leaves room" if chosen else "its ground diameter"

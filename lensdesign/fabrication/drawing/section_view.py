@@ -124,15 +124,16 @@ def section_view(element: Element, tolerances: DrawingTolerances, area: Area) ->
     thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
     items = [*_outline(body), *_hatching(body), *_axis(body), *_names(body)]
     items += _clear_diameters(body, element)
-    items += _ground_diameter(body, _toleranced(2.0 * element.edge_mm, tolerances.diameter_mm, "Ø "))
-    items += _thickness(body, _toleranced(thickness, tolerances.thickness_mm))
+    items += _ground_diameter(body, _toleranced(2.0 * element.edge_mm, tolerances, "diameter_mm", "Ø "))
+    items += _thickness(body, _toleranced(thickness, tolerances, "thickness_mm"))
     items += _edge_thickness(body, f"({element.edge_thickness_mm:.4g})")
     items += _flange(body, element.edge.flange)
     return SectionView(tuple(items), scale)
 
 
-def _toleranced(value: float, tolerance: float | None, prefix: str = "") -> str:
-    return f"{prefix}{value:.6g}" + (f" ±{tolerance:g}" if tolerance is not None else "")
+def _toleranced(value: float, tolerances: DrawingTolerances, name: str, prefix: str = "") -> str:
+    allowed = getattr(tolerances, name)
+    return f"{prefix}{value:.6g}" + (f" ±{allowed:g}{tolerances.mark(name)}" if allowed is not None else "")
 
 
 def _placed(element: Element, front: Array, back: Array, scale: float, area: Area) -> _Body:

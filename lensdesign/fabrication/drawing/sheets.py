@@ -52,6 +52,8 @@ class DrawingOptions(Section):
         As they stand in the title block.
     tolerances
         One for each glass element, front to back; left out or None: the general tolerances of ISO 10110-11.
+    remark
+        Line below the notes of each sheet.
     """
 
     title: Label = ""
@@ -59,6 +61,7 @@ class DrawingOptions(Section):
     date: Label = ""
     drawn_by: Label = ""
     tolerances: tuple[DrawingTolerances | None, ...] = ()
+    remark: Label = ""
 
     _lists = field_validator("tolerances", mode="before")(tuples)
 
@@ -152,13 +155,16 @@ def element_tolerances(
         If it is too large for the general tolerances.
     """
     given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+    general = given is None
     if given is None:
         thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
         try:
             given = general_tolerances(max(2.0 * element.edge_mm, thickness))
         except InputError as error:
             raise InputError(f"{element.name}: {error}") from error
-    return given if assumed is None else assumed.stated(element.number, element.surfaces[0], given)
+    if assumed is None:
+        return given
+    return assumed.stated(element.number, element.surfaces[0], given, general)
 
 
 def drawing_as_stated(
@@ -204,7 +210,7 @@ def drawing_as_stated(
         if own.diameter_mm != element_tolerances(element, options, assumed).diameter_mm
     )
     drawing = lens_drawing(stated.lens, options.replaced(tolerances=made))
-    return drawing, Stated(stated.lens, (*stated.notes, *closer))
+    return drawing, Stated(stated.lens, (*stated.notes, *closer), made)
 
 
 def _refuse_surplus(options: DrawingOptions, elements: int) -> None:
@@ -242,8 +248,8 @@ def _title_block(
             ("Date", options.date, 0.16),
         ],
     ]
-    notes = 5.0
-    step = (TITLE_TOP - FRAME.bottom - notes) / len(rows)
+    notes, remark = 5.0, 4.0 if options.remark else 0.0
+    step = (TITLE_TOP - FRAME.bottom - notes - remark) / len(rows)
     items: list[Item] = []
     for number, row in enumerate(rows):
         top = TITLE_TOP - number * step
@@ -257,9 +263,12 @@ def _title_block(
                 items.append(line(x, top - step, x, top))
             x += width
         items.append(line(FRAME.left, top - step, FRAME.right, top - step))
-    items.append(
-        cell(Area(FRAME.left, FRAME.bottom, FRAME.right, FRAME.bottom + notes), _notes(tolerances), 2.8)
-    )
+    lines = Area(FRAME.left, FRAME.bottom + remark, FRAME.right, FRAME.bottom + remark + notes)
+    items.append(cell(lines, _notes(tolerances), 2.8))
+    if options.remark:
+        items.append(
+            cell(Area(FRAME.left, FRAME.bottom, FRAME.right, FRAME.bottom + remark), options.remark, 2.8)
+        )
     return items
 
 

@@ -40,13 +40,14 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
     fraunhofer = [] if summary["nd"] is None or constant else [f"n(587.56 nm) = {summary['nd']:.5f}"]
     if summary["vd"] is not None:
         abbe = f" ±{tolerances.abbe_percent:g} %" if tolerances.abbe_percent else ""
+        abbe += tolerances.mark("abbe_percent")
         fraunhofer.append(f"ν(587.56 nm) = {summary['vd']:.2f}{abbe}")
     indices = [
         f"n({1e3 * wavelength:.6g} nm) = {refractive_index(glass, wavelength, lens.glass_catalogs):.6f}"
         for wavelength in lens.wavelengths_um[:WAVELENGTHS]
     ]
     if tolerances.index is not None:
-        indices[-1] += f" ±{tolerances.index:g}"
+        indices[-1] += f" ±{tolerances.index:g}{tolerances.mark('index')}"
     more = len(lens.wavelengths_um) - WAVELENGTHS
     return Material(
         name,
@@ -55,9 +56,9 @@ def material_of(lens: Lens, element: Element, tolerances: DrawingTolerances) -> 
             "   ".join(fraunhofer) or OPEN,
             "   ".join(indices) + (f"   and {more} more" if more > 0 else ""),
             "",
-            f"0/ {tolerances.stress_birefringence or OPEN}",
-            f"1/ {tolerances.bubbles.replace('x', ' × ') or OPEN}",
-            f"2/ {tolerances.inhomogeneity or OPEN}",
+            f"0/ {tolerances.stress_birefringence or OPEN}{tolerances.mark('stress_birefringence')}",
+            f"1/ {tolerances.bubbles.replace('x', ' × ') or OPEN}{tolerances.mark('bubbles')}",
+            f"2/ {tolerances.inhomogeneity or OPEN}{tolerances.mark('inhomogeneity')}",
             f"density {tolerances.density_g_per_cm3:g} g/cm³" if tolerances.density_g_per_cm3 else "",
         ),
     )
@@ -130,11 +131,11 @@ def _surface_rows(
     return (
         _radius(surface, tolerances, outward, fringe_um),
         clear_text(semi) if semi is not None else f"Øₑ {OPEN}",
-        f"Prot. chamfer {_chamfer(bevel_mm, tolerances.chamfer_mm)}",
+        f"Prot. chamfer {_chamfer(bevel_mm, tolerances)}",
         tolerances.coating or ("cemented" if cemented else OPEN),
         _form(tolerances),
         _centring(tolerances),
-        f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}",
+        f"5/ {tolerances.imperfections.replace('x', ' × ') or OPEN}{tolerances.mark('imperfections')}",
         f"6/ {tolerances.laser_damage or OPEN}",
     )
 
@@ -145,18 +146,20 @@ def clear_text(semi_diameter_mm: float) -> str:
     return f"Øₑ {0.01 * math.ceil(100.0 * diameter - 1e-6) if diameter >= 1.0 else diameter:.6g}"
 
 
-def _chamfer(bevel_mm: float, allowed_mm: tuple[float, float] | None) -> str:
+def _chamfer(bevel_mm: float, tolerances: SurfaceTolerances) -> str:
     """The design's bevel, else what the tolerances allow."""
     if bevel_mm:
         return f"{bevel_mm:g} × 45°"
-    return f"{allowed_mm[0]:g} - {allowed_mm[1]:g}" if allowed_mm else OPEN
+    allowed = tolerances.chamfer_mm
+    return f"{allowed[0]:g} - {allowed[1]:g}{tolerances.mark('chamfer_mm')}" if allowed else OPEN
 
 
 def _centring(tolerances: SurfaceTolerances) -> str:
     """4/, and in brackets the lateral displacement of an asphere."""
     tilt, aside = tolerances.centring_arcmin, tolerances.decenter_mm
-    across = f" ({aside:g})" if aside is not None else ""
-    return f"4/ {f'{tilt:g}′' if tilt is not None else OPEN}{across}"
+    across = f" ({aside:g}{tolerances.mark('decenter_mm')})" if aside is not None else ""
+    angle = f"{tilt:g}′{tolerances.mark('centring_arcmin')}" if tilt is not None else OPEN
+    return f"4/ {angle}{across}"
 
 
 def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fringe_um: float) -> str:
@@ -164,7 +167,8 @@ def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fri
     kind = "" if surface.kind in ("plane", "sphere") else f", {surface.kind}"
     if surface.radius_mm is None:
         return f"R ∞{kind}"
-    tolerance = f" ±{tolerances.radius_mm:g}" if tolerances.radius_mm is not None else ""
+    own = tolerances.radius_mm
+    tolerance = f" ±{own:g}{tolerances.mark('radius_mm')}" if own is not None else ""
     if not tolerance and (allowed := tolerances.radius_allowed_mm(surface, fringe_um)):
         tolerance = f" (±{allowed:.2g})"
     side = "CX" if outward * surface.radius_mm > 0.0 else "CC"
@@ -174,12 +178,8 @@ def _radius(surface: Surface, tolerances: SurfaceTolerances, outward: float, fri
 def _form(tolerances: SurfaceTolerances) -> str:
     """3/A(B/C), over a test diameter if one is given."""
     a, b, c = (
-        OPEN if value is None else f"{value:g}"
-        for value in (
-            tolerances.radius_fringes,
-            tolerances.irregularity_fringes,
-            tolerances.symmetric_fringes,
-        )
+        OPEN if (value := getattr(tolerances, name)) is None else f"{value:g}{tolerances.mark(name)}"
+        for name in ("radius_fringes", "irregularity_fringes", "symmetric_fringes")
     )
     if a == b == OPEN and tolerances.rms_irregularity_fringes is None:
         return f"3/ {OPEN}"
@@ -188,6 +188,6 @@ def _form(tolerances: SurfaceTolerances) -> str:
     rms = tolerances.rms_irregularity_fringes
     return (
         f"3/ {a}({inner})"
-        + (f" RMSi < {rms:g}" if rms is not None else "")
-        + (f" (all Ø {over:g})" if over is not None else "")
+        + (f" RMSi < {rms:g}{tolerances.mark('rms_irregularity_fringes')}" if rms is not None else "")
+        + (f" (all Ø {over:g}{tolerances.mark('test_diameter_mm')})" if over is not None else "")
     )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from collections.abc import Collection
+from typing import Annotated, Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from lensdesign.analysis.outline import GENERAL_EDGES, EdgeAllowance
 from lensdesign.common.section import Finite, Positive, Section, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.surface import Surface
@@ -17,7 +19,47 @@ NotNegative = Annotated[Finite, Field(ge=0.0, le=1e9)]
 ShortText = Annotated[str, Field(max_length=200)]
 
 
-class SurfaceTolerances(Section):
+GENERAL_MARK, DERIVED_MARK = "*", "†"
+"""Beside values of a sheet that are general tolerances, and such that were derived from a study."""
+
+
+class Marked(Section):
+    """Tolerances of which some are not stated by whom the sheet names as its source.
+
+    Attributes
+    ----------
+    general
+        Names of the values that are general tolerances; the sheet marks them with an asterisk.
+    derived
+        Names of the values that were derived from a tolerance study; the sheet marks them with a dagger.
+    """
+
+    general: tuple[str, ...] = ()
+    derived: tuple[str, ...] = ()
+
+    _names = field_validator("general", "derived", mode="before")(tuples)
+
+    def mark(self, name: str) -> str:
+        """Mark beside a value on the sheet."""
+        return GENERAL_MARK if name in self.general else DERIVED_MARK if name in self.derived else ""
+
+    def with_derived(self, **values: Any) -> Self:
+        """The tolerances with derived values, marked as such."""
+        general = tuple(name for name in self.general if name not in values)
+        return self.replaced(**values, general=general, derived=(*self.derived, *values))
+
+    def marked_general(self, known: Collection[str]) -> Self:
+        """The tolerances, of which all values are marked as general that are not known from elsewhere."""
+        given = (name for name in type(self).model_fields if name not in Marked.model_fields)
+        return self.replaced(general=tuple(n for n in given if n not in known and self._states(n)))
+
+    def _states(self, name: str) -> bool:
+        value = getattr(self, name)
+        stated = value != type(self).model_fields[name].default
+        return name != "source" and stated and not isinstance(value, Section)
+
+
+class SurfaceTolerances(Marked):
     """What a drawing asks of one surface; None or an empty text leaves an indication open.
 
     Attributes
@@ -86,7 +128,7 @@ class SurfaceTolerances(Section):
         return self
 
 
-class DrawingTolerances(Section):
+class DrawingTolerances(Marked):
     """What a drawing asks of one glass element.
 
     Attributes
@@ -122,9 +164,7 @@ class DrawingTolerances(Section):
 
 
 def _general(
-    diameter_mm: float,
-    thickness_mm: float,
-    chamfer_mm: tuple[float, float],
+    edge: EdgeAllowance,
     material: tuple[str, str, str],
     form_fringes: tuple[float, float],
     test_diameter_mm: float | None,
@@ -137,14 +177,14 @@ def _general(
         test_diameter_mm=test_diameter_mm,
         centring_arcmin=centring_arcmin,
         imperfections=imperfections,
-        chamfer_mm=chamfer_mm,
+        chamfer_mm=edge.chamfer_mm,
     )
     stress, bubbles, inhomogeneity = material
     return DrawingTolerances(
         left=surface,
         right=surface,
-        thickness_mm=thickness_mm,
-        diameter_mm=diameter_mm,
+        thickness_mm=edge.thickness_mm,
+        diameter_mm=edge.diameter_mm,
         stress_birefringence=stress,
         bubbles=bubbles,
         inhomogeneity=inhomogeneity,
@@ -152,11 +192,15 @@ def _general(
     )
 
 
+_REST: tuple[tuple[tuple[str, str, str], tuple[float, float], float | None, float, str], ...] = (
+    (("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
+    (("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
+    (("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
+    (("", "5x0.63", ""), (10.0, 2.0), 60.0, 10.0, "5x0.63"),
+)
+
 GENERAL = {
-    10.0: _general(0.2, 0.1, (0.1, 0.3), ("20", "3x0.16", "1;1"), (5.0, 1.0), None, 30.0, "3x0.16"),
-    30.0: _general(0.5, 0.2, (0.2, 0.5), ("20", "5x0.25", "1;1"), (10.0, 2.0), None, 20.0, "5x0.25"),
-    100.0: _general(1.0, 0.4, (0.3, 0.8), ("", "5x0.4", ""), (10.0, 2.0), 30.0, 10.0, "5x0.4"),
-    300.0: _general(1.5, 0.8, (0.5, 1.6), ("", "5x0.63", ""), (10.0, 2.0), 60.0, 10.0, "5x0.63"),
+    size: _general(edge, *rest) for (size, edge), rest in zip(GENERAL_EDGES.items(), _REST, strict=True)
 }
 """Table 1 of ISO 10110-11:1996 by the largest dimension in mm up to which a row holds.
 

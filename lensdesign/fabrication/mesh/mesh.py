@@ -90,8 +90,12 @@ def write_mesh(
     surface_perturbations: Mapping[int, SurfacePerturbation] | None = None,
     pose: Pose | None = None,
     measured: bool = False,
+    statement: str = "",
 ) -> LensMesh:
     """Write the glass of a lens as a mesh file.
+
+    The bodies have the edges of the lens as it is given.
+    :func:`lensdesign.analysis.outline.drawn_outline` gives the lens with those of its drawing.
 
     Parameters
     ----------
@@ -105,6 +109,9 @@ def write_mesh(
         As :func:`lens_mesh` takes them.
     report
         Told in one sentence of each surface whose measured figure is left out.
+    statement
+        Remark that goes into the file: the header of an STL file (its first 67 characters), a comment of a
+        PLY or OBJ file, the ``extras`` of the scene in a GLB file, the description of a 3MF file.
 
     Returns
     -------
@@ -127,7 +134,7 @@ def write_mesh(
     parts = [_posed(_body_mesh(bodies, e, chord_error_um), pose) for e in range(len(bodies.elements))]
     whole = _together(parts)
     glasses = [str(lens.surfaces[e.surfaces[0]].material) for e in bodies.elements]
-    data = encode_meshes(suffix, [p.mesh for p in parts], glasses, whole.mesh)
+    data = encode_meshes(suffix, [p.mesh for p in parts], glasses, whole.mesh, statement)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     for number, surface in enumerate(lens.surfaces, start=1):

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 MESH_SUFFIXES = (".stl", ".ply", ".obj", ".glb", ".3mf")
 """Formats that meshes are written in."""
 
+STL_HEADER_BYTES = 80
+
 GLASS_RGBA = (0xA9, 0xD3, 0xEE, 0x66)
 """Colour of glass, translucent, where a format has colours."""
 
@@ -36,7 +38,11 @@ Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 
 
 def encode_meshes(
-    suffix: str, meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str], whole: trimesh.Trimesh
+    suffix: str,
+    meshes: Sequence[trimesh.Trimesh],
+    glasses: Sequence[str],
+    whole: trimesh.Trimesh,
+    statement: str = "",
 ) -> bytes:
     """Bytes of a mesh file.
 
@@ -48,13 +54,28 @@ def encode_meshes(
         Each body in mm, and the name of its material.
     whole
         All bodies as one mesh, for formats that know no bodies.
+    statement
+        Remark for the reader of the file; empty for none.
     """
     if suffix == ".glb":
-        return _glb(meshes, glasses)
+        return _glb(meshes, glasses, statement)
     if suffix == ".3mf":
-        return _three_mf(meshes, glasses)
+        return _three_mf(meshes, glasses, statement)
     data = whole.export(file_type=suffix[1:], **({"digits": 12} if suffix == ".obj" else {}))
-    return data.encode() if isinstance(data, str) else bytes(data)
+    encoded = data.encode() if isinstance(data, str) else bytes(data)
+    return _with_remark(suffix, encoded, statement) if statement else encoded
+
+
+def _with_remark(suffix: str, data: bytes, statement: str) -> bytes:
+    """The file with a remark where its format has a place for one."""
+    line = " ".join(_shown(statement).split()).encode("ascii", "replace")
+    if suffix == ".stl":
+        # A binary file: its header must not begin with "solid".
+        return (b"transferlens " + line)[:STL_HEADER_BYTES].ljust(STL_HEADER_BYTES) + data[STL_HEADER_BYTES:]
+    if suffix == ".obj":
+        return b"# " + line + b"\n" + data
+    head, rest = data.split(b"end_header\n", 1)
+    return head + b"comment " + line + b"\nend_header\n" + rest
 
 
 def glass_visuals(glass: str) -> trimesh.visual.TextureVisuals:
@@ -93,10 +114,10 @@ def _linear(part: int) -> int:
     return round(255.0 * (share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4))
 
 
-def _glb(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
+def _glb(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str], statement: str) -> bytes:
     import trimesh
 
-    scene = trimesh.Scene()
+    scene = trimesh.Scene(metadata={"outline": statement} if statement else None)
     for number, (mesh, glass) in enumerate(zip(meshes, glasses, strict=True), start=1):
         scaled = trimesh.Trimesh(1e-3 * mesh.vertices, mesh.faces, process=False)
         scaled.visual = glass_visuals(glass)
@@ -104,8 +125,8 @@ def _glb(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
     return bytes(scene.export(file_type="glb"))
 
 
-def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> bytes:
-    from xml.sax.saxutils import quoteattr
+def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str], statement: str) -> bytes:
+    from xml.sax.saxutils import escape, quoteattr
 
     names = list(dict.fromkeys(glasses))
     color = "".join(f"{part:02X}" for part in GLASS_RGBA)
@@ -113,6 +134,7 @@ def _three_mf(meshes: Sequence[trimesh.Trimesh], glasses: Sequence[str]) -> byte
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<model unit="millimeter" xml:lang="en-US" '
         'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">',
+        *([f'<metadata name="Description">{escape(_shown(statement))}</metadata>'] if statement else []),
         "<resources>",
         '<basematerials id="1">',
         *(f'<base name={quoteattr(_shown(name))} displaycolor="#{color}"/>' for name in names),

@@ -86,7 +86,9 @@ def ocp_errors(subject: str) -> Iterator[None]:
         raise InputError(f"{subject}: OCP gives up: {error}") from error
 
 
-def write_solids(solids: Sequence[Any], names: Sequence[str], title: str, path: Path) -> None:
+def write_solids(
+    solids: Sequence[Any], names: Sequence[str], title: str, path: Path, statement: str = ""
+) -> None:
     """Write named solids in mm: one as a part, several as an assembly under the title.
 
     Parameters
@@ -99,6 +101,8 @@ def write_solids(solids: Sequence[Any], names: Sequence[str], title: str, path: 
         Goes into the header.
     path
         File to write.
+    statement
+        Goes into the description of the header.
 
     Raises
     ------
@@ -120,20 +124,21 @@ def write_solids(solids: Sequence[Any], names: Sequence[str], title: str, path: 
     Interface_Static.SetCVal_s("write.step.schema", "AP214IS")
     document = _document(title, solids, names)
     written = writer.Transfer(document, STEPControl_StepModelType.STEPControl_AsIs)
-    _write_header(writer.ChangeWriter().Model(), title)
+    _write_header(writer.ChangeWriter().Model(), title, statement)
     if not written or writer.Write(str(path)) != IFSelect_ReturnStatus.IFSelect_RetDone:
         raise InputError("OCP could not write the solids")
     path.write_text(_tidied(path.read_text(encoding="ascii")), encoding="ascii")
 
 
-def _write_header(model: Any, title: str) -> None:
+def _write_header(model: Any, title: str, statement: str) -> None:
     from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
     from OCP.TCollection import TCollection_HAsciiString
 
     header = APIHeaderSection_MakeHeader(model)
     header.SetName(TCollection_HAsciiString(step_text(title)))
     header.SetTimeStamp(TCollection_HAsciiString(TIME_STAMP))
-    header.SetDescriptionValue(1, TCollection_HAsciiString("glass of a lens, lengths in mm"))
+    description = "glass of a lens, lengths in mm" + (f"; {statement}" if statement else "")
+    header.SetDescriptionValue(1, TCollection_HAsciiString(step_text(description)))
     header.SetAuthorValue(1, TCollection_HAsciiString(""))
     header.SetOrganizationValue(1, TCollection_HAsciiString(""))
     header.SetOriginatingSystem(TCollection_HAsciiString("transferlens"))

@@ -99,12 +99,16 @@ class StepReport:
 
 
 def write_step(
-    lens: Lens, path: str | os.PathLike[str], report: Callable[[str], None] = warnings.warn
+    lens: Lens,
+    path: str | os.PathLike[str],
+    report: Callable[[str], None] = warnings.warn,
+    statement: str = "",
 ) -> StepReport:
     """Write the glass of a lens as a STEP file (AP214, mm), one named solid for each element.
 
     Planes, spheres and conics are exact; even aspheres are splines within 1e-7 mm. The file is read back and
-    measured before it gets its name. The same lens gives the same bytes.
+    measured before it gets its name. The same lens gives the same bytes. The bodies have the edges of the
+    lens as it is given; :func:`lensdesign.analysis.outline.drawn_outline` gives it those of its drawing.
 
     Parameters
     ----------
@@ -114,6 +118,8 @@ def write_step(
         File to write, .step or .stp.
     report
         Told in one sentence of each surface whose measured figure is left out.
+    statement
+        Remark that goes into the description of the file's header.
 
     Returns
     -------
@@ -136,7 +142,7 @@ def write_step(
     with silent_ocp(), atomic_path(path) as temporary:
         solids = [_checked_solid(element) for element in elements]
         with ocp_errors(f"cannot write {path}"):
-            write_solids(solids, names, lens.title, temporary)
+            write_solids(solids, names, lens.title, temporary, statement)
             bodies = _measured_bodies(elements, names, read_solids(temporary))
         size = temporary.stat().st_size
     for number, surface in enumerate(lens.surfaces, start=1):

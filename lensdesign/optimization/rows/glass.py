@@ -8,14 +8,18 @@ from functools import partial
 
 import numpy as np
 
+from lensdesign.analysis.outline import highest_ground_mm
 from lensdesign.common.arrays import Array
-from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import Shape, directions
+from lensdesign.lens.solid import SHARP
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.rows.row import Row, State, finite_row, heights_of
 
 SEMI_DIAMETER_STEP_MM = 0.01
 """Semi-diameters that a specification leaves open are rounded up to this."""
+
+Height = tuple[float, Array]
+"""A radial height in mm, and its derivatives by all variables."""
 
 CONIC_EDGE_SHARE = 0.95
 """Surfaces stay within this share of the radial height at which their conic ends."""
@@ -41,8 +45,9 @@ def glass_rows(specification: Specification, state: State) -> list[Row]:
         glass = surface.material is not None
         least = limits.min_edge_thickness_mm if glass else limits.min_air_gap_mm
         scale = specification.surfaces[i].thickness_mm or 1.0
-        at = _ground_height(lens, i, edge)
-        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, at, least, scale))
+        at = _ground_height(state, i, heights[i : i + 2]) if glass else edge
+        ends = _ends_at(state, i, at, heights[i : i + 2])
+        rows.append(_gap_row(f"edge thickness behind surface {i + 1}", state, i, ends, least, scale))
         least = limits.min_center_thickness_mm if glass else limits.min_air_gap_mm
         gap, by = _thickness(state, i)
         name = f"centre thickness behind surface {i + 1}"
@@ -79,12 +84,36 @@ def _thickness(state: State, i: int) -> tuple[float, Array]:
     return state.lens.surfaces[i].thickness_mm or 0.0, by
 
 
-def _ground_height(lens: Lens, i: int, clear: tuple[float, Array]) -> tuple[float, Array]:
-    """Radius of the edge cylinder behind a surface: the design file's, or else the largest clear height."""
-    if not lens.edges or i not in lens.glass_fronts:
-        return clear
-    given = lens.edges[lens.glass_fronts.index(i)].semi_diameter_mm
-    return clear if given is None else (given, np.zeros_like(clear[1]))
+def _ground_height(state: State, i: int, clear: Sequence[Height]) -> Height:
+    """Radius of the edge cylinder behind a surface, and its derivatives by all variables.
+
+    The design file's, or else an upper bound of the one that the element's drawing has: the chosen diameter
+    is rounded up in steps and jumps with the size of the part, which a search cannot follow.
+    """
+    edges, lens = state.lens.edges, state.lens
+    edge = edges[lens.glass_fronts.index(i)] if edges and i in lens.glass_fronts else SHARP
+    if edge.semi_diameter_mm is not None:
+        return edge.semi_diameter_mm, np.zeros(len(state.variables))
+    height, by = max(clear, key=lambda h: h[0])
+    thickness, thickness_by = _thickness(state, i)
+    ground, by_height, by_thickness = highest_ground_mm(height, thickness)
+    bevel = max(leg for _, leg in edge.sides())
+    return ground + bevel, by_height * by + by_thickness * thickness_by
+
+
+def _ends_at(state: State, i: int, ground: Height, clear: Sequence[Height]) -> tuple[Height, Height]:
+    """Heights at which the two surfaces of a space end.
+
+    A conic that ends between the clear apertures and the ground edge goes on as a flat ring; one that ends
+    before is no surface of this lens.
+    """
+    shapes = (surface.shape for surface in state.lens.surfaces[i : i + 2])
+    largest = max(height for height, _ in clear)
+    front, back = (
+        own if largest <= shape.edge_radius_mm < ground[0] else ground
+        for shape, own in zip(shapes, clear, strict=True)
+    )
+    return front, back
 
 
 def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
@@ -101,17 +130,21 @@ def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: flo
     return finite_row(f"slope at the edge of surface {i + 1}", values, by / limit)
 
 
-def _gap_row(name: str, state: State, i: int, height: tuple[float, Array], least: float, scale: float) -> Row:
-    """Of the space behind a surface at a radial height, in each direction."""
-    front, back = (s.shape for s in state.lens.surfaces[i : i + 2])
-    ux, uy = directions(front, back)
-    x, y = height[0] * ux, height[0] * uy
-    before, behind = (np.array(shape.sag_and_slopes(x, y)) for shape in (front, back))
+def _gap_row(
+    name: str, state: State, i: int, heights: tuple[Height, Height], least: float, scale: float
+) -> Row:
+    """Of the space behind a surface, from a height on its front to one on its back, in each direction."""
+    shapes = [s.shape for s in state.lens.surfaces[i : i + 2]]
+    ux, uy = directions(*shapes)
     thickness, by = _thickness(state, i)
-    by = by + _by(state, i + 1, partial(_sag_by, back, x, y)) - _by(state, i, partial(_sag_by, front, x, y))
-    outward = (behind - before)[1] * ux + (behind - before)[2] * uy
-    gap = thickness + behind[0] - before[0]
-    return finite_row(name, (least - gap) / scale, -(by + outward[:, None] * height[1]) / scale)
+    gap = np.full(np.shape(ux), thickness)
+    for k, (shape, (height, height_by), sign) in enumerate(zip(shapes, heights, (-1.0, 1.0), strict=True)):
+        x, y = height * ux, height * uy
+        sag, *slopes = shape.sag_and_slopes(x, y)
+        outward = slopes[0] * ux + slopes[1] * uy
+        gap = gap + sign * sag
+        by = by + sign * (_by(state, i + k, partial(_sag_by, shape, x, y)) + outward[:, None] * height_by)
+    return finite_row(name, (least - gap) / scale, -by / scale)
 
 
 def _sag_by(shape: Shape, x: Array, y: Array, term: str) -> Array:

@@ -212,7 +212,7 @@ def test_check_against_a_specification(command: Command, tmp_path: Path) -> None
     assert command("check", lens)[0] == 0
     code, out, _ = command("check", lens, "--against", spec)
     assert code == 1
-    assert "not met: edge thickness behind surface 1: 3." in out
+    assert "not met: edge thickness behind surface 1: 1." in out
     report = json.loads(command("check", lens, "--against", spec, "--json")[1])
     assert [c["name"] for c in report["constraints"] if not c["met"]] == ["edge thickness behind surface 1"]
     refused(command("check", lens, "--against", lens), "this is a design", "lensdesign check")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 
 from lensdesign import Lens, load_design
+from lensdesign.analysis.outline import drawn_outline
+from lensdesign.fabrication.drawing.sheets import drawing_as_stated
 from lensdesign.optimization.asked.sections import Constraints
 from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.compliance import check_against
+from lensdesign.optimization.search import optimize
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +37,8 @@ def test_the_gallery_meets_its_specifications(name: str) -> None:
 def test_an_edge_thinner_than_asked_for_is_a_miss_with_its_numbers(asked: Specification, lens: Lens) -> None:
     """An edge of any length passes the check of the lens alone."""
     front, back = lens.surfaces
-    edge = front.thickness_mm + float(back.sag_mm(10.0) - front.sag_mm(10.0))
+    ground = 11.25  # clear 10 mm, 0.5 for the mount, 0.5 for the chamfer, 0.25 for the diameter's tolerance
+    edge = front.thickness_mm + float(back.sag_mm(ground) - front.sag_mm(ground))
     wide = lens.with_surface(1, semi_diameter_mm=10.0)
     for limit, met in ((edge - 1e-4, True), (edge + 1e-4, False)):
         specification = asked.replaced(constraints=asked.constraints.replaced(min_edge_thickness_mm=limit))
@@ -44,6 +48,24 @@ def test_an_edge_thinner_than_asked_for_is_a_miss_with_its_numbers(asked: Specif
         assert row.value == pytest.approx(edge, abs=1e-12)
         assert row.miss == ("" if met else report.violations[0])
     assert report.violations[0].startswith(f"edge thickness behind surface 1: {edge:.5g} mm is less than")
+
+
+def test_the_edge_asked_for_is_that_of_the_drawing() -> None:
+    """0.8 mm at the clear aperture were 0.3 mm at the ground edge, which no sheet could state."""
+    folder = GOLDEN / "designer_b"
+    asked = load_specification(folder / "spec.toml")
+    report = check_against(load_design(folder / "thin.toml"), asked)
+    assert [c.name for c in report.constraints if not c.met] == ["edge thickness behind surface 1"]
+    assert "edge thickness behind surface 1: 0.30218 mm is less than the 0.8 mm" in report.violations[0]
+    found = optimize(asked.replaced(optimize=asked.optimize.replaced(starts=1)))
+    assert found.feasible
+    assert "edge thickness behind surface 1" in found.binding
+    assert check_against(found.lens, asked).feasible
+    (edge,) = drawn_outline(found.lens).edges
+    # The search knows an upper bound of the ground diameter, at most 0.1 mm wider.
+    assert 0.8 <= edge.thickness_mm < 0.87
+    assert edge.fits
+    drawing_as_stated(found.lens)
 
 
 def test_field_and_aperture_are_those_of_the_specification(asked: Specification, lens: Lens) -> None:

@@ -68,7 +68,12 @@ def test_nothing_is_told_where_the_size_of_the_object_is_not_what_is_in_the_way(
 
 def test_where_no_lens_can_be_made_what_can_is_told_all_the_same() -> None:
     """The stop, kept at its size, is wider than the nearest lens; a smaller aperture lets it shrink."""
-    fixed = ASKED.replaced(optimize=ASKED.optimize.replaced(stop="fixed"))
+    *shapes, thickness = ASKED.variables
+    fixed = ASKED.replaced(
+        optimize=ASKED.optimize.replaced(stop="fixed"),
+        surfaces=(ASKED.surfaces[0].replaced(thickness_mm=1.2), ASKED.surfaces[1]),
+        variables=(*shapes, thickness.replaced(bounds=(1.0, 1.5))),
+    )
     with pytest.raises(
         DesignError, match=r"cannot be made .*; can be met, and no more was found: .*NA 0\.\d+"
     ):

@@ -46,7 +46,7 @@ def test_names(scene: dict[str, trimesh.Trimesh]) -> None:
 
 def test_bounds(scene: dict[str, trimesh.Trimesh], paper_lens: Lens) -> None:
     glass = scene["element_1_N-BK7"]
-    assert glass.bounds == pytest.approx(np.array([[-10.0, -10.0, 0.0], [10.0, 10.0, 9.7]]), abs=2e-3)
+    assert glass.bounds == pytest.approx(np.array([[-11.25, -11.25, 0.0], [11.25, 11.25, 9.7]]), abs=2e-3)
     glass.merge_vertices()
     assert glass.is_watertight
     assert scene["object_disc"].area == pytest.approx(math.pi * 1.5**2, rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -117,7 +118,7 @@ def _summary(
         good.share,
         good.low,
         good.high,
-        predicted.good,
+        None if math.isnan(predicted.good) else predicted.good,
         rows,
     )
 

@@ -422,7 +422,7 @@ def test_a_file_that_departs_from_the_lens_is_refused(
 
         def in_inches(*given: Any) -> None:
             write(*given)
-            path = given[-1]
+            path = given[3]
             text = path.read_text(encoding="ascii")
             path.write_text(text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.CENTI.,.METRE.)"))
 
@@ -487,8 +487,10 @@ def test_command(paper_design: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["export", str(paper_design), str(path)])
     assert result.exit_code == 0
     assert re.fullmatch(
-        r"wrote \S+: 1 solid, read back within \S+ nm of the true surface, .*\n", result.output
+        r"wrote \S+: 1 solid, read back within \S+ nm of the true surface, .*\n", result.stdout
     )
+    assert result.stderr.startswith("outline: element 1 (surfaces 1 and 2): ground diameter 22.5 mm, chosen")
+    assert "ground diameter 22.5 mm" in path.read_text(encoding="ascii")[:600].replace("\n", "")
     result = CliRunner().invoke(app, ["export", str(paper_design), str(path), "--json"])
     assert f'"bytes": {path.stat().st_size},' in result.output
     path.unlink()
