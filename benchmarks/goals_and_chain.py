@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 import time
 import warnings
 from collections.abc import Iterator
@@ -26,6 +27,10 @@ from benchmarks.timing import DESIGNS
 from lensdesign import load_design, scaled
 from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
+from lensdesign.optimization.asked.sections import LOSS_GOAL
+from lensdesign.optimization.asked.specification import load_specification
+from lensdesign.optimization.problem import DesignProblem
+from lensdesign.optimization.search import optimize
 from tolerancing import load_study
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Context, Sampling
@@ -193,11 +198,53 @@ def predicted(goal: str) -> str:
     return " | ".join(found)
 
 
+def search() -> None:
+    """Search for small losses from the lens of the yield, and print time, losses by trials, and the lens."""
+    study = (DESIGNS / "as_built_tolerances.toml").read_text(encoding="utf-8")
+    study = study[: study.index("# What a good lens is")]
+    merit = "\n[[merit]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in LOSS.items())
+    mounting = "".join(
+        f'\n[[compensator]]\ntarget = "{c.target}"\nparameter = "{c.parameter}"\nlimit = {c.limit}\n'
+        for c in COMPENSATORS
+    )
+    text = (DESIGNS / "as_built_spec.toml").read_text(encoding="utf-8")
+    text = text.replace('goal = "yield"', f'goal = "{LOSS_GOAL}"')
+    text = text.replace('"as_built_tolerances.toml"', '"study.toml"\ntrials = 200')
+    for model, compensators in (("nominal", ""), ("calibrated", mounting)):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "paper_singlet.toml").write_bytes((DESIGNS / "paper_singlet.toml").read_bytes())
+            (folder / "study.toml").write_text(study + compensators + merit, encoding="utf-8")
+            (folder / "specification.toml").write_text(text, encoding="utf-8")
+            asked = load_specification(folder / "specification.toml")
+            asked = asked.replaced(
+                surfaces=lens_of("yield").surfaces,
+                variables=tuple(v for v in asked.variables if not v.discrete),
+                optimize=asked.optimize.replaced(start="design", starts=1),
+            )
+            problem, begun = DesignProblem(asked, asked.lens), time.process_time()
+            problem.losses(problem.to_unit(asked.lens) + 1e-9)
+            one, begun = time.process_time() - begun, time.process_time()
+            found = optimize(asked)
+        spent = time.process_time() - begun
+        print(f"{model} model: {one:.2f} s an evaluation; {found.evaluations} of them, {spent:.0f} s in all")
+        assert found.as_built is not None
+        for row in found.as_built.rows:
+            (loss,) = row.losses
+            print(f"  {row.name}: {loss.mean:.3g} +- {2.0 * loss.error:.2g}, predicted {loss.predicted:.3g}")
+        print(f"  {found.variables}")
+
+
 def main() -> None:
     """Measure what the file lacks, and print a table of lenses and models."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--file", type=Path, default=Path("goals_and_chain.jsonl"), help="of what was done")
-    rows = measured(parser.parse_args().file)
+    parser.add_argument("--search", action="store_true", help="search for the lenses of small losses instead")
+    asked = parser.parse_args()
+    if asked.search:
+        search()
+        return
+    rows = measured(asked.file)
     known = {(row["goal"], row["model"], row["trial"]): row["correlation"] or 0.0 for row in rows}
     found = {
         (goal, model): np.array([known[goal, model, trial] for trial in range(count)])
