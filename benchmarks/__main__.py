@@ -39,6 +39,7 @@ SCRIPTS = (
     "patch_chain",
     "focus_rule",
     "merits_and_chain",
+    "goals_and_chain",
     "study_speed",
     "study_faults",
     "attack",

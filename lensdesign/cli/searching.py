@@ -233,7 +233,7 @@ def _print_optimization(result: OptimizationResult) -> None:
     if result.as_built is not None:
         tables += _as_built(result.as_built)
     print_tables(*tables)
-    for line in [] if result.as_built is None else _limits_of(result.as_built):
+    for line in [] if result.as_built is None else _limits_of(result.as_built, result.goal):
         typer.echo(visible(line))
     for name in result.binding:
         typer.echo(f"binding: {name}")
@@ -282,15 +282,31 @@ def _as_built(report: AsBuiltReport) -> list[Any]:
         parts = [row.merits[k] for row in report.rows]
         cells = [_yield_cells(one.good, one.low, one.high, one.predicted) for one in parts]
         found.add_row(visible(merit.merit), *(cell for pair in cells for cell in pair))
+    tables = [found, *_losses(report)]
     if not report.points_mm:
-        return [found]
+        return tables
     points = [f"rms at {place}" for place in report.places]
     waves = table("Wavefronts of the same trials, in waves, and as predicted", "lens", *points)
     for row in report.rows:
         values = zip(row.rms_waves, row.rms_errors_waves, row.predicted_rms_waves, strict=True)
         texts = (f"{rms:.4f} +- {2.0 * error:.4f} ({predicted:.4f})" for rms, error, predicted in values)
         waves.add_row(visible(row.name), *texts)
-    return [found, waves]
+    return [*tables, waves]
+
+
+def _losses(report: AsBuiltReport) -> list[Any]:
+    """Mean reconstruction losses of the same trials; none where the study has no such merit."""
+    merits = report.rows[0].losses
+    if not merits:
+        return []
+    heads = [f"{one.merit}, {'calibrated' if one.calibrated else 'nominal'} model" for one in merits]
+    found = table(
+        "Mean reconstruction loss of the same trials, and as predicted", "lens", *map(visible, heads)
+    )
+    for row in report.rows:
+        cells = (f"{one.mean:.4g} +- {2.0 * one.error:.2g} ({one.predicted:.4g})" for one in row.losses)
+        found.add_row(visible(row.name), *cells)
+    return [found]
 
 
 def _yield_cells(good: float, low: float, high: float, predicted: float | None) -> tuple[str, str]:
@@ -299,11 +315,14 @@ def _yield_cells(good: float, low: float, high: float, predicted: float | None) 
     return own, "-" if predicted is None else f"{100.0 * predicted:.1f} %"
 
 
-def _limits_of(report: AsBuiltReport) -> list[str]:
+def _limits_of(report: AsBuiltReport, goal: str) -> list[str]:
     """Which limits a good lens keeps, and which of them trials alone can judge; a line each."""
+    from lensdesign.optimization.asked.sections import LOSS_GOAL
+
     merits = report.rows[-1].merits
     lines = ["a good lens keeps all limits of the study:" if len(merits) > 1 else "a good lens keeps:"]
     lines += [f"  {one.merit} {one.limit}: {one.conditions}" for one in merits]
-    if report.trials_only:
-        lines.append(f"scored by trials only, not by search and predictions: {', '.join(report.trials_only)}")
+    searched = {one.merit for one in report.rows[-1].losses} if goal == LOSS_GOAL else set()
+    if left := [name for name in report.trials_only if name not in searched]:
+        lines.append(f"scored by trials only, not by search and predictions: {', '.join(left)}")
     return lines

@@ -16,6 +16,7 @@ from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
+from lensdesign.optimization.asked.sections import LOSS_GOAL
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import at_temperatures, check_against
 from lensdesign.optimization.local_search import Found
@@ -211,12 +212,16 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
     try:
         lens = finished_lens(problem, point, best.rays)
     except DesignError as error:
-        can = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
-        said = "; ".join([*unfinished, str(error), can.in_words(specification.object)])
+        words = [*unfinished, str(error)]
+        if not specification.asks_losses:
+            can = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
+            words.append(can.in_words(specification.object))
+        said = "; ".join(words)
         raise DesignError(said) from None
     built = _as_built(specification, lens)
     check = check_against(lens, specification, built)
-    if not check.feasible and not unfinished:
+    # A search for how much of it can be met takes too long where each lens takes reconstructions.
+    if not check.feasible and not unfinished and not specification.asks_losses:
         reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
     value, unit = _goal(specification, goals) if built is None else _built_goal(specification, goals, built)
     starts = len(chosen.found)
@@ -333,7 +338,9 @@ def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltRe
     if specification.optimize.goal == "as-built rms":
         return max(max(row.predicted_rms_waves) for row in own), "waves"
     if specification.optimize.goal == "yield":
-        return 100.0 * min(row.predicted_good for row in own), "%"
+        return 100.0 * min(row.predicted_good for row in own if row.predicted_good is not None), "%"
+    if specification.optimize.goal == LOSS_GOAL:
+        return max(loss.predicted for row in own for loss in row.losses), ""
     return _goal(specification, goals)
 
 
