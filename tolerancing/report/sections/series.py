@@ -71,7 +71,7 @@ def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
         return [*blocks, Paragraph("No step is finished.")]
     blocks.append(Paragraph(line_pair_text(sweep), soft=True))
     blocks.append(FigureBlock(tuple(sweep_panels(data.study, sweep, steps)), columns=2))
-    columns = [m.label for m in sweep.scored(data.study.merits)]
+    columns = [m.label for m in sweep.scored(data.study.all_merits)]
     blocks += _steps_table([sweep.parameter], columns, steps)
     return [*blocks, *_plates(steps, lambda s: f"{s.coordinates[sweep.parameter]:g} {sweep.unit}".strip())]
 
@@ -93,7 +93,7 @@ def _grid(data: ReportData, grid: ParameterGrid) -> list[Block]:
         return [*blocks, Paragraph("No step is finished.")]
     blocks.append(Paragraph(f"{line_pair_text(grid)} Red: the limit.", soft=True))
     blocks.append(FigureBlock(tuple(grid_panels(data.study, grid, steps)), columns=2))
-    columns = [m.label for m in grid.scored(data.study.merits)]
+    columns = [m.label for m in grid.scored(data.study.all_merits)]
     return [*blocks, *_steps_table([grid.x.column, grid.y.column], columns, steps)]
 
 
