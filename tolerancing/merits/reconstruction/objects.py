@@ -42,6 +42,9 @@ MIDDLE = 0.5
 LARGEST_SHIFT_UM = 2.0
 """Distance up to which what is found may lie beside its place; registration takes it out."""
 
+EVEN = 1e-9
+"""A line whose detail is less than this fraction of it shows nothing."""
+
 DARK = 0.01
 """A bar and a gap that are darker together than this fraction of the brightest light show nothing."""
 
@@ -160,9 +163,10 @@ class LineObject:
         edge = max(round(0.5 * (1.0 - JUDGED) * len(true)), abs(lag))
         here = true[edge : len(true) - edge]
         there = seen[edge + lag : len(true) - edge + lag]
+        least = EVEN * float(np.linalg.norm(there))
         here, there = here - here.mean(), there - there.mean()
-        size = float(np.linalg.norm(here) * np.linalg.norm(there))
-        return float(abs(np.vdot(here, there)) / size) if size > 0.0 else 0.0
+        sizes = float(np.linalg.norm(here)), float(np.linalg.norm(there))
+        return float(abs(np.vdot(here, there)) / (sizes[0] * sizes[1])) if sizes[1] > least else 0.0
 
     def _contrast(self, power: Array, width_um: float, middle_mm: float, shift_um: float) -> float:
         """(bright - dark) / (bright + dark) of a set of bars, each gap against the bars beside it."""

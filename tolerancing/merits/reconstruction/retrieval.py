@@ -30,9 +30,6 @@ STEP, FRICTION = 1.3, 1.0
 ROUNDS = 4
 """Steps of the field behind the lens for each step of the object."""
 
-SCALE_ITERATIONS = 4
-"""Iterations in which the unknown scale of the recorded amplitudes is fitted."""
-
 SETTLED, SETTLED_OVER = 0.02, 5
 """Iterations end where the misfit falls by less than this fraction over so many of them: what would follow
 fits the errors of the model by changes of the object that the planes hardly tell."""
@@ -104,7 +101,8 @@ def retrieve_on_line(
     model
         The reconstruction's model.
     recorded
-        Amplitudes of the pixels on each plane, and their standard deviations where noise is known.
+        Amplitudes of the pixels on each plane in units of the model's, which exposures tell, and their
+        standard deviations where noise is known.
     is_complex
         Whether the object has a phase; without, it is real and between 0 and 1.
     iterations
@@ -121,7 +119,7 @@ def retrieve_on_line(
     amplitudes = [np.asarray(plane.amplitude, float) for plane in recorded]
     size = np.sqrt(sum([_weighed(a, w) for a, w in zip(amplitudes, weights, strict=True)]))
     now = np.ones(model.light.grid.size, complex if is_complex else float)
-    ahead, momentum, scale = now, 0.0, 1.0
+    ahead, momentum = now, 0.0
     misfits: list[float] = []
     while len(misfits) < iterations and not _settled(misfits):
         first = model.forward(ahead)
@@ -130,14 +128,12 @@ def retrieve_on_line(
             fields = [field if plane is None else plane.forward(field) for plane in model.planes]
             known = [pixel_amplitude(values) for values in fields]
             if turn == 0:
-                if len(misfits) < SCALE_ITERATIONS:
-                    scale = _scale(amplitudes, known, weights)
                 parts = zip(amplitudes, known, weights, strict=True)
-                missed = sum([_weighed(a - scale * k, w) for a, k, w in parts])
+                missed = sum([_weighed(a - k, w) for a, k, w in parts])
                 misfits.append(float(np.sqrt(missed) / size))
             change: Any = 0.0
             for plane, values, a, k, w in zip(model.planes, fields, amplitudes, known, weights, strict=True):
-                ratio = a / np.maximum(scale * k, np.finfo(float).tiny) - 1.0
+                ratio = a / np.maximum(k, np.finfo(float).tiny) - 1.0
                 ratio = np.where(k > 0.0, ratio if w is None else w * ratio, 0.0)
                 part = values * np.repeat(ratio, SAMPLES_PER_PIXEL)
                 change = change + (part if plane is None else plane.adjoint(part))
@@ -164,14 +160,6 @@ def _within_unit(values: NDArray[Any]) -> NDArray[Any]:
 
 def _weighed(values: Array, weights: Weights | None) -> float:
     return float(np.sum(values**2 if weights is None else weights * values**2))
-
-
-def _scale(amplitudes: Sequence[Array], known: Sequence[Array], weights: Sequence[Weights | None]) -> float:
-    """Recorded amplitude for a unit of the model's."""
-    parts = list(zip(amplitudes, known, weights, strict=True))
-    met = sum(float(np.sum(a * k if w is None else w * a * k)) for a, k, w in parts)
-    own = sum(_weighed(k, w) for _, k, w in parts)
-    return met / own if met > 0.0 < own else 1.0
 
 
 def _settled(misfits: Sequence[float]) -> bool:

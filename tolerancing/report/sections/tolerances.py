@@ -82,6 +82,9 @@ def distribution_text(perturbation: Perturbation) -> str:
         words = name.replace("_", " ")
         if isinstance(value, float):
             parts.append(f"{words} {value:g} {perturbation.unit}".strip())
+        elif isinstance(value, tuple):
+            listed = ", ".join(f"{one:g}" for one in value)
+            parts.append(f"{words} {listed} {perturbation.unit}".strip())
         else:
             parts.append(f"{words} {value}")
     return ", ".join(parts)
