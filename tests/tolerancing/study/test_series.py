@@ -205,7 +205,7 @@ values = [10, 20]
 def test_settings_are_refused_where_nothing_follows_them(write_study, ray_study):
     with pytest.raises(DesignError, match="no merit of the study follows the number of slices"):
         load_study(write_study("sensitivity = false\n" + ray_study + SLICES))
-    with pytest.raises(DesignError, match="give sensitivity = false, and a .*sweep"):
+    with pytest.raises(DesignError, match=r"give sensitivity = false, and a .*sweep"):
         load_study(write_study(ray_study + SLICES + SLICED))
     study = load_study(write_study("sensitivity = false\n" + ray_study + SLICES + SLICED)).study
     assert study.perturbations[-1].is_setting

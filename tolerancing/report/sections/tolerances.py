@@ -144,6 +144,7 @@ def sensitivity_section(data: ReportData) -> list[Block]:
             soft=True,
         )
     )
+    blocks += [Warning(one.sentence) for one in data.approximations]
     ranking = found.ranking(data.study.merits)
     blocks.append(FigureBlock(tuple(_bars(data, found, ranking, m) for m in range(len(ranking))), columns=2))
     blocks += [_sensitivities(data, found, ranking, m) for m in range(len(ranking))]
