@@ -90,8 +90,8 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
             f"{row.predicted_standard_deviation:.3g}, {100.0 * row.predicted_share:.1f} % good; {trials}"
         )
         print()
-    for one in taken:
-        print(one.sentence)
+    for approximation in taken:
+        print(approximation.sentence)
 
 
 def inverse(

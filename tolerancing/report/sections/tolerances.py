@@ -17,6 +17,7 @@ from tolerancing.report.blocks import (
     Heading,
     Paragraph,
     Table,
+    Warning,
     number_text,
     percent_text,
     signed_text,
