@@ -65,7 +65,7 @@ def reconstruction_panel(
             if perturbation.is_setting:
                 _set_slices(axis, perturbation)
         handles, names = axes[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=min(len(names), 4))
+        figure.legend(handles, names, loc="outside lower center", ncols=len(places))
     text = " and ".join(figures)
     return Panel(figure, f"{text} over {perturbation.column}, by field point")
 
@@ -98,7 +98,7 @@ def _draw(
     name = _place_text(merit)
     if len(x):
         shown = x * (1.0 + SPREAD * _steady(len(x))) if perturbation.is_setting else x
-        axis.plot(shown, y, "o", color=color, ms=3.0, alpha=0.45, mew=0.0, label=f"{name}, trials")
+        axis.plot(shown, y, "o", color=color, ms=4.0, alpha=0.55, mew=0.0, label=f"{name}, trials")
         middles, medians = _medians(x, y, perturbation.is_setting)
         axis.plot(middles, medians, "--", color=color, lw=1.3, label=f"{name}, medians of trials")
     swept = _swept(data, merit, perturbation)
