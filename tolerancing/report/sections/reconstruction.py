@@ -20,8 +20,8 @@ def reconstruction_section(data: ReportData) -> list[Block]:
     text = (
         "What the reconstruction keeps of the object after the whole chain: frames of the perturbed lens, "
         "and retrieval through the reconstruction's own model. In the trials all perturbations vary "
-        "together; dashed lines join medians of the trials. Squares: one parameter by itself, where the study sweeps "
-        "it. Dotted red: the limits."
+        "together; dashed lines join medians of the trials. Squares: one parameter by itself, where the "
+        "study sweeps it. Dotted red: the limits."
     )
     return [
         Heading("Reconstruction: correlation and contrast"),
