@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from lensdesign.exploration.limits import _with_pitch, find_limits
 from places import DESIGNS
 
 from lensdesign.exploration import limits as limits_module
-from lensdesign.exploration.limits import _with_pitch, find_limits
 from lensdesign.optimization import Specification, load_specification, optimize
 from lensdesign.optimization.asked.sections import Settings
 

@@ -7,8 +7,8 @@ import pytest
 from lensdesign.errors import DesignError
 from lensdesign.optimization import result
 from lensdesign.optimization.asked.specification import Specification
+from lensdesign.optimization.limits.reach import largest_that_can
 from lensdesign.optimization.problem import DesignProblem
-from lensdesign.optimization.reach import largest_that_can
 from lensdesign.optimization.search import optimize
 
 ASKED = Specification.model_validate(

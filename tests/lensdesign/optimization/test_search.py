@@ -16,8 +16,8 @@ from lensdesign.optimization import result, search
 from lensdesign.optimization.asked.sections import Constraints, FieldSpread, Settings
 from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.asked.variables import VariableRange
+from lensdesign.optimization.limits.reach import Reach
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
-from lensdesign.optimization.reach import Reach
 from lensdesign.optimization.result import Tried
 from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.search import optimize
