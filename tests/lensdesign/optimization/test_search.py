@@ -254,7 +254,7 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
 @pytest.fixture
 def no_reach(monkeypatch):
     """Without a search for what can be met: it has tests of its own, and takes longer than the one before."""
-    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach(None, None))
+    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach())
 
 
 @pytest.mark.usefixtures("no_reach")
