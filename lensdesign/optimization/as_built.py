@@ -44,6 +44,49 @@ class AsBuiltValues:
 
 
 @dataclass(frozen=True)
+class LossValues:
+    """Mean reconstruction losses of a lens as built; m merits `reconstruction_loss`, v variables.
+
+    Attributes
+    ----------
+    losses, losses_by : ndarray, shapes (m,) and (m, v)
+        Mean over lenses of each merit, and its derivatives.
+    scale
+        Largest mean of the study's own lens.
+    """
+
+    losses: Array
+    losses_by: Array
+    scale: float
+
+
+@dataclass(frozen=True)
+class MeritLoss:
+    """Mean of a merit `reconstruction_loss` over lenses as built.
+
+    Attributes
+    ----------
+    merit
+        The merit's name.
+    conditions
+        Its object points and other settings in words.
+    calibrated
+        Whether the reconstruction's model adapts the compensators of the study.
+    mean, error
+        Over trials, and its standard error.
+    predicted
+        The same without trials.
+    """
+
+    merit: str
+    conditions: str
+    calibrated: bool
+    mean: float
+    error: float
+    predicted: float
+
+
+@dataclass(frozen=True)
 class MeritYield:
     """Fraction of lenses that keep the limit of one merit, whatever they do to the others.
 
@@ -79,7 +122,7 @@ class AsBuiltPrediction:
     rms_waves : tuple of float
         At each object point, over pupil and lenses.
     good
-        Fraction of lenses that keep all limits that can be predicted.
+        Fraction of lenses that keep all limits that can be predicted; NaN where none can.
     merits : dict
         The same fraction for each of these limits alone, by the merits' names.
     """
@@ -108,9 +151,11 @@ class TrialsOf:
     good, low, high
         Yield: the fraction of lenses that keep all limits of the study, and its 95 % interval.
     predicted_good
-        Predicted fraction of lenses that keep all limits that can be predicted.
+        Predicted fraction of lenses that keep all limits that can be predicted; None where none can.
     merits : tuple of MeritYield
         Each limit of the study by itself.
+    losses : tuple of MeritLoss
+        Each merit `reconstruction_loss` of the study, where goal or constraints ask for them.
     """
 
     name: str
@@ -121,8 +166,9 @@ class TrialsOf:
     good: float
     low: float
     high: float
-    predicted_good: float
+    predicted_good: float | None
     merits: tuple[MeritYield, ...]
+    losses: tuple[MeritLoss, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,8 +215,18 @@ class AsBuilt(Protocol):
     def points_mm(self) -> tuple[tuple[float, float], ...]:
         """Object points that are judged."""
 
+    @property
+    def loss_merits(self) -> tuple[str, ...]:
+        """Names of the study's merits `reconstruction_loss`."""
+
     def check(self, lens: Lens) -> None:
         """Refuse, with a DesignError, tolerances of what a lens does not have."""
+
+    def check_yields(self) -> None:
+        """Refuse, with a DesignError, a study of which no yield can be predicted."""
+
+    def check_losses(self, lens: Lens) -> None:
+        """Refuse, with a DesignError, losses that a search for such a lens cannot know."""
 
     def evaluate(self, problem: Any, point: Array, derivatives: bool) -> AsBuiltValues:
         """Predict the lens at a point of the unit box of a `DesignProblem`.
@@ -180,6 +236,9 @@ class AsBuilt(Protocol):
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
         """Predict a finished lens without trials, as reports show it."""
+
+    def losses(self, problem: Any, point: Array, derivatives: bool) -> LossValues:
+        """Predict mean reconstruction losses of the lens at a point of the unit box."""
 
     def scaled(self, factor: float) -> AsBuilt:
         """The study with all tolerances multiplied."""
@@ -233,3 +292,8 @@ def untraceable(points: int, variables: int) -> AsBuiltValues:
     """Values of a lens that has no wavefronts."""
     nowhere = np.full(points, np.inf)
     return AsBuiltValues(nowhere, np.zeros((points, variables)), np.inf, np.zeros(variables))
+
+
+def without_losses(merits: int, variables: int) -> LossValues:
+    """Values of a lens that has no reconstruction."""
+    return LossValues(np.full(merits, np.inf), np.zeros((merits, variables)), 1.0)

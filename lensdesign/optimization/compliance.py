@@ -22,7 +22,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.shapes.base import directions
 from lensdesign.lens.temperature import lens_at_temperature, named_at
 from lensdesign.optimization.as_built import AsBuiltReport, TrialsOf, read_as_built
-from lensdesign.optimization.asked.sections import Constraints
+from lensdesign.optimization.asked.sections import LOSS_GOAL, Constraints
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.tracing.compiled import compile_system
@@ -237,7 +237,8 @@ def _slopes(lens: Lens, specification: Specification) -> list[Constraint]:
 
 def _as_built(lens: Lens, specification: Specification, built: AsBuiltReport | None) -> list[Constraint]:
     limits, tolerances = specification.constraints, specification.tolerances
-    if (limits.min_yield is None and limits.max_as_built_rms_waves is None) or tolerances is None:
+    asked = (limits.min_yield, limits.max_as_built_rms_waves, limits.max_as_built_reconstruction_loss)
+    if all(limit is None for limit in asked) or tolerances is None:
         return []
     hot = at_temperatures(lens, specification)
     if built is None:
@@ -261,6 +262,14 @@ def _as_tried(limits: Constraints, found: TrialsOf, places: Sequence[str]) -> li
             name = f"as-built rms at {place}"
             miss = f"{name}: {rms:.4f} +- {2.0 * error:.4f} waves exceeds the limit of {most:g} waves"
             rows.append(constraint(name, rms, "<=", most, "waves", rms - 2.0 * error <= most, miss))
+    largest = limits.max_as_built_reconstruction_loss
+    for one in () if largest is None else found.losses:
+        assert largest is not None
+        name = f"{LOSS_GOAL}, {one.merit}"
+        miss = f"{name}: {one.mean:.4g} +- {2.0 * one.error:.2g} exceeds the limit of {largest:g}"
+        rows.append(
+            constraint(name, one.mean, "<=", largest, "", one.mean - 2.0 * one.error <= largest, miss)
+        )
     return rows
 
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import check_time
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.base import Shape
 from lensdesign.lens.shapes.registry import class_with
 from lensdesign.lens.temperature import lens_at_temperature
-from lensdesign.optimization.as_built import AsBuiltValues, read_as_built
+from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_built
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.asked.variables import VariableRange
 from lensdesign.optimization.heated import Heat, Heated
@@ -115,6 +116,7 @@ class DesignProblem:
         self.rotational = all(surface.shape.ROTATIONAL for surface in base.surfaces)
         self._tolerances = specification.as_built
         self._as_built: tuple[tuple[bytes, bool], AsBuiltValues] | None = None
+        self._losses: tuple[tuple[bytes, bool], LossValues] | None = None
         self._hot: tuple[tuple[bytes, bool], Heated] | None = None
         self.heat, self.heated = self._temperatures(temperature_c)
 
@@ -194,6 +196,7 @@ class DesignProblem:
             None if heat is None else heat.temperature_c,
             None if heat is None else heat.sizes,
             tuple(other.state(point, rays, derivatives) for other in self.heated),
+            self.losses(point, derivatives),
         )
 
     def trace(
@@ -214,6 +217,7 @@ class DesignProblem:
         planes_mm: Array | None = None,
     ) -> GradientTrace:
         """To some planes, or to those of the sensor."""
+        check_time()
         lens, chain = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
         variables = self.variables if derivatives else ()
@@ -300,12 +304,21 @@ class DesignProblem:
 
     def as_built(self, point: Array, derivatives: bool = True) -> AsBuiltValues | None:
         """What is predicted of the lens at a point of the unit box; None where nothing asks for it."""
-        if self._tolerances is None:
+        if self._tolerances is None or not self.specification.asks_yields:
             return None
         key = point.tobytes(), derivatives
         if self._as_built is None or self._as_built[0] != key:
             self._as_built = key, self._tolerances.evaluate(self, point, derivatives)
         return self._as_built[1]
+
+    def losses(self, point: Array, derivatives: bool = True) -> LossValues | None:
+        """Reconstruction losses of the lens at a point of the unit box; None where nothing asks for them."""
+        if self._tolerances is None or not self.specification.asks_losses:
+            return None
+        key = point.tobytes(), derivatives
+        if self._losses is None or self._losses[0] != key:
+            self._losses = key, self._tolerances.losses(self, point, derivatives)
+        return self._losses[1]
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True

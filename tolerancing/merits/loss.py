@@ -83,7 +83,7 @@ class ReconstructionLoss(PupilMerit):
         from wavesim.pupil import expected_loss
 
         key = (point, self.patch_mm, self.object, self.planes_mm, self.electrons, self.wavelength_um)
-        chains = context.kept(("meridians", *key), lambda: self._chains(context, point))
+        chains = context.kept(("meridians", *key), lambda: self.chains(context.lens, point))
         adapted: _Adapted | None = None
         if compensated and context.compensators:
             adapted = context.kept(("adapted", *key), lambda: _Adapted(context, chains, self.wavelength_um))
@@ -93,13 +93,14 @@ class ReconstructionLoss(PupilMerit):
             scores.append(expected_loss(chains, adapted.left(waves) if adapted else waves))
         return np.array(scores)
 
-    def _chains(self, context: Context, point: tuple[float, float]) -> list[LinearisedChain]:
+    def chains(self, lens: Lens, point: tuple[float, float]) -> list[LinearisedChain]:
+        """Return the linearised chains of a nominal lens about an object point, one for each meridian."""
         from wavesim.pupil import LinearisedChain, Meridian
 
-        wavelength = context.wavelength_um(self.wavelength_um)
+        wavelength = lens.wavelengths_um[0] if self.wavelength_um is None else self.wavelength_um
         return [
             LinearisedChain(
-                Meridian(context.lens, point, self.patch_mm, azimuth, self.planes_mm, wavelength),
+                Meridian(lens, point, self.patch_mm, azimuth, self.planes_mm, wavelength),
                 self.object,
                 self.electrons,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,11 +13,19 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.as_built import AsBuiltPrediction, AsBuiltReport, AsBuiltValues, untraceable
+from lensdesign.optimization.as_built import (
+    AsBuiltPrediction,
+    AsBuiltReport,
+    AsBuiltValues,
+    LossValues,
+    untraceable,
+    without_losses,
+)
 from lensdesign.optimization.problem import DesignProblem
 from lensdesign.tracing.gradients import Variable
 from tolerancing.cost.pricing import cost_of
 from tolerancing.cost.table import CostTable, load_costs
+from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.study.evaluate import compensated_points, make_ready
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
@@ -24,6 +33,7 @@ from tolerancing.wavefronts.goals.compensated import CompensatedWaves, Wavefront
 from tolerancing.wavefronts.goals.design import DesignPoint, Scatter, bent, sized
 from tolerancing.wavefronts.goals.forms import wavefront_forms
 from tolerancing.wavefronts.goals.joint import DrawnLoads, failing_fraction
+from tolerancing.wavefronts.goals.mean_losses import SearchedLosses
 from tolerancing.wavefronts.goals.ray_loads import FollowedRays, RayLoads, judged_rays
 from tolerancing.wavefronts.goals.trials import predicted_of, trials_of
 from tolerancing.wavefronts.prediction import Judged, is_predicted_wavefront, wavefront_points
@@ -109,6 +119,15 @@ class StudyAsBuilt:
         known |= {m.label for m in self.study.merits if is_predicted_wavefront(m)}
         return tuple(m.label for m in self.study.merits if m.label not in known)
 
+    @property
+    def loss_merits(self) -> tuple[str, ...]:
+        """Names of the study's merits `reconstruction_loss`."""
+        return tuple(merit.label for merit in self.study.merits if isinstance(merit, ReconstructionLoss))
+
+    @cached_property
+    def _losses(self) -> SearchedLosses:
+        return SearchedLosses(self.study, self.reference, self.factor, self.source)
+
     @cached_property
     def _scatter(self) -> Scatter:
         # A search ends with trials: whether all merits can score is known before it begins.
@@ -129,12 +148,6 @@ class StudyAsBuilt:
         ------
         DesignError
         """
-        if not self.judged and not predicted_merits(self.study):
-            raise DesignError(
-                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
-                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
-                "footprint_radius_mm"
-            )
         check_against(self.study, bent(lens), self.source)
         if self.amount is not None:
             if self.amount <= (elements := len(lens.glass_fronts)):
@@ -172,6 +185,45 @@ class StudyAsBuilt:
         numbers = (found.rms_waves, found.rms_by, found.failing, found.failing_by)
         if not all(np.all(np.isfinite(own)) for own in numbers) or np.any(found.rms_waves <= 0.0):
             return untraceable(len(self.judged), len(variables))
+        return found
+
+    def check_yields(self) -> None:
+        """Refuse a study of which no yield can be predicted.
+
+        Raises
+        ------
+        DesignError
+        """
+        if not self.judged and not predicted_merits(self.study):
+            raise DesignError(
+                f"{self.source}: no merit can be predicted without trials ({', '.join(self.trials_only)}), "
+                "so a search cannot use it: add one of kind rms_waves, strehl, largest_spread_deg or "
+                "footprint_radius_mm"
+            )
+
+    def check_losses(self, lens: Lens) -> None:
+        """Refuse losses that a search for such a lens cannot know.
+
+        Raises
+        ------
+        DesignError
+            If the study's own lens cannot stand for the lenses of the search.
+        """
+        self._losses.check(lens)
+
+    def losses(self, problem: DesignProblem, point: Array, derivatives: bool) -> LossValues:
+        """Predict mean reconstruction losses of the lens at a point of the unit box.
+
+        Derivatives are by the variables' own values.
+        """
+        count = len(problem.variables) if derivatives else 0
+        try:
+            with np.errstate(all="ignore"):
+                found = self._losses.values(problem, point, derivatives)
+        except (TransferLensError, np.linalg.LinAlgError):
+            return without_losses(len(self.loss_merits), count)
+        if not (np.all(np.isfinite(found.losses)) and np.all(np.isfinite(found.losses_by))):
+            return without_losses(len(self.loss_merits), count)
         return found
 
     def _values(
@@ -221,6 +273,8 @@ class StudyAsBuilt:
 
     def predict(self, lens: Lens) -> AsBuiltPrediction:
         """Predict a finished lens by the function that `tolerancing predict` prints."""
+        if not self.judged and not predicted_merits(self.study):
+            return AsBuiltPrediction((), math.nan, {})
         lens = self._fitting(lens)
         return predicted_of(lens, self._toleranced(self.study, lens))
 

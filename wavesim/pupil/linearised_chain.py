@@ -164,11 +164,13 @@ class LinearisedChain:
         changes = (self.amplitudes(waves) - self.nominal).T
         x = self.meridian.coordinates_mm
         judged = np.abs(x) <= 0.5 * JUDGED * self.meridian.length_mm
-        result = []
+        passed = self.passed[judged]
+        pairs: tuple[list[Array], list[Array]] = [], []
         for values, change, solution in zip(self.objects.T, changes, self.solutions, strict=True):
-            found, true = ((self.passed @ one)[judged] for one in (values + solution @ change, values))
-            result.append(_registered(found - found.mean(), true - true.mean()))
-        return np.array(result)
+            for own, signal in zip(pairs, (values + solution @ change, values), strict=True):
+                own.append(passed @ signal)
+        found, true = (np.array(own) - np.mean(own, axis=1, keepdims=True) for own in pairs)
+        return registered_correlations(found, true)
 
 
 def expected_loss(chains: Sequence[LinearisedChain], waves: Sequence[Sequence[Array]]) -> float:
@@ -196,11 +198,17 @@ def expected_loss(chains: Sequence[LinearisedChain], waves: Sequence[Sequence[Ar
     return float(1.0 - 1.0 / np.sqrt(1.0 + max(sum(errors), 0.0)))
 
 
-def _registered(one: Array | ComplexArray, other: Array | ComplexArray) -> float:
-    """Largest correlation of two signals over the shift between them."""
-    spectra = np.fft.fft(one, 2 * len(one)), np.fft.fft(other, 2 * len(other))
-    product, half = spectra[0] * spectra[1].conj(), len(one)
-    padded = np.zeros(2 * FINER * len(one), complex)
-    padded[:half], padded[-half:] = product[:half], product[half:]
-    size = np.linalg.norm(one) * np.linalg.norm(other)
-    return float(FINER * np.abs(np.fft.ifft(padded)).max() / size) if size > 0.0 else 0.0
+def registered_correlations(found: Array | ComplexArray, true: Array | ComplexArray) -> Array:
+    """Return the largest correlation of pairs of signals over the shift between them.
+
+    Parameters
+    ----------
+    found, true : ndarray, shape (pairs, samples)
+    """
+    count, width = found.shape
+    product = np.fft.fft(found, 2 * width) * np.fft.fft(true, 2 * width).conj()
+    padded = np.zeros((count, 2 * FINER * width), complex)
+    padded[:, :width], padded[:, -width:] = product[:, :width], product[:, width:]
+    sizes = np.linalg.norm(found, axis=1) * np.linalg.norm(true, axis=1)
+    largest = FINER * np.abs(np.fft.ifft(padded)).max(axis=1)
+    return np.asarray(np.where(sizes > 0.0, largest / np.maximum(sizes, np.finfo(float).tiny), 0.0))

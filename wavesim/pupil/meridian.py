@@ -40,6 +40,9 @@ FAN = 241
 PIXELS_PER_SAMPLE = 4
 """Of the sensor, that are looked at on each plane; where there are more, they are evenly left out."""
 
+FEWEST_FANS = 4
+"""Between so many fans, or more, a path is a polynomial of the object point."""
+
 NODES, ORDERS = (5, 15), (3, 6)
 """Object points and cosines at which perturbed rays are traced, and orders of the polynomial between them."""
 
@@ -93,6 +96,11 @@ class Meridian:
         Where the sensor records, from the exit vertex; the design's planes if empty.
     wavelength_um : float, optional
         The design's first one if left out.
+    pixels_per_sample : float
+        Pixels of each plane that are used, for each sample of the object; the others are left out evenly.
+    fans : int
+        Object points from which nominal rays are traced; between them path and cosine are polynomials of the
+        object point. 0 traces a fan from each sample.
 
     Raises
     ------
@@ -108,9 +116,14 @@ class Meridian:
     azimuth_deg: float = 0.0
     planes_mm: tuple[float, ...] = ()
     wavelength_um: float | None = None
+    pixels_per_sample: float = PIXELS_PER_SAMPLE
+    fans: int = 0
 
     def __post_init__(self) -> None:
         refuse_not_positive("length_mm", self.length_mm)
+        refuse_not_positive("pixels_per_sample", self.pixels_per_sample)
+        if self.fans and self.fans < FEWEST_FANS:
+            raise InputError(f"fans = {self.fans}: must be 0, or {FEWEST_FANS} or more")
 
     @cached_property
     def wavelength(self) -> float:
@@ -172,19 +185,45 @@ class Meridian:
         return np.array([*across, self.lens.object_z_mm])
 
     def _plane(self, number: int, distance_mm: float) -> MeridianPlane:
-        z_mm = self.lens.exit_vertex_z_mm + distance_mm
-        fans = [self._fan(x, z_mm) for x in self.coordinates_mm]
+        z_mm, samples = self.lens.exit_vertex_z_mm + distance_mm, self.coordinates_mm
+        nodes = [math.cos(math.pi * (n + 0.5) / self.fans) for n in range(self.fans)]
+        traced = [0.5 * self.length_mm * x for x in nodes] if self.fans else samples.tolist()
+        fans = [self._fan(x, z_mm) for x in traced]
         pixel = 1e-3 * self.lens.sensor.pixel_pitch_um
         low, high = (pick(at(fan[0]) for fan in fans) for pick, at in ((min, np.min), (max, np.max)))
-        every = max(1, int((high - low) / pixel) // (PIXELS_PER_SAMPLE * len(fans)))
-        pixels = np.arange(math.floor(low / pixel), math.ceil(high / pixel) + 1, every) * pixel
-        matrix = np.zeros((len(pixels), len(fans)), complex)
-        cosines = np.zeros(matrix.shape)
-        for column, fan in enumerate(fans):
-            lit = (pixels > fan[0][0]) & (pixels < fan[0][-1])
-            matrix[lit, column], cosines[lit, column] = self._elements(pixels[lit], *fan)
-        matrix *= math.sqrt(every * pixel * self.length_mm / len(fans) / (1e-3 * self.wavelength))
+        every = max(1, int(int((high - low) / pixel) / (self.pixels_per_sample * len(samples))))
+        numbers = range(math.floor(low / pixel), math.ceil(high / pixel) + 1, every)
+        pixels = pixel * np.array(numbers, float)
+        if self.fans:
+            matrix, cosines = self._between(pixels, fans, nodes)
+        else:
+            matrix, cosines = np.zeros((len(pixels), len(fans)), complex), np.zeros((len(pixels), len(fans)))
+            for column, fan in enumerate(fans):
+                lit = (pixels > fan[0][0]) & (pixels < fan[0][-1])
+                root, path, cosines[lit, column] = self._elements(pixels[lit], *fan)
+                matrix[lit, column] = root * self._phasor(path)
+        matrix *= math.sqrt(every * pixel * self.length_mm / len(samples) / (1e-3 * self.wavelength))
         return MeridianPlane(number, matrix, cosines / self._aperture, *self._nodes(z_mm))
+
+    def _between(
+        self, pixels: Array, fans: Sequence[tuple[Array, Array, Array, Array]], nodes: list[float]
+    ) -> tuple[ComplexArray, Array]:
+        """Elements at all samples from fans at a few object points."""
+        from numpy.polynomial.chebyshev import chebvander
+
+        order = len(nodes) - 1
+        across = chebvander(self.coordinates_mm / (0.5 * self.length_mm), order)
+        weights = np.linalg.solve(chebvander(nodes, order).T, across.T)
+        root, path, cosines = (
+            np.stack(part, axis=1) @ weights
+            for part in zip(*(self._elements(pixels, *fan) for fan in fans), strict=True)
+        )
+        ends = np.array([(fan[0][0], fan[0][-1]) for fan in fans]).T @ weights
+        lit = (pixels[:, None] > ends[0]) & (pixels[:, None] < ends[1])
+        return np.where(lit, root * self._phasor(path), 0.0), np.where(lit, cosines, 0.0)
+
+    def _phasor(self, path_mm: Array) -> ComplexArray:
+        return np.asarray(np.exp(2j * np.pi * np.remainder(path_mm / (1e-3 * self.wavelength), 1.0)))
 
     def _fan(self, x_mm: float, z_mm: float) -> tuple[Array, Array, Array, Array]:
         """Where rays from a sample meet the plane, and their cosine there, path, and cosine here."""
@@ -209,13 +248,13 @@ class Meridian:
 
     def _elements(
         self, pixels: Array, places: Array, behind: Array, path: Array, cosines: Array
-    ) -> tuple[ComplexArray, Array]:
+    ) -> tuple[Array, Array, Array]:
+        """Root of the density of rays, path and cosine at pixels."""
         from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
         along = CubicHermiteSpline(places, path, behind)(pixels)
         here = CubicSpline(places, cosines)
-        phase = 2.0 * np.pi * np.remainder(along / (1e-3 * self.wavelength), 1.0)
-        return np.sqrt(np.abs(here(pixels, 1))) * np.exp(1j * phase), here(pixels)
+        return np.sqrt(np.abs(here(pixels, 1))), along, here(pixels)
 
     def _nodes(self, z_mm: float) -> tuple[tuple[AimingMap, ...], tuple[Array, ...], tuple[Array, ...]]:
         """Nominal rays to which perturbed ones are aimed."""

@@ -57,6 +57,8 @@ class Constraints(Section):
         Fraction of lenses as built that keep all limits of the tolerance study.
     max_as_built_rms_waves
         Largest wavefront error as built, root mean square over pupil and lenses, at each object point.
+    max_as_built_reconstruction_loss
+        Largest mean over lenses as built of each merit `reconstruction_loss` of the study.
     """
 
     max_spread_deg: Annotated[float, Field(gt=0.0, lt=90.0)] | Literal["sensor", "none"] = "sensor"
@@ -75,6 +77,7 @@ class Constraints(Section):
     max_semi_diameter_mm: Positive | None = None
     min_yield: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     max_as_built_rms_waves: Positive | None = None
+    max_as_built_reconstruction_loss: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
     _lists = field_validator("max_spread_xy_deg", "field_spread", "max_footprint_radius_mm", mode="before")(
         tuples
@@ -141,7 +144,10 @@ class Environment(Section):
         return value
 
 
-AS_BUILT_GOALS = ("as-built rms", "yield")
+LOSS_GOAL = "as-built reconstruction loss"
+"""Goal that takes a merit `reconstruction_loss`."""
+
+AS_BUILT_GOALS = ("as-built rms", "yield", LOSS_GOAL)
 """Goals that take tolerances."""
 
 
@@ -154,8 +160,9 @@ class Settings(Section):
         ``smallest spread`` (the largest share that a wavelength takes of its own limit, Eq. 2),
         ``smallest spread angle`` (the largest angle at any wavelength), ``thinnest lens``,
         ``smallest aperture``, ``shortest track`` (object to last sensor plane), ``as-built rms`` (the largest
-        wavefront error of built lenses at the tolerances' object points) or ``yield`` (the fraction of
-        lenses that keep all limits of the study).
+        wavefront error of built lenses at the tolerances' object points), ``yield`` (the fraction of
+        lenses that keep all limits of the study), or ``as-built reconstruction loss`` (the largest mean
+        over built lenses of a merit `reconstruction_loss` of the study).
     start
         ``design`` is the lens in the file, ``plate`` makes its variable surfaces flat, ``random`` draws
         from the bounds.
@@ -183,6 +190,7 @@ class Settings(Section):
         "shortest track",
         "as-built rms",
         "yield",
+        "as-built reconstruction loss",
     ] = "smallest spread"
     start: Literal["design", "plate", "random"] = "design"
     stop: Literal["fixed", "numerical aperture"] = "fixed"

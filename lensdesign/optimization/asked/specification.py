@@ -23,7 +23,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import check_heat, lens_at_temperature
 from lensdesign.optimization.as_built import AsBuilt, read_as_built
 from lensdesign.optimization.asked.sections import (
-    AS_BUILT_GOALS,
+    LOSS_GOAL,
     Constraints,
     Environment,
     Settings,
@@ -87,9 +87,20 @@ class Specification(Lens):
     @property
     def asks_as_built(self) -> bool:
         """Whether goal or constraints are about lenses as built."""
+        return self.asks_yields or self.asks_losses
+
+    @property
+    def asks_yields(self) -> bool:
+        """Whether goal or constraints are about yields or wavefronts of lenses as built."""
         limits = self.constraints
         asked = limits.min_yield is not None or limits.max_as_built_rms_waves is not None
-        return asked or self.optimize.goal in AS_BUILT_GOALS
+        return asked or self.optimize.goal in ("yield", "as-built rms")
+
+    @property
+    def asks_losses(self) -> bool:
+        """Whether goal or constraints are about reconstruction losses of lenses as built."""
+        limited = self.constraints.max_as_built_reconstruction_loss is not None
+        return limited or self.optimize.goal == LOSS_GOAL
 
     @property
     def as_built(self) -> AsBuilt | None:
@@ -177,12 +188,21 @@ def _with_tolerances(specification: Specification, path: Path) -> Specification:
     specification = specification.model_copy(update={"tolerances": tolerances})
     if specification.as_built is not None:
         specification.as_built.check(specification.lens)
+        if specification.asks_yields:
+            specification.as_built.check_yields()
         wanted = specification.constraints.max_as_built_rms_waves is not None
         if (wanted or specification.optimize.goal == "as-built rms") and not specification.as_built.points_mm:
             raise DesignError(
                 f"{path}: as-built rms: no merit of {tolerances.study} limits the refocused wavefront: add "
                 "one of kind rms_waves or strehl, with field_points_mm, to the study"
             )
+        if specification.asks_losses and not specification.as_built.loss_merits:
+            raise DesignError(
+                f"{path}: as-built reconstruction loss: {tolerances.study} has no merit of kind "
+                "reconstruction_loss: add one, with patch_mm and field_points_mm, to the study"
+            )
+        if specification.asks_losses:
+            specification.as_built.check_losses(specification.lens)
     return specification
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
-from lensdesign.optimization.asked.sections import AS_BUILT_GOALS
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS, LOSS_GOAL
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.rows.glass import glass_rows, lens_thickness, track
@@ -88,8 +88,12 @@ def _light_rows(specification: Specification, state: State, limited: bool) -> li
 
 
 def _as_built_goal(goal: str, state: State) -> Row:
-    assert state.as_built is not None  # the goal asked for it
     name = named_at(goal, state.temperature_c)
+    if goal == LOSS_GOAL:
+        assert state.losses is not None  # the goal asked for it
+        losses = state.losses
+        return finite_row(name, losses.losses / losses.scale, losses.losses_by / losses.scale)
+    assert state.as_built is not None  # the goal asked for it
     if goal == "yield":
         return finite_row(name, np.array([state.as_built.failing]), state.as_built.failing_by[None])
     scale = AS_BUILT_SCALE_WAVES
@@ -98,9 +102,10 @@ def _as_built_goal(goal: str, state: State) -> Row:
 
 def _as_built_rows(specification: Specification, state: State) -> list[Row]:
     """How many lenses may fail, and how large their wavefront errors may be."""
-    limits, found, rows = specification.constraints, state.as_built, []
+    limits, found = specification.constraints, state.as_built
+    rows = _loss_rows(specification, state)
     if found is None:
-        return []
+        return rows
     if limits.min_yield is not None:
         excess = found.failing - (1.0 - limits.min_yield)
         rows.append(
@@ -111,6 +116,14 @@ def _as_built_rows(specification: Specification, state: State) -> list[Row]:
         name = named_at("as-built rms", state.temperature_c)
         rows.append(finite_row(name, found.rms_waves / most - 1.0, found.rms_by / most))
     return rows
+
+
+def _loss_rows(specification: Specification, state: State) -> list[Row]:
+    most, found = specification.constraints.max_as_built_reconstruction_loss, state.losses
+    if most is None or found is None:
+        return []
+    name = named_at(LOSS_GOAL, state.temperature_c)
+    return [finite_row(name, found.losses / most - 1.0, found.losses_by / most)]
 
 
 def _limits_its_goal(specification: Specification) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.as_built import AsBuiltValues
+from lensdesign.optimization.as_built import AsBuiltValues, LossValues
 from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.tracing.gradients import GradientTrace, Variable
 
@@ -42,6 +42,8 @@ class State:
         By which its surfaces have grown; None as designed.
     heated
         The same lens at other temperatures, where something is asked of it there.
+    losses
+        Its mean reconstruction losses as built, where goal or constraints ask for them.
     """
 
     lens: Lens
@@ -52,6 +54,7 @@ class State:
     temperature_c: float | None = None
     sizes: Array | None = None
     heated: tuple[State, ...] = ()
+    losses: LossValues | None = None
 
     @property
     def all(self) -> tuple[State, ...]:

@@ -115,12 +115,7 @@ class DesignPoint:
         self.wavelength = wavelength
         self.wavelength_um = problem.base.wavelengths_um[wavelength]
         self.lens = problem.lens_at(point)
-        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-        edge = np.tile([0.0, self.lens.half_field_mm], (RIM_POINTS, 1))
-        rim = Rays(edge, np.column_stack([np.cos(angles), np.sin(angles)]))
-        self._rim = problem.trace(point, rim, bool(variables), np.zeros(1), wavelength)
-        if not np.all(self._rim.ok):
-            raise DesignError("rays from the rim of the field do not all pass the lens")
+        self._rim = _rim_trace(problem, point, bool(variables), wavelength)
         self.changes, self._factor = self._changes_of(self.lens, self._clear(None, 0.0))
         self.multiplier = self._multiplier(self._factor)
         self._ends: dict[int, tuple[Changes, Changes, float, complex]] = {}
@@ -194,6 +189,33 @@ class DesignPoint:
         pivot = scatter.study.pivot_z_mm
         changes = changes_of(whole, scatter.parameters, scatter.sizes, pivot, self.wavelength_um, False)
         return changes, scatter.factor(whole)
+
+
+def rim_heights(problem: DesignProblem, point: Array) -> Array:
+    """Return the clear height of each surface of the lens at a point of the unit box, in mm.
+
+    Of the stop it is the semi-diameter.
+
+    Raises
+    ------
+    DesignError
+        If rays from the rim of the field do not all pass.
+    """
+    trace = _rim_trace(problem, point, False, 0)
+    heights = np.max(np.hypot(trace.heights[..., 0], trace.heights[..., 1]), axis=0)
+    heights[problem.base.stop_index] = trace.stop_semi_diameter_mm
+    return np.asarray(heights)
+
+
+def _rim_trace(problem: DesignProblem, point: Array, derivatives: bool, wavelength: int) -> GradientTrace:
+    """Rays from the edge of the field through the rim of the stop."""
+    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    edge = np.tile([0.0, problem.lens_at(point).half_field_mm], (RIM_POINTS, 1))
+    rim = Rays(edge, np.column_stack([np.cos(angles), np.sin(angles)]))
+    trace = problem.trace(point, rim, derivatives, np.zeros(1), wavelength)
+    if not np.all(trace.ok):
+        raise DesignError("rays from the rim of the field do not all pass the lens")
+    return trace
 
 
 class TracedRays:

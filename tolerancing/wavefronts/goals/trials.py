@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +12,17 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
-from lensdesign.optimization.as_built import AsBuiltPrediction, MeritYield, TrialsOf
+from lensdesign.optimization.as_built import AsBuiltPrediction, MeritLoss, MeritYield, TrialsOf
 from tolerancing.analysis.yields import yield_of
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
+from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.draws import replicates
 from tolerancing.study.evaluate import context_of, decide_levels, realise
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
+from tolerancing.wavefronts.losses import mean_loss
 from tolerancing.wavefronts.prediction import Judged
 from tolerancing.wavefronts.study_prediction import predict_study
 
@@ -72,7 +76,23 @@ def trials_of(
         squares.append(_mean_squares(context, batch, judged))
         if start == 0 and all(messages):
             raise InputError(f"{name or 'the lens'}: no trial can be scored: {messages[0]}")
-    return _summary(name, study, np.concatenate(scores), np.concatenate(squares), predicted)
+    scored = np.concatenate(scores)
+    summary = _summary(name, study, scored, np.concatenate(squares), predicted)
+    return replace(summary, losses=_losses(lens, study, scored))
+
+
+def _losses(lens: Lens, study: Study, scores: Array) -> tuple[MeritLoss, ...]:
+    """Mean reconstruction losses; a trial without a score has lost all."""
+    found = []
+    for k, merit in enumerate(study.merits):
+        if isinstance(merit, ReconstructionLoss):
+            own = np.where(np.isfinite(scores[:, k]), scores[:, k], 1.0)
+            error = float(np.std(own) / np.sqrt(len(own)))
+            words = ", ".join(merit.details)
+            predicted = mean_loss(lens, study, merit)
+            calibrated = bool(study.compensators)
+            found.append(MeritLoss(merit.label, words, calibrated, float(np.mean(own)), error, predicted))
+    return tuple(found)
 
 
 def _summary(
@@ -98,7 +118,7 @@ def _summary(
         good.share,
         good.low,
         good.high,
-        predicted.good,
+        None if math.isnan(predicted.good) else predicted.good,
         rows,
     )
 
