@@ -15,6 +15,7 @@ SCRIPTS = (
     "wavefronts",
     "monte_carlo_speed",
     "optimizer",
+    "limits",
     "pupil_trial",
     "eikonal_speed",
     "terms_transform",

@@ -108,9 +108,8 @@ def main() -> None:
 
 def measured(name: str, asked: Specification, seeds: int) -> str:
     """Return a row of the table."""
-    found, began = [], time.perf_counter()
-    for seed in range(seeds):
-        found.append(find_limits(asked, seed=seed, kinds=(FIELD,), most=1.0)[0])
+    began = time.perf_counter()
+    found = [find_limits(asked, seed=seed, kinds=(FIELD,), most=1.0)[0] for seed in range(seeds)]
     seconds = (time.perf_counter() - began) / seeds
     values = [one.reached for one in found if one.reached is not None]
     if len(values) < seeds:
