@@ -17,6 +17,7 @@ SCRIPTS = (
     "designer_day",
     "monte_carlo_speed",
     "optimizer",
+    "limits",
     "pupil_trial",
     "eikonal_speed",
     "terms_transform",

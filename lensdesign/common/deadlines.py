@@ -11,13 +11,17 @@ from contextvars import ContextVar
 _end: ContextVar[float] = ContextVar("deadline", default=math.inf)
 
 
+clock = time.monotonic
+"""The clock of all deadlines, in seconds; tests replace it."""
+
+
 class OutOfTime(Exception):
     """Raised by :func:`check_time` when the deadline that holds has passed."""
 
 
 def now() -> float:
-    """Return the time in seconds by which deadlines are kept; tests replace it."""
-    return time.monotonic()
+    """Return the time in seconds by which deadlines are kept."""
+    return clock()
 
 
 @contextmanager

@@ -268,7 +268,7 @@ def _result(
         feasible=check.feasible and not unchecked,
         violations=(*check.violations, *unchecked),
         check=check,
-        binding=list(binding(problem, point, BINDING)),
+        binding=list(binding(problem, point, best.rays, BINDING)),
         unfinished=unfinished,
         as_built=built,
         not_tried=[t.glasses for t in tried if not t.found and t.limit],

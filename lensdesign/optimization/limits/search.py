@@ -26,7 +26,7 @@ from lensdesign.optimization.asked.specification import Specification, refuse_im
 from lensdesign.optimization.compliance import check_against
 from lensdesign.optimization.limits.kinds import Kind, kinds_of
 from lensdesign.optimization.local_search import Budget, Found, dense_rays, search_from, starts_of
-from lensdesign.optimization.problem import DesignProblem, finished_lens
+from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens
 from lensdesign.optimization.rows.row import KEPT
 
 RESOLUTION = 5e-4
@@ -355,7 +355,7 @@ class _LimitSearch:
                 rays = dense_rays(problem)
                 lens = finished_lens(problem, end.point, rays)
                 if check_against(lens, _without_trials(problem.specification)).feasible:
-                    return value, lens, binding(problem, end.point, BINDING)
+                    return value, lens, binding(problem, end.point, rays, BINDING)
             except DesignError:
                 continue
         return None
@@ -366,17 +366,17 @@ def _without_trials(specification: Specification) -> Specification:
     return specification.model_copy(update={"constraints": limits})
 
 
-def binding(problem: DesignProblem, point: Array, within: float) -> tuple[str, ...]:
+def binding(problem: DesignProblem, point: Array, rays: Rays, within: float) -> tuple[str, ...]:
     """Return the names of constraints and bounds that a point of the unit box reaches.
 
     Parameters
     ----------
-    problem, point
-        The specification and the point.
+    problem, point, rays
+        The specification, the point, and the rays by which it is judged.
     within
         Distance from zero of a scaled constraint that counts as reached.
     """
-    _, constraints = problem.rows(point, dense_rays(problem), final=True, derivatives=False)
+    _, constraints = problem.rows(point, rays, final=True, derivatives=False)
     worst = ((row.name, float(np.max(row.values, initial=-1.0))) for row in constraints)
     names = [name for name, value in worst if -within < value <= KEPT]
     for v, u in zip(problem.ranges, point, strict=True):

@@ -11,6 +11,14 @@ from lensdesign.optimization.limits.kinds import FIELD, PITCH
 from lensdesign.optimization.limits.search import find_limits
 
 
+@pytest.fixture
+def specification() -> Specification:
+    """A field that is smaller than the largest."""
+    asked = load_specification(DESIGNS / "thinnest_singlet_spec.toml")
+    settings = asked.optimize.replaced(max_evaluations=2000)
+    return asked.replaced(object=asked.object.replaced(field_diameter_mm=2.4), optimize=settings)
+
+
 def test_limits_can_be_met_and_a_little_more_cannot(specification: Specification) -> None:
     limited = specification.model_copy(
         update={

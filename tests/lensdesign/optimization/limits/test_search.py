@@ -85,5 +85,5 @@ def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list
         return trace(self, *arguments)
 
     monkeypatch.setattr(DesignProblem, "_trace", counting)
-    monkeypatch.setattr(deadlines, "now", lambda: time[0])
+    monkeypatch.setattr(deadlines, "clock", lambda: time[0])
     return time
