@@ -1,16 +1,44 @@
 """The whole chain on a meridional line of the paper's lens: decenter and tilt against the reconstruction.
 
-python -m benchmarks.whole_chain
+With `--twin`, contrast of bars on a 1/48 twin, beside that of the chain in the plane.
+
+python -m benchmarks.whole_chain [--twin]
 """
 
 from __future__ import annotations
 
-from lensdesign import Pose, load_design
+import argparse
+
+import numpy as np
+
+from lensdesign import Pose, load_design, scaled
+from tolerancing.merits.chain import ReconstructedContrast
+from tolerancing.merits.context import Context, Sampling
 from tolerancing.merits.reconstruction.line_chain import LineChain, ReconstructionEngine
+from tolerancing.perturbations.batch import PerturbationBatch
+from tolerancing.perturbations.parameters import PerturbedParameter
 from wavesim.scene.placement import NOMINAL, Placement
 
 DECENTERS_MM, TILTS_DEG = (0.0, 0.00125, 0.005, 0.01, 0.02, 0.05), (0.02, 0.1, 0.2, 0.3, 0.5)
 WIDTHS_UM, REGION_MM, ITERATIONS = (0.775, 1.55), 0.05, 40
+
+
+def twin() -> None:
+    """Print a line for each perturbation of a twin: contrast on the line, and in the plane."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    planes, wavelength = lens.sensor.plane_distances_mm, lens.wavelengths_um[0]
+    chain = LineChain(lens, 0.0, REGION_MM, planes, "lines", (1.2,), wavelength, margin_mm=0.0)
+    settings = {"line_width_um": 1.2, "patch_mm": REGION_MM, "orientation": "y", "refocus": False}
+    plane = ReconstructedContrast(kind="reconstructed_contrast", at_least=0.5, iterations=20, **settings)
+    print("parameter, value: contrast of 1.2 um bars on the line, in the plane")
+    for name, values in (("decenter_y_mm", (0.0, 0.00125, 0.0025, 0.008)), ("tilt_x_deg", (0.1, 0.2, 0.4))):
+        parameter = PerturbedParameter(target="lens", parameter=name)
+        batch = PerturbationBatch((parameter,), np.array(values)[:, None])
+        in_plane = plane.scores(Context(lens, Sampling()), batch)
+        for value, other in zip(values, in_plane, strict=True):
+            seen = chain.recorded(Placement(Pose(**{name: value})), None, 12, None)
+            found = chain.reconstructed(seen, ReconstructionEngine("eikonal"), iterations=ITERATIONS)
+            print(f"{name}, {value:g}: {found.contrasts[0]:.3f}, {other:.3f}", flush=True)
 
 
 def main() -> None:
@@ -36,4 +64,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--twin", action="store_true", help="the twin, on a line and in the plane")
+    twin() if parser.parse_args().twin else main()

@@ -435,9 +435,10 @@ def scaled_perturbations(study: Study, scales: Array) -> tuple[Perturbation, ...
     perturbations = []
     for perturbation, scale in zip(study.perturbations, scales, strict=True):
         if not perturbation.distribution.widths:
+            kind = "measured" if perturbation.file_name else perturbation.distribution.kind
             raise InputError(
-                f"{perturbation.column}: a measured distribution has no width in the study file to scale; "
-                "give it another distribution"
+                f"{perturbation.column}: a {kind} distribution has no width in the study file to scale; give "
+                "it another distribution, or leave the perturbation out"
             )
         if scale != 1.0:
             shape = perturbation.scaled(float(scale)).distribution

@@ -176,6 +176,16 @@ def test_the_study_written_has_the_scaled_widths(loaded, tmp_path):
     }
 
 
+def test_single_values_cannot_be_scaled(write_study, ray_study):
+    single = ray_study.replace(
+        'distribution = "truncated_normal"\nsigma = 0.01\nlimit = 0.02',
+        'distribution = "discrete"\nvalues = [0.0, 0.01]',
+    )
+    loaded = load_study(write_study(single))
+    with pytest.raises(InputError, match="shop_radius_mm: a discrete distribution has no width"):
+        scaled_study(loaded, np.array([0.5, 2.0]))
+
+
 def test_measured_deviations_cannot_be_scaled(write_study, ray_study, tmp_path):
     (tmp_path / "measured.csv").write_text("radius\n0.001\n-0.002\n")
     text = ray_study.replace(
