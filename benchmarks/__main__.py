@@ -14,6 +14,7 @@ SCRIPTS = (
     "as_built",
     "wavefronts",
     "budgets",
+    "designer_day",
     "monte_carlo_speed",
     "optimizer",
     "pupil_trial",

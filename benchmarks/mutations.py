@@ -165,9 +165,10 @@ MUTATIONS = (
     ),
     Mutation(
         "ISO 10110-11: thickness of parts up to 30 mm",
-        "lensdesign/fabrication/drawing/tolerances.py",
-        "30.0: _general(0.5, 0.2,",
-        "30.0: _general(0.5, 0.4,",
+        "lensdesign/analysis/outline.py",
+        "30.0: EdgeAllowance(0.5, 0.2,",
+        "30.0: EdgeAllowance(0.5, 0.4,",
+        "tests/lensdesign/fabrication/drawing/test_sheets.py",
     ),
     # The object
     Mutation(

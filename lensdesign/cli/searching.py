@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,8 @@ import typer
 
 from lensdesign.cli.making import Json
 from lensdesign.cli.tables import print_tables, table
-from lensdesign.common.console import message_console, print_json
+from lensdesign.common.console import print_json
+from lensdesign.common.progress import progress_text
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from lensdesign.exploration.front import Explored
     from lensdesign.optimization.as_built import AsBuiltReport
     from lensdesign.optimization.asked.specification import Specification
+    from lensdesign.optimization.limits.search import Limit
     from lensdesign.optimization.result import OptimizationResult
 
 
@@ -42,7 +45,7 @@ def optimize(
     max_seconds: Annotated[
         float | None,
         typer.Option(
-            help="Time limit; what it cuts depends on the machine. None if left out here and there.",
+            help="Time limit for everything, in place of the specification's; depends on the machine.",
             show_default=False,
         ),
     ] = None,
@@ -52,11 +55,14 @@ def optimize(
     Starts are made until several agree. What was found is checked against the specification in the end;
     where it asks for lenses as built, by Monte Carlo trials that the search did not know.
 
+    An interrupt (Ctrl-C, SIGTERM) or a time limit ends the search: the best lens so far is written.
+
     Exit status: 0 if the lens meets every constraint, 1 if not, or if a limit cut the search (the lens is
-    written all the same), 2 for bad input.
+    written all the same), 2 for bad input, 130 or 143 after an interrupt.
     """
     from lensdesign.files.design import design_text
     from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.search import SearchInterrupted
     from lensdesign.optimization.search import optimize as search
 
     asked = _with_settings(
@@ -69,15 +75,29 @@ def optimize(
     if os.path.exists(output) and output.samefile(specification):
         raise InputError(f"cannot write {output}: it is the specification itself; give another file name")
     # Opened before the search: a place that cannot be written shows at once, not after it.
+    interrupted = False
     with atomic_path(output) as temporary:
-        with message_console().status("searching") as status:
-            result = search(asked, report=status.update, seed=seed)
-        temporary.write_text(design_text(result.lens, output.parent), encoding="utf-8")
+        try:
+            with progress_text("searching") as status:
+                result = search(asked, report=status.update, seed=seed)
+        except SearchInterrupted as stop:
+            result, interrupted = stop.result, True
+        text = design_text(result.lens, output.parent)
+        try:
+            temporary.write_text(text, encoding="utf-8")
+        except KeyboardInterrupt:
+            interrupted = True
+            temporary.write_text(text, encoding="utf-8")
     if as_json:
         print_json(result.as_dict() | {"design": str(output)})
     else:
         _print_optimization(result)
         typer.echo(f"wrote {output}")
+    if interrupted:
+        met = "meets" if result.feasible else "does not meet"
+        raise KeyboardInterrupt(
+            f"interrupted; {output} holds the best lens so far, which {met} the specification"
+        )
     raise typer.Exit(0 if result.feasible and not result.unfinished else 1)
 
 
@@ -105,15 +125,22 @@ def explore(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start over: replace what the folder holds.")
     ] = False,
+    max_seconds: Annotated[
+        float | None,
+        typer.Option(min=0.001, help="Time limit; the same command goes on after it.", show_default=False),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find lenses of which none is better in everything: a table, charts, and a file for each lens.
 
-    An interrupted exploration goes on where it stopped.
+    An interrupt or a time limit leaves the table of the lenses found so far; the same command goes on.
 
-    Exit status: 0, 1 if no lens meets the specification, 2 for bad input.
+    Exit status: 0, 1 if no lens meets the specification or the time limit cut the exploration, 2 for bad
+    input, 130 or 143 after an interrupt.
     """
-    from lensdesign.common.console import messages_only, progress_bar
+    from lensdesign.common.console import messages_only
+    from lensdesign.common.deadlines import OutOfTime, deadline, now
+    from lensdesign.common.progress import progress_count
     from lensdesign.exploration.chart import write_charts
     from lensdesign.exploration.folder import folder_for
     from lensdesign.exploration.front import Exploration, front_of
@@ -127,22 +154,18 @@ def explore(
     axes = axes_of(over, asked)
     folder = folder_for(output, asked, axes, lenses)
     known = folder.begin(fresh)
+    end = math.inf if max_seconds is None else now() + max_seconds
     try:
-        with messages_only(), progress_bar() as bar:
-            task = bar.add_task("searches", total=None)
-            explored = Exploration(
-                asked,
-                axes,
-                lenses,
-                known,
-                folder.keep,
-                lambda done, total, what: bar.update(
-                    task, completed=done, total=total, description=visible(what)
-                ),
-            ).run()
-    except KeyboardInterrupt:
-        message = f"interrupted; what was found is in {output}, and the same command goes on from there"
-        raise KeyboardInterrupt(message) from None
+        with messages_only(), progress_count("searches") as count, deadline(end):
+            explored = Exploration(asked, axes, lenses, known, folder.keep, count.update).run()
+    except (KeyboardInterrupt, OutOfTime) as stop:
+        found = list(folder.begin().values())
+        folder.write_front(found, axes)
+        rest = f"{len(found)} searches are kept in {output}, and the same command goes on from there"
+        if isinstance(stop, KeyboardInterrupt):
+            raise KeyboardInterrupt(f"interrupted; {rest}") from None
+        typer.echo(f"max_seconds = {max_seconds:g} cut the exploration; {rest}", err=True)
+        raise typer.Exit(1) from None
     files = [folder.write_front(explored, axes), *write_charts(output, explored, axes)]
     front = front_of(explored, axes)
     none = [one.key for one in explored if one.lens is None]
@@ -159,31 +182,55 @@ def explore(
 
 def limits(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the random starts.")] = 0,
+    max_seconds: Annotated[
+        float | None,
+        typer.Option(min=0.001, help="Time limit; limits found by then are printed.", show_default=False),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Tell the largest field and aperture, the coarsest pixel and the loosest tolerances that still work.
+    """Find the largest field and aperture, the coarsest pixel and the loosest tolerances that still work.
 
     One of them is made as large as a search finds a lens for, everything else as the specification asks.
+    A limit is confirmed by independent starts just above it, which is no proof. What was found before an
+    interrupt or a time limit is printed.
 
-    Exit status: 0, 1 if the specification itself cannot be met, 2 for bad input.
+    Exit status: 0, 1 if the specification itself cannot be met or the time limit cut the search, 2 for bad
+    input, 130 or 143 after an interrupt.
     """
-    from lensdesign.exploration.limits import find_limits
+    from lensdesign.common.deadlines import deadline, now
     from lensdesign.optimization.asked.specification import load_specification
+    from lensdesign.optimization.limits.search import LimitsInterrupted, find_limits
 
-    with message_console().status("searching") as status:
-        found = find_limits(load_specification(specification), status.update)
+    asked, interrupted = load_specification(specification), False
+    end = math.inf if max_seconds is None else now() + max_seconds
+    try:
+        with progress_text("searching") as status, deadline(end):
+            found = find_limits(asked, status.update, seed)
+    except LimitsInterrupted as stop:
+        found, interrupted = stop.limits, True
     if as_json:
-        print_json({"limits": [vars(one) for one in found]})
+        print_json({"limits": [one.as_dict() for one in found]})
     else:
-        shown = table("", "what", "asked", "can be met", "share")
-        for one in found:
-            reached = "not met as asked" if one.reached is None else f"{one.reached:.4g} {one.unit}".strip()
-            share = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
-            more = "" if one.ended else ", and more"
-            shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, share)
-        print_tables(shown)
-        typer.echo("each alone, everything else as asked; no more was found, which is no proof")
-    raise typer.Exit(1 if any(one.reached is None for one in found) else 0)
+        _print_limits(found)
+    if interrupted:
+        raise KeyboardInterrupt(f"interrupted; {len(found)} limits were begun, the last is not confirmed")
+    met = all(one.reached is not None and one.reached >= one.asked and not one.cut for one in found)
+    raise typer.Exit(0 if met else 1)
+
+
+def _print_limits(found: Sequence[Limit]) -> None:
+    shown = table("", "what", "asked", "can be met", "share", "binding there")
+    for one in found:
+        reached = "none found" if one.reached is None else f"{one.reached:.4g} {one.unit}".strip()
+        share = "" if one.reached is None else f"{one.reached / one.asked:.3f}"
+        more = "" if one.ended else ", and more"
+        binding = visible(", ".join(one.binding))
+        shown.add_row(one.name, f"{one.asked:.4g} {one.unit}".strip(), reached + more, share, binding)
+    print_tables(shown)
+    for one in found:
+        typer.echo(f"{one.name}: {one.confidence}")
+    typer.echo("each alone, everything else as asked")
 
 
 def _print_front(front: Sequence[Explored], columns: Sequence[str], searches: int) -> None:

@@ -18,11 +18,11 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import DesignError
 from lensdesign.exploration.objectives import Axis, Objective, values_of
 from lensdesign.lens.lens import Lens
+from lensdesign.optimization.asked.choices import bases_of
 from lensdesign.optimization.asked.specification import Specification
-from lensdesign.optimization.local_search import Budget, Found, search_from
+from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of
 from lensdesign.optimization.problem import DesignProblem, finished_lens
 from lensdesign.optimization.rows.row import KEPT
-from lensdesign.optimization.search import bases_of, starts_of
 
 ANCHOR_STARTS = 3
 """From which the best lens by one objective alone is sought."""

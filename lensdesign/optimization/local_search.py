@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import now
+from lensdesign.lens.lens import Lens
+from lensdesign.lens.shapes.registry import class_with
 from lensdesign.optimization.nlopt_driver import (
     ALGORITHMS,
     FEASIBLE,
@@ -47,7 +51,7 @@ class Budget:
     evaluations
         Evaluations of a lens that are left.
     deadline
-        Of :func:`time.monotonic`.
+        Of :func:`lensdesign.common.deadlines.now`.
     spent
         Evaluations that were made.
     """
@@ -64,7 +68,7 @@ class Budget:
     @property
     def seconds(self) -> float:
         """Time that is left."""
-        return self.deadline - time.monotonic()
+        return self.deadline - now()
 
     @property
     def used_up(self) -> str:
@@ -110,6 +114,7 @@ def search_from(
     seed: int,
     on_improvement: Improved,
     only_feasible: bool = False,
+    on_point: Callable[[Array], None] | None = None,
 ) -> Found:
     """Search, look densely, add what is worse, search on.
 
@@ -127,15 +132,15 @@ def search_from(
         As :func:`lensdesign.optimization.nlopt_driver.minimize` calls it.
     only_feasible
         Whether it is enough to keep every constraint, those of the final lens included.
+    on_point
+        Called with each point that is the best of the running step; what an interrupt leaves.
     """
     specification = problem.specification
-    heights = tuple(f.field_mm for f in specification.constraints.field_spread)
-    rays = problem.sample_rays(3, 5, 1, heights)
-    dense = problem.sample_rays(16, 97, 12, heights)
+    rays, dense = problem.sample_rays(3, 5, 1, _heights(problem)), dense_rays(problem)
     chain = _chain("slsqp" if only_feasible else specification.optimize.algorithm)
     point, before, limit = start, budget.spent, ""
     for _ in range(EXCHANGES):
-        outcome = _solve(problem, rays, point, chain, budget, seed, on_improvement, only_feasible)
+        outcome = _solve(problem, rays, point, chain, budget, seed, on_improvement, only_feasible, on_point)
         point, limit = outcome.point, budget.used_up
         chain = _chain("slsqp") if ALGORITHMS[chain[0]].everywhere else chain
         worse = worse_rays(problem, point, rays, dense)
@@ -153,6 +158,55 @@ def search_from(
         )
     converged = worse is None and _stationary(lambda _: final, point)
     return Found(problem, dense, ended, converged, "" if converged else limit)
+
+
+MOST_JUDGED = 30
+"""Points of a stopped start that are judged over dense rays."""
+
+
+def stopped_at(problem: DesignProblem, points: Sequence[Array], evaluations: int, limit: str) -> Found:
+    """Find the last of the points of a stopped start that keeps every constraint over dense rays.
+
+    The last point of all need not: it was judged by the working set of rays alone.
+
+    Parameters
+    ----------
+    problem, points
+        What was searched, and points of its unit box, each the best so far when it was reached.
+    evaluations
+        What the start took.
+    limit
+        What stopped it.
+    """
+    dense = dense_rays(problem)
+    newest = list(reversed(points))
+    every = max(1, math.ceil(2 * len(newest) / MOST_JUDGED))
+    chosen = [*newest[: MOST_JUDGED // 2], *newest[MOST_JUDGED // 2 :: every]]
+    found: list[Found] = []
+    for point in chosen:
+        found.append(_judged(problem, point, dense, evaluations, limit))
+        if not found[-1].rank[0]:
+            break
+    return min(found, key=lambda one: one.rank)
+
+
+def _judged(problem: DesignProblem, point: Array, dense: Rays, evaluations: int, limit: str) -> Found:
+    """A point over dense rays, without derivatives."""
+    goals, constraints = problem.rows(point, dense, derivatives=False)
+    violation = max((float(np.max(row.values, initial=0.0)) for row in constraints), default=0.0)
+    objective = max(float(np.max(row.values)) for row in goals)
+    ends = (0.0, violation) if violation > KEPT else (objective, max(0.0, violation))
+    goal, missed = (value if math.isfinite(value) else UNTRACEABLE for value in ends)
+    return Found(problem, dense, Outcome(point, goal, missed, evaluations, limit), False, limit)
+
+
+def dense_rays(problem: DesignProblem) -> Rays:
+    """Return the rays by which the end of a start is judged."""
+    return problem.sample_rays(16, 97, 12, _heights(problem))
+
+
+def _heights(problem: DesignProblem) -> tuple[float, ...]:
+    return tuple(f.field_mm for f in problem.specification.constraints.field_spread)
 
 
 def _chain(algorithm: str) -> tuple[str, ...]:
@@ -180,6 +234,7 @@ def _solve(
     seed: int,
     on_improvement: Improved,
     only_feasible: bool,
+    on_point: Callable[[Array], None] | None,
 ) -> Outcome:
     """Best lens for one working set of rays; a start outside the constraints is first led back inside."""
 
@@ -198,6 +253,7 @@ def _solve(
             max_evaluations=max(1, min(most, budget.evaluations)),
             seed=seed,
             on_improvement=on_improvement if what is evaluate else None,
+            on_point=on_point,
         )
         budget.spend(found.evaluations)
         return found
@@ -233,3 +289,35 @@ def _stationary(what: Callable[[Array], Evaluation], point: Array) -> bool:
     """Whether a point is an end: nlopt calls some ends so that are none."""
     e = what(point)
     return max(e.objective, e.violation) < 0.5 * UNTRACEABLE and stationarity(e, point) <= STATIONARY
+
+
+def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
+    """Points of the unit box to start from; random ones only where all can be worked out."""
+    settings = problem.specification.optimize
+    rng = np.random.default_rng(seed)
+    rays = problem.sample_rays(3, 9, 4)
+    given = settings.starts
+    if settings.start != "random":
+        yield problem.to_unit(problem.base if settings.start == "design" else _plate(problem))
+        given -= 1
+    for _ in range(given):
+        for _ in range(500):
+            point = rng.random(len(problem.ranges))
+            goals, constraints = problem.rows(point, rays, derivatives=False)
+            if all(np.max(row.values) < 0.5 * UNTRACEABLE for row in (*goals, *constraints)):
+                yield point
+                break
+        else:
+            return
+
+
+def _plate(problem: DesignProblem) -> Lens:
+    """The start with its variable curvatures, conics and aspheres at zero."""
+    lens = problem.base
+    for variable in problem.variables:
+        i = variable.surface
+        if variable.of_shape:
+            surface = lens.surfaces[i]
+            values = {key: getattr(surface, key) for key in class_with(variable.kind).KEYS}
+            lens = lens.with_surface(i, **class_with(variable.kind).changed_keys(values, variable.kind, 0.0))
+    return lens

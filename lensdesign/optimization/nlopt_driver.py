@@ -7,7 +7,6 @@ is above zero, with every variable scaled to [0, 1].
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import OutOfTime, now
 from lensdesign.errors import InputError
 
 FEASIBLE = 1e-8
@@ -125,8 +125,11 @@ class _Search:
         n: int,
         bounded: bool,
         on_improvement: Callable[[float, float, int], None] | None,
+        on_point: Callable[[Array], None] | None,
     ) -> None:
-        self.evaluate, self.n, self.bounded, self.on_improvement = evaluate, n, bounded, on_improvement
+        self.evaluate, self.n, self.bounded = evaluate, n, bounded
+        self.on_improvement, self.on_point = on_improvement, on_point
+        self.end = math.inf
         self.evaluations = 0
         self.best: tuple[float, float] = (math.inf, math.inf)
         self.point: Array | None = None
@@ -137,6 +140,8 @@ class _Search:
     def at(self, x: Array) -> Evaluation:
         key = x[: self.n].tobytes()
         if self._last is None or self._last[0] != key:
+            if now() >= self.end:
+                raise OutOfTime
             self._last = (key, self._finite(self.evaluate(np.clip(x[: self.n], 0.0, 1.0))))
             self.evaluations += 1
             self._remember(x, self._last[1])
@@ -153,6 +158,8 @@ class _Search:
         excess = e.violation if e.violation > FEASIBLE else 0.0
         if (excess, e.objective) < self.best:
             self.best, self.point = (excess, e.objective), np.clip(x[: self.n], 0.0, 1.0)
+            if self.on_point is not None:
+                self.on_point(self.point)
             if self.on_improvement is not None:
                 self.on_improvement(e.objective, e.violation, self.evaluations)
 
@@ -230,6 +237,7 @@ def minimize(
     max_evaluations: int = 2000,
     seed: int = 0,
     on_improvement: Callable[[float, float, int], None] | None = None,
+    on_point: Callable[[Array], None] | None = None,
 ) -> Outcome:
     """Search from a start with one of nlopt's algorithms.
 
@@ -242,11 +250,13 @@ def minimize(
     algorithm
         A key of :data:`ALGORITHMS`.
     max_seconds, max_evaluations
-        Both always hold.
+        Both always hold; a deadline around the call does, too.
     seed
         For the algorithms that draw random numbers.
     on_improvement
         Called with objective, violation and number of evaluations at each new best point.
+    on_point
+        Called with each new best point, before `on_improvement`; the start is the first.
 
     Returns
     -------
@@ -267,8 +277,9 @@ def minimize(
     start = np.array(start, float)
     if start.ndim != 1 or not np.all((start >= 0.0) & (start <= 1.0)):
         raise InputError("start: must be a vector within the unit box")
-    search = _Search(evaluate, len(start), method.bounded, on_improvement)
+    search = _Search(evaluate, len(start), method.bounded, on_improvement, on_point)
     first = search.at(start)
+    search.end = now() + max_seconds
     rows = len(first.constraints) + (len(first.goals) if method.bounded else 0)
     n = len(start) + method.bounded
     opt = search.opt = _prepared(
@@ -276,8 +287,8 @@ def minimize(
     )
     nlopt.srand(seed + 1)
     x0 = np.append(start, max(0.0, first.objective)) if method.bounded else start
-    reason = _run(nlopt, opt, search, x0, time.monotonic() + max_seconds)
-    if search.error is not None:
+    reason = _run(nlopt, opt, search, x0)
+    if search.error is not None and not isinstance(search.error, OutOfTime):
         raise search.error
     assert search.point is not None  # the start at least was remembered
     return Outcome(search.point, search.best[1], search.best[0], search.evaluations, reason)
@@ -313,7 +324,7 @@ def _limited(opt: Any, limits: tuple[float, int], tolerance: float) -> Any:
     return opt
 
 
-def _run(nlopt: Any, opt: Any, search: _Search, x0: Array, deadline: float) -> str:
+def _run(nlopt: Any, opt: Any, search: _Search, x0: Array) -> str:
     reasons = {
         nlopt.STOPVAL_REACHED: "goal reached",
         nlopt.FTOL_REACHED: "converged (objective)",
@@ -328,6 +339,6 @@ def _run(nlopt: Any, opt: Any, search: _Search, x0: Array, deadline: float) -> s
         kind = type(error).__name__.lower().replace("_", "")
         if search.error is None and kind == "invalidargument":
             raise InputError(f"nlopt refused the problem: {kind} {error}") from error
-        if time.monotonic() >= deadline:
+        if isinstance(search.error, OutOfTime):
             return "time limit"
         return "rounding limits further progress" if kind == "roundofflimited" else f"nlopt stopped: {kind}"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import check_time
 from lensdesign.errors import DesignError
 from lensdesign.lens.lens import Lens, ObjectSpace
 from lensdesign.lens.shapes.base import Shape
@@ -216,6 +217,7 @@ class DesignProblem:
         planes_mm: Array | None = None,
     ) -> GradientTrace:
         """To some planes, or to those of the sensor."""
+        check_time()
         lens, chain = self.lens_at(point), None
         stop = self.base.stop_semi_diameter_mm if self.specification.optimize.stop == "fixed" else None
         variables = self.variables if derivatives else ()

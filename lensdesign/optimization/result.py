@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lensdesign.analysis.report import CheckReport, WavelengthCheck
+from lensdesign.common.deadlines import deadline, now
 from lensdesign.common.notebook import html_table
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import DesignError, TransferLensError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import named_at
 from lensdesign.optimization.as_built import AsBuilt, AsBuiltReport, TrialsOf
-from lensdesign.optimization.asked.sections import LOSS_GOAL
+from lensdesign.optimization.asked.ending import Ending
+from lensdesign.optimization.asked.sections import AS_BUILT_GOALS, LOSS_GOAL
 from lensdesign.optimization.asked.specification import Specification
 from lensdesign.optimization.compliance import at_temperatures, check_against
+from lensdesign.optimization.limits.reach import Reach, largest_that_can, reach_of
+from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import Found
-from lensdesign.optimization.problem import DesignProblem, finished_lens
-from lensdesign.optimization.reach import Reach, largest_that_can
-from lensdesign.optimization.rows.row import KEPT, Row
+from lensdesign.optimization.problem import finished_lens
+from lensdesign.optimization.rows.row import Row
 
 BINDING = 1e-4
 """A constraint binds where its scaled value is within this of zero."""
@@ -30,8 +32,8 @@ BINDING = 1e-4
 AGREE = 1e-3
 """Starts agree whose goals (or, where no lens was found, largest violations) differ by at most this share."""
 
-REACH_EVALUATIONS = 3000
-"""Most that the search for the largest field, and that for the largest aperture, may take."""
+INTERRUPT = "interrupt"
+"""The limit of a search that its user stopped."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ class OptimizationResult:
     spreads
         Spread of each wavelength.
     feasible, violations
-        Whether the lens, as it would be written, passes `check`, and each miss in a sentence.
+        Whether the lens, as it would be written, passes `check`, and each miss in a sentence. What could not
+        be checked, for want of time or because of an interrupt, counts as missed.
     check
         The lens held against the specification, as :func:`lensdesign.optimization.check_against` does it.
     binding
@@ -179,14 +182,14 @@ class OptimizationResult:
             "title": self.lens.title,
             "spreads": [asdict(s) for s in self.spreads],
             "as_built": None if self.as_built is None else asdict(self.as_built),
-            "reach": None if self.reach is None else asdict(self.reach),
+            "reach": None if self.reach is None else self.reach.as_dict(),
             "constraints": [
                 {k: finite_or_none(v) for k, v in asdict(c).items()} for c in self.check.constraints
             ],
         }
 
 
-def result_of(specification: Specification, tried: list[Tried], began: float) -> OptimizationResult:
+def result_of(specification: Specification, tried: list[Tried], ending: Ending) -> OptimizationResult:
     """The best of all choices of glasses, held against its specification.
 
     Parameters
@@ -195,35 +198,65 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
         What was asked.
     tried
         All choices of glasses; at least one with the end of a start.
-    began
-        When, by :func:`time.monotonic`.
+    ending
+        When the search must end. An interrupt from here on shortens what follows, too.
 
     Raises
     ------
     DesignError
         If the best is no lens.
     """
+    try:
+        return _result(specification, tried, ending)
+    except KeyboardInterrupt as stop:
+        if ending.interrupted:
+            raise
+        ending.interrupted = True
+        found = reach_of(stop.limits) if isinstance(stop, LimitsInterrupted) else None
+        return _result(specification, tried, ending, found)
+
+
+def _result(
+    specification: Specification, tried: list[Tried], ending: Ending, reach: Reach | None = None
+) -> OptimizationResult:
     chosen = min((t for t in tried if t.found), key=lambda t: t.best.rank)
     best = chosen.best
     problem, point = best.problem, best.outcome.point
-    goals, constraints = problem.rows(point, best.rays, final=True, derivatives=False)
+    goals, _ = problem.rows(point, best.rays, final=True, derivatives=False)
     unfinished = _unfinished(specification, tried, chosen)
-    reach = None
+    searched = not unfinished and not ending.interrupted
+
+    def can() -> Reach:
+        with deadline(ending.end):
+            report = ending.report or (lambda _: None)
+            return largest_that_can(specification, problem.base, chosen.glasses, point, ending.seed, report)
+
     try:
         lens = finished_lens(problem, point, best.rays)
     except DesignError as error:
-        words = [*unfinished, str(error)]
+        if ending.interrupted:
+            raise KeyboardInterrupt(f"interrupted; nothing was written: {error}") from None
+        sentences = [*unfinished, str(error)]
         if not specification.asks_losses:
-            can = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
-            words.append(can.in_words(specification.object))
-        said = "; ".join(words)
-        raise DesignError(said) from None
-    built = _as_built(specification, lens)
-    check = check_against(lens, specification, built)
+            sentences.append(can().in_words(specification.object))
+        raise DesignError("; ".join(sentences)) from None
+    unchecked: list[str] = []
+    if ending.built is None and specification.as_built is not None:
+        if ending.no_trials:
+            sentence = f"{ending.reason} left no time for the trials of lenses as built"
+            unfinished.append(sentence)
+            unchecked = _unchecked(specification, sentence)
+        else:
+            ending.built = _as_built(specification, lens)
+    built = ending.built
+    check = check_against(lens, _without_as_built(specification) if unchecked else specification, built)
     # A search for how much of it can be met takes too long where each lens takes reconstructions.
-    if not check.feasible and not unfinished and not specification.asks_losses:
-        reach = largest_that_can(specification, problem.base, point, REACH_EVALUATIONS)
-    value, unit = _goal(specification, goals) if built is None else _built_goal(specification, goals, built)
+    if not check.feasible and reach is None and not specification.asks_losses:
+        if searched and now() < ending.end:
+            reach = can()
+        elif searched:
+            unfinished.append(f"{ending.reason} left no time to search for what can be met")
+    value, unit = _shown_goal(specification, lens, goals, built)
     starts = len(chosen.found)
     return OptimizationResult(
         lens=lens,
@@ -232,22 +265,40 @@ def result_of(specification: Specification, tried: list[Tried], began: float) ->
         goal_value=value,
         goal_unit=unit,
         spreads=tuple(_spread(row) for row in check.wavelengths),
-        feasible=check.feasible,
-        violations=check.violations,
+        feasible=check.feasible and not unchecked,
+        violations=(*check.violations, *unchecked),
         check=check,
-        binding=_binding(problem, best, constraints),
+        binding=list(binding(problem, point, BINDING)),
         unfinished=unfinished,
         as_built=built,
         not_tried=[t.glasses for t in tried if not t.found and t.limit],
         reach=reach,
         evaluations=sum(f.outcome.evaluations for t in tried for f in t.found),
-        seconds=time.monotonic() - began,
+        seconds=now() - ending.began,
         algorithm=specification.optimize.algorithm,
         stopped_because=_end(specification, chosen),
         glasses=chosen.glasses,
         starts=starts,
         starts_at_best=chosen.at_best,
     )
+
+
+def _unchecked(specification: Specification, why: str) -> list[str]:
+    """What is asked of lenses as built and takes trials, a sentence each."""
+    limits = specification.constraints
+    asked = {
+        "yield": limits.min_yield,
+        "as-built rms": limits.max_as_built_rms_waves,
+        LOSS_GOAL: limits.max_as_built_reconstruction_loss,
+    }
+    return [f"{name}: not checked, as {why}" for name, limit in asked.items() if limit is not None]
+
+
+def _without_as_built(specification: Specification) -> Specification:
+    limits = specification.constraints.replaced(
+        min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
+    )
+    return specification.model_copy(update={"constraints": limits})
 
 
 def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:
@@ -286,6 +337,10 @@ def _unfinished(specification: Specification, tried: list[Tried], chosen: Tried)
         none = [t.glasses for t in tried if t.limit == limit and not t.found]
         if none:
             sentences.append(f"{limit} = {value:g} left no start for {'; '.join(none)}: not tried")
+    cut = [t for t in tried if t.limit == INTERRUPT]
+    if cut:
+        names = "; ".join(f"{t.glasses} (start {len(t.found)} of at most {settings.starts})" for t in cut)
+        sentences.append(f"an interrupt ended the search of {names}")
     if not sentences and not best.converged and chosen.at_best < settings.agreeing:
         sentences.append(
             f"the best start ended before it had converged ({best.outcome.stopped_because}); another "
@@ -298,8 +353,10 @@ def _end(specification: Specification, chosen: Tried) -> str:
     """What ended the starts."""
     if chosen.limit:
         return chosen.limit
-    agreed = chosen.at_best >= specification.optimize.agreeing
-    return "agreement" if agreed else f"starts = {specification.optimize.starts}"
+    settings = specification.optimize
+    if chosen.at_best < settings.agreeing:
+        return f"starts = {settings.starts}"
+    return "agreement" if chosen.at_best > 1 else f"agreeing = {settings.agreeing}"
 
 
 def _variables(specification: Specification, lens: Lens) -> dict[str, float | str | None]:
@@ -331,6 +388,21 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
     return largest * specification.exit_vertex_z_mm, "mm"
 
 
+def _shown_goal(
+    specification: Specification, lens: Lens, goals: list[Row], built: AsBuiltReport | None
+) -> tuple[float, str]:
+    """The goal of the finished lens; where no trials were made, goals of lenses as built are predicted."""
+    goal, study = specification.optimize.goal, specification.as_built
+    if built is not None:
+        return _built_goal(specification, goals, built)
+    if goal not in AS_BUILT_GOALS or study is None:
+        return _goal(specification, goals)
+    if goal == LOSS_GOAL:
+        return max(float(np.max(row.values)) for row in goals), ""
+    predicted = study.predict(lens)
+    return (max(predicted.rms_waves), "waves") if goal == "as-built rms" else (100.0 * predicted.good, "%")
+
+
 def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltReport) -> tuple[float, str]:
     """A goal of lenses as built: what is predicted of the finished lens, at all temperatures."""
     environment = specification.environment
@@ -348,12 +420,3 @@ def _spread(row: WavelengthCheck) -> WavelengthSpread:
     spread, limit = row.max_spread_deg, row.spread_limit_deg
     share = math.sin(math.radians(min(spread, 90.0))) / math.sin(math.radians(limit))
     return WavelengthSpread(row.wavelength_um, spread, limit, share)
-
-
-def _binding(problem: DesignProblem, best: Found, constraints: list[Row]) -> list[str]:
-    worst = ((row.name, float(np.max(row.values, initial=-1.0))) for row in constraints)
-    names = [name for name, value in worst if -BINDING < value <= KEPT]
-    for v, u in zip(problem.ranges, best.outcome.point, strict=True):
-        if u < 1e-6 or u > 1.0 - 1e-6:
-            names.append(f"{v.name} at its {'lower' if u < 0.5 else 'upper'} bound")
-    return names

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-
-import numpy as np
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.deadlines import OutOfTime, deadline, no_deadline, now
 from lensdesign.errors import DesignError
-from lensdesign.lens.lens import Lens
-from lensdesign.lens.shapes.registry import class_with
+from lensdesign.optimization.asked.choices import bases_of
+from lensdesign.optimization.asked.ending import Ending
 from lensdesign.optimization.asked.specification import Specification, refuse_impossible
-from lensdesign.optimization.local_search import Budget, search_from
-from lensdesign.optimization.nlopt_driver import FEASIBLE, UNTRACEABLE
+from lensdesign.optimization.local_search import Budget, Found, search_from, starts_of, stopped_at
+from lensdesign.optimization.nlopt_driver import FEASIBLE
 from lensdesign.optimization.problem import DesignProblem
-from lensdesign.optimization.result import OptimizationResult, Tried, result_of
+from lensdesign.optimization.result import INTERRUPT, OptimizationResult, Tried, result_of
 
 Report = Callable[[str], None]
+
+
+class SearchInterrupted(KeyboardInterrupt):
+    """An interrupt that leaves a result.
+
+    Attributes
+    ----------
+    result
+        The best lens so far, held against its specification.
+    """
+
+    def __init__(self, result: OptimizationResult) -> None:
+        super().__init__("interrupted")
+        self.result = result
 
 
 def optimize(specification: Specification, report: Report | None = None, seed: int = 0) -> OptimizationResult:
@@ -30,6 +41,10 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     are added until none is worse (an exchange method). Each choice of glasses is searched from as many
     starts as it takes until several agree, at most those of the specification, and has a share of its own
     of every limit. What was found is held against the specification by other means in the end.
+
+    A time limit covers everything: the search, the check of the result, the trials of lenses as built and the
+    search for what can be met in place of an infeasible specification. What does not fit is left out, and the
+    result says so.
 
     Parameters
     ----------
@@ -48,20 +63,38 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     ------
     DesignError
         If no start can be traced, or the etendue bound forbids the specification.
+    SearchInterrupted
+        If it is interrupted; the best lens so far is in its `result`. A plain KeyboardInterrupt where there
+        is none yet.
     """
     refuse_impossible(specification)
-    began = time.monotonic()
     settings = specification.optimize
-    end = math.inf if settings.max_seconds is None else began + settings.max_seconds
-    tried = []
+    began, seconds = now(), math.inf if settings.max_seconds is None else settings.max_seconds
+    ending = Ending(began, began + seconds, seed=seed, report=report)
     bases = list(bases_of(specification))
-    for number, (glasses, base) in enumerate(bases):
-        now = time.monotonic()
-        budget = Budget(settings.max_evaluations, now + (end - now) / (len(bases) - number))
-        tried.append(_try(glasses, DesignProblem(specification, base), budget, seed, report, began))
+    tried: list[Tried] = []
+    try:
+        end = ending.plan_trials(specification)
+        for number, (glasses, base) in enumerate(bases):
+            time = now()
+            budget = Budget(settings.max_evaluations, time + (end - time) / (len(bases) - number))
+            progress = _Progress(specification, (number, len(bases)), glasses, began, budget, report)
+            tried.append(_try(glasses, DesignProblem(specification, base), budget, seed, progress))
+            if tried[-1].limit == INTERRUPT:
+                ending.interrupted = True
+                break
+    except KeyboardInterrupt:
+        ending.interrupted = True
+    if ending.interrupted:
+        tried += [Tried(glasses, (), INTERRUPT) for glasses, _ in bases[len(tried) :]]
     if not any(t.found for t in tried):
+        if ending.interrupted:
+            raise KeyboardInterrupt("interrupted before there was a lens to keep")
         raise DesignError(_nothing_tried(tried))
-    return result_of(specification, tried, began)
+    result = result_of(specification, tried, ending)
+    if ending.interrupted:
+        raise SearchInterrupted(result)
+    return result
 
 
 def _nothing_tried(tried: list[Tried]) -> str:
@@ -71,100 +104,101 @@ def _nothing_tried(tried: list[Tried]) -> str:
     return "no start can be traced: no drawn lens lets all rays through; narrow the bounds"
 
 
-def _try(
-    glasses: str, problem: DesignProblem, budget: Budget, seed: int, report: Report | None, began: float
-) -> Tried:
-    """One choice of glasses: starts until several agree."""
+def _try(glasses: str, problem: DesignProblem, budget: Budget, seed: int, progress: _Progress) -> Tried:
+    """One choice of glasses: starts until several agree, or until time or user stop it."""
     settings = problem.specification.optimize
     tried = Tried(glasses, (), "")
-    for number, start in enumerate(starts_of(problem, seed)):
-        if budget.used_up:
-            return replace(tried, limit=budget.used_up)
-        said = _narrator(report, glasses, number, settings.goal, began)
-        found = search_from(problem, start, budget, seed + number, said)
-        tried = Tried(glasses, (*tried.found, found), found.limit)
-        if tried.at_best >= settings.agreeing:
-            return replace(tried, limit="")
+    try:
+        with deadline(budget.deadline):
+            for number, start in enumerate(starts_of(problem, seed)):
+                if budget.used_up:
+                    return replace(tried, limit=budget.used_up)
+                progress.begin(number, tried)
+                found = search_from(
+                    problem, start, budget, seed + number, progress.improved, on_point=progress.reached
+                )
+                tried = Tried(glasses, (*tried.found, found), found.limit)
+                progress.points = []
+                if tried.at_best >= settings.agreeing:
+                    return replace(tried, limit="")
+    except (KeyboardInterrupt, OutOfTime) as stop:
+        limit = "max_seconds" if isinstance(stop, OutOfTime) else INTERRUPT
+        return _kept(tried, problem, progress, limit)
     return tried
 
 
-def bases_of(specification: Specification) -> Iterator[tuple[str, Lens]]:
-    """The start with each combination of glasses and stops, and what to call it."""
-    choices = [v for v in specification.variables if v.discrete]
-    for choice in itertools.product(*(v.choices for v in choices)):
-        lens = specification.lens
-        for variable, chosen in zip(choices, choice, strict=True):
-            if variable.parameter == "stop":
-                lens = with_stop(lens, int(chosen) - 1)
-            else:
-                lens = lens.with_surface((variable.surface or 1) - 1, material=chosen)
-        name = ", ".join(str(s.material) for s in lens.surfaces if s.material is not None)
-        if any(v.parameter == "stop" for v in choices):
-            name += f", stop on surface {lens.stop_index + 1}"
-        yield name, lens
+def _kept(tried: Tried, problem: DesignProblem, progress: _Progress, limit: str) -> Tried:
+    """What a stopped choice of glasses leaves: its finished starts, and the best point of the running one."""
+    found: tuple[Found, ...] = tried.found
+    if progress.points:
+        with no_deadline():
+            found = (*found, stopped_at(problem, progress.points, progress.evaluations, limit))
+    return Tried(tried.glasses, found, limit)
 
 
-def with_stop(lens: Lens, surface: int) -> Lens:
-    """The lens with its stop, and that stop's size, on another surface, counted from 0."""
-    if surface == lens.stop_index:
-        return lens
-    semi = lens.surfaces[surface].semi_diameter_mm or lens.stop_semi_diameter_mm
-    surfaces = [
-        s.model_copy(update={"stop": i == surface, "semi_diameter_mm": semi if i == surface else None})
-        if i in (surface, lens.stop_index)
-        else s
-        for i, s in enumerate(lens.surfaces)
-    ]
-    return lens.replaced(surfaces=tuple(surfaces))
+@dataclass
+class _Progress:
+    """Follows the starts of one choice of glasses, and turns improvements into lines of text.
 
+    Attributes
+    ----------
+    choice
+        Number of this choice of glasses, from 0, and of all.
+    points
+        Best points of the running start, in the order in which they were reached; empty between starts.
+    evaluations
+        Of the running start.
+    """
 
-def starts_of(problem: DesignProblem, seed: int) -> Iterator[Array]:
-    """Points of the unit box to start from; random ones only where all can be worked out."""
-    settings = problem.specification.optimize
-    rng = np.random.default_rng(seed)
-    rays = problem.sample_rays(3, 9, 4)
-    given = settings.starts
-    if settings.start != "random":
-        yield problem.to_unit(problem.base if settings.start == "design" else _plate(problem))
-        given -= 1
-    for _ in range(given):
-        for _ in range(500):
-            point = rng.random(len(problem.ranges))
-            goals, constraints = problem.rows(point, rays, derivatives=False)
-            if all(np.max(row.values) < 0.5 * UNTRACEABLE for row in (*goals, *constraints)):
-                yield point
-                break
-        else:
+    specification: Specification
+    choice: tuple[int, int]
+    glasses: str
+    began: float
+    budget: Budget
+    report: Report | None
+    points: list[Array] = field(default_factory=list)
+    evaluations: int = 0
+    number: int = 0
+    agreeing: int = 0
+    first: float = field(default_factory=now)
+    last: float = -math.inf
+
+    def begin(self, number: int, tried: Tried) -> None:
+        """A start begins."""
+        self.number, self.points, self.evaluations = number, [], 0
+        self.agreeing = tried.at_best if tried.found else 0
+
+    def reached(self, point: Array) -> None:
+        """The running step has a new best point."""
+        self.points.append(point)
+
+    def improved(self, objective: float, violation: float, evaluations: int) -> None:
+        """The goal has improved; at most ten lines a second."""
+        self.evaluations = max(self.evaluations, evaluations)
+        time = now()
+        if self.report is None or time - self.last < 0.1:
             return
-
-
-def _plate(problem: DesignProblem) -> Lens:
-    """The start with its variable curvatures, conics and aspheres at zero."""
-    lens = problem.base
-    for variable in problem.variables:
-        i = variable.surface
-        if variable.of_shape:
-            surface = lens.surfaces[i]
-            values = {key: getattr(surface, key) for key in class_with(variable.kind).KEYS}
-            lens = lens.with_surface(i, **class_with(variable.kind).changed_keys(values, variable.kind, 0.0))
-    return lens
-
-
-def _narrator(
-    report: Report | None, glasses: str, number: int, goal: str, began: float
-) -> Callable[[float, float, int], None]:
-    """Turns improvements into lines of text, at most ten a second."""
-    last = [0.0]
-
-    def said(objective: float, violation: float, evaluations: int) -> None:
-        now = time.monotonic()
-        if report is None or now - last[0] < 0.1:
-            return
-        last[0] = now
+        self.last = time
         kept = "feasible" if violation <= FEASIBLE else f"violation {violation:.2g}"
-        report(
-            f"{goal}, {glasses}, start {number + 1}: {objective:.6f} of reference, "
-            f"{kept}, {evaluations} evaluations, {now - began:.1f} s"
+        self.report(
+            f"{self.specification.optimize.goal}, {self.glasses}, {self._starts()}: {objective:.6f} of "
+            f"reference, {kept}, {evaluations} evaluations, {time - self.began:.1f} s{self._estimate(time)}"
         )
 
-    return said
+    def _starts(self) -> str:
+        settings = self.specification.optimize
+        most = f"start {self.number + 1} of at most {settings.starts}"
+        if settings.agreeing >= settings.starts:
+            return most
+        agree = f"{self.agreeing} of {settings.agreeing} agree, " if self.agreeing else ""
+        return f"{most} ({agree}usually stops early)"
+
+    def _estimate(self, time: float) -> str:
+        """What remains at most, from the starts that ended; those that agree end the search before."""
+        settings, (choice, choices) = self.specification.optimize, self.choice
+        left = math.inf if settings.max_seconds is None else self.began + settings.max_seconds - time
+        if self.number:
+            each = (time - self.first) / (self.number + 0.5)
+            starts = settings.starts - self.number + (choices - choice - 1) * settings.starts
+            left = min(left, starts * each)
+        return f", at most {left:.0f} s more" if math.isfinite(left) else ""

@@ -159,6 +159,19 @@ def test_tilt_blurs_fine_lines_and_decenter_does_not(results: dict[str, Result])
     assert told["contrast of 1.55 µm lines, tilt 0.5°"].here > 0.9
 
 
+def test_a_tilt_about_the_exit_vertex_loses_fine_lines_where_nothing_is_refocused(
+    results: dict[str, Result],
+) -> None:
+    told = numbers(results, "figure-7bc")
+    name = "contrast of {} µm lines, tilt {}° about the {}, {}"
+    assert told[name.format(0.775, 0.5, "exit vertex", "refocused")].here > 0.7
+    assert told[name.format(0.775, 0.5, "exit vertex", "not refocused")].here < 0.2
+    assert told[name.format(0.775, 0.3, "exit vertex", "not refocused")].here > 0.7
+    assert told[name.format(1.55, 0.5, "exit vertex", "not refocused")].here > 0.8
+    lost = "lines of 0.775 µm resolved at a tilt of 0.5° about the exit vertex, not refocused"
+    assert told[lost].here == "no"
+
+
 def test_only_a_good_start_leads_to_the_chart_and_a6_does_not_tell(results: dict[str, Result]) -> None:
     told = numbers(results, "figure-8")
     model, even, random = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 from places import DESIGNS, GOLDEN
@@ -41,9 +42,28 @@ def copy_designs(folder: Path) -> None:
         for count in study["slice_count"]:
             count["slices"] = [10]
             count.pop("picture_slices", None)
+        if any(merit["kind"] == "reconstruction" for merit in study["merit"]):
+            shorten_chain(study)
         for grid in study.get("grid", []):
             grid["x"]["values"], grid["y"]["values"] = grid["x"]["values"][:2], grid["y"]["values"][:2]
         path.write_text(tomli_w.dumps(study), encoding="utf-8")
+
+
+def shorten_chain(study: dict[str, Any]) -> None:
+    """The whole chain on the axis of a twin, through few slices."""
+    study["design"] = "small_twin.toml"
+    study["merit"] = [m for m in study["merit"] if "field_mm" not in m]
+    for merit in study["merit"]:
+        merit["slices"] = 3
+    names = {merit["name"] for merit in study["merit"]}
+    for perturbation in study["perturbation"]:
+        if "half_width" in perturbation:
+            perturbation["half_width"] *= 0.02
+        else:
+            perturbation["values"] = [2, 3]
+    for sweep in study["sweep"]:
+        sweep["values"] = [2, 3] if sweep["parameter"] == "slices" else [0.0, 1e-4]
+        sweep["merits"] = [name for name in sweep["merits"] if name in names]
 
 
 def shorten(specification: Path) -> None:

@@ -13,7 +13,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.analysis.parabolas import checked_tolerance
 from tolerancing.analysis.response import Scorer
-from tolerancing.analysis.scorer import Report, StudyScorer, scatter_of
+from tolerancing.analysis.scorer import Report, StudyScorer, refuse_settings, scatter_of
 from tolerancing.merits.base import Merit
 from tolerancing.study.evaluate import context_of, decide_levels, nominal_scores
 from tolerancing.study.files import LoadedStudy
@@ -93,7 +93,7 @@ def inverse(
     loaded
         The study, with its lens.
     merit
-        Name of the merit; all that score every trial where left out.
+        Name of the merit, dear ones included; all that score every trial where left out.
     change
         Amount, above 0 and in the merit's unit, by which it may become worse; left out: up to its limit.
     report
@@ -105,9 +105,15 @@ def inverse(
         If there is no such merit, or as of :func:`inverse_limits`.
     """
     study = loaded.study.with_levels(decide_levels(loaded.lens, loaded.study))
+    refuse_settings(study, "how far it may go")
+    dear = [m for m in study.dear_merits if m.label == merit]
+    if dear:  # scored by itself, not by the cheap merit that chooses its trials
+        own = dear[0].model_copy(update={"predicted_by": None})
+        study = study.model_copy(update={"all_merits": (own,)})
     labels = [m.label for m in study.merits]
     if merit is not None and merit not in labels:
-        raise InputError(f"merit = {merit!r}: there is no such merit; allowed: {', '.join(labels)}")
+        allowed = ", ".join(m.label for m in loaded.study.all_merits)
+        raise InputError(f"merit = {merit!r}: there is no such merit; allowed: {allowed}")
     if change is not None and merit is None and len(labels) > 1:
         raise InputError(f"change = {change:g}: is in one merit's unit; name the merit: {', '.join(labels)}")
     context = context_of(loaded.lens, study)

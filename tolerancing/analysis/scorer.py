@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.study.scoring import score_batch
@@ -101,6 +102,29 @@ def scatter_of(study: Study) -> Scatter:
         standard_deviation=np.array([d.standard_deviation for d in shapes]),
         kurtosis=np.array([kurtosis(d) for d in shapes]),
     )
+
+
+def refuse_settings(study: Study, what: str) -> None:
+    """Refuse an analysis that takes deviations for numbers between which there is always another.
+
+    Parameters
+    ----------
+    study
+        What is analysed.
+    what
+        What the analysis tells of a perturbation.
+
+    Raises
+    ------
+    InputError
+        If one of its perturbations is a setting of the reconstruction.
+    """
+    for perturbation in study.perturbations:
+        if perturbation.is_setting:
+            raise InputError(
+                f"{perturbation.column}: a number of slices is no deviation from nominal, and nothing tells "
+                f"{what}; leave the perturbation out, or take a [[sweep]] of it"
+            )
 
 
 def kurtosis(distribution: Distribution) -> float:

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
 
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
+    from tolerancing.analysis.approximations import Approximation
     from tolerancing.analysis.limits import StudyLimits
     from tolerancing.analysis.parabolas import Sensitivity
     from tolerancing.budgets.study_budget import StudyBudget
@@ -59,18 +61,20 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
 
     With the root-sum-square prediction beside the trials.
     """
+    from tolerancing.analysis.approximations import approximations
     from tolerancing.analysis.sensitivities import sensitivity
     from tolerancing.store.store import open_store
 
     with open_store(store) as opened:
-        found = sensitivity(opened)
+        found, taken = sensitivity(opened), approximations(opened)
     merits = [(k, m) for k, m in enumerate(found.study.merits) if merit in (None, m.label)]
     if not merits:
         allowed = ", ".join(m.label for m in found.study.merits)
         raise InputError(f"--merit {merit!r}: there is no such merit; allowed: {allowed}")
     if as_json:
         rows = found.as_dict()
-        print_json({"store": str(store), "merits": {m.column: rows[m.column] for _, m in merits}})
+        shown = {"merits": {m.column: rows[m.column] for _, m in merits}}
+        print_json({"store": str(store), **shown, **_approximated(taken)})
         return
     for k, one in merits:
         _print_sensitivity(found.study, found.found, k)
@@ -83,6 +87,8 @@ def sensitivity(store: StorePath, merit: MeritName = None, as_json: Json = False
             f"{row.predicted_standard_deviation:.3g}, {100.0 * row.predicted_share:.1f} % good; {trials}"
         )
         print()
+    for approximation in taken:
+        print(approximation.sentence)
 
 
 def inverse(
@@ -133,6 +139,7 @@ def budget(
     """
     from lensdesign.common.console import progress_bar
     from lensdesign.common.text import duration_text
+    from tolerancing.analysis.approximations import approximations
     from tolerancing.budgets.study_budget import (
         BudgetInterrupted,
         budget,
@@ -146,7 +153,7 @@ def budget(
     if weights and (costs or process):
         raise InputError("--weight and --costs both say what tolerances cost; give one of them")
     with open_store(store, trust=trust) as opened:
-        study, fixed = opened.study, list[str]()
+        study, fixed, taken = opened.study, list[str](), approximations(opened)
         if costs or process:
             priced = priced_study(study, opened.loaded.lens, costs, process)
             weights = {line.perturbation: line.cost for line in priced.lines if line.quantity}
@@ -180,9 +187,12 @@ def budget(
         save_study(scaled_study(opened.loaded, found.budget.scales), output)
     if as_json:
         rest = _budget_dict(study, found)
-        print_json({"store": str(store), "study": str(output), "complete": not interrupted, **rest})
+        complete = {"complete": not interrupted, **_approximated(taken)}
+        print_json({"store": str(store), "study": str(output), **complete, **rest})
     else:
         _print_budget(study, found)
+        for one in taken:
+            print(one.sentence)
         print(f"wrote {output}")
     if interrupted:
         raise KeyboardInterrupt(f"interrupted; {output} holds what was found until then")
@@ -234,6 +244,16 @@ def priced_study(study: Study, lens: Lens, costs: str | None, processes: list[st
         items[int(number) if equals else None] = name
     table = load_costs(None if costs in (None, "relative") else costs).with_processes(items)
     return cost_of(study, lens, table)
+
+
+def _approximated(taken: Sequence[Approximation]) -> dict[str, list[dict[str, Any]]]:
+    """For JSON: the merits that were approximated; nothing where none was."""
+    if not taken:
+        return {}
+    rows = [
+        {k: finite_or_none(v) if isinstance(v, float) else v for k, v in vars(one).items()} for one in taken
+    ]
+    return {"approximated": rows}
 
 
 def _weights(items: list[str]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -13,9 +13,9 @@ from pydantic import model_validator
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.context import Context
+from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
-from tolerancing.perturbations.parameters import Name, with_unit
+from tolerancing.perturbations.parameters import Name, PerturbedParameter, with_unit
 
 Level = Literal["auto", "ray", "pupil", "wave"]
 
@@ -161,6 +161,32 @@ class Merit(Section):
         ValueError
             For a field point outside the lens's field of view.
         """
+
+    def check_perturbation(self, parameter: PerturbedParameter) -> None:
+        """Refuse a parameter whose deviations the merit cannot score.
+
+        Raises
+        ------
+        ValueError
+            Naming the parameter.
+        """
+
+    @property
+    def pupil_points(self) -> Points:
+        """Object points whose pupils tell compensators their values; none of merits without such points."""
+        return ()
+
+    @property
+    def varies_slices(self) -> bool:
+        """Whether the score depends on the reconstruction's number of slices."""
+        return False
+
+    def setups(self, context: Context, batch: PerturbationBatch) -> Mapping[Hashable, float]:
+        """What is set up once in a process before a batch is scored, and the seconds that each part takes.
+
+        Parts that are there already are left out.
+        """
+        return {}
 
     def scores(self, context: Context, batch: PerturbationBatch) -> Array:
         """Score each trial of a batch.

@@ -51,7 +51,7 @@ class Compensator(PerturbedParameter):
 
     @model_validator(mode="after")
     def _adaptable(self) -> Compensator:
-        if self.parameter in IRREGULARITIES or self.target == "light":
+        if self.parameter in IRREGULARITIES or self.target in ("light", "reconstruction"):
             raise ValueError(f"parameter = {self.parameter!r}: the reconstruction's model cannot adapt it")
         return self
 

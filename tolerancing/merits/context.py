@@ -155,12 +155,12 @@ class Context:
             return arriving_rays(self.lens, batch, field_points_mm, samples.points, wavelength)
 
         # Samples are made once and kept, so that they are one by being the same object.
-        return self._once(batch, ("rays", field_points_mm, wavelength, id(stop)), work)
+        return self.once(batch, ("rays", field_points_mm, wavelength, id(stop)), work)
 
     def placements(self, batch: PerturbationBatch, wavelength_um: float | None) -> list[Placement]:
         """The perturbed systems of a batch."""
         wavelength = self.wavelength_um(wavelength_um)
-        return self._once(batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength))
+        return self.once(batch, ("placements", wavelength), lambda: batch.placements(self.lens, wavelength))
 
     def pupils(
         self,
@@ -181,7 +181,7 @@ class Context:
             register = refocus if refocused else remove_shift
             return [register(p).pupil for p in self.raw_pupils(batch, field_mm, wavelength, compensated)]
 
-        return self._once(batch, ("registered", field_mm, wavelength, refocused, compensated), registered)
+        return self.once(batch, ("registered", field_mm, wavelength, refocused, compensated), registered)
 
     def raw_pupils(
         self,
@@ -197,7 +197,7 @@ class Context:
             sampler = self.sampler(field_mm, wavelength)
             return [sampler.pupil(one) for one in self.placements(batch, wavelength)]
 
-        pupils = self._once(batch, ("pupils", field_mm, wavelength), raw)
+        pupils = self.once(batch, ("pupils", field_mm, wavelength), raw)
         if not (compensated and self.compensators):
             return pupils
         from tolerancing.merits.compensators import less_model
@@ -218,7 +218,7 @@ class Context:
         def work() -> list[PerturbedPatch]:
             return [chain.perturbed(one) for one in self.placements(batch, wavelength_um)]
 
-        patches = self._once(batch, ("patches", chain), work)
+        patches = self.once(batch, ("patches", chain), work)
         if not (compensated and self.compensators):
             return patches
         from tolerancing.merits.compensators import less_model_patch
@@ -256,7 +256,7 @@ class Context:
             pupils = [self.raw_pupils(batch, field, w) for field, w in self._compensated_points]
             return np.array([compensate(own, models) for own in zip(*pupils, strict=True)])
 
-        return self._once(batch, "compensators", work)
+        return self.once(batch, "compensators", work)
 
     def kept(self, key: Any, work: Callable[[], Result]) -> Result:
         """Something that is worked out once in a process, whatever the batch."""
@@ -293,7 +293,7 @@ class Context:
             lambda: model_pupils(self.sampler(field_mm, wavelength_um), self.compensators, self._pivot_z_mm),
         )
 
-    def _once(self, batch: PerturbationBatch, key: Any, work: Callable[[], Result]) -> Result:
+    def once(self, batch: PerturbationBatch, key: Any, work: Callable[[], Result]) -> Result:
         """Something that is worked out once for a batch, or once for the batch that a trial is from."""
         shared = self._shared.setdefault(batch, {})
         if key not in shared:
@@ -302,3 +302,5 @@ class Context:
             shared[key] = [whole[place]] if isinstance(whole, list) else work()
         result: Result = shared[key]
         return result
+
+    _once = once

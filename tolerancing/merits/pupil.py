@@ -61,6 +61,10 @@ class PupilMerit(Merit):
         return self.field_points_mm or (self.field_mm,)
 
     @property
+    def pupil_points(self) -> Points:
+        return self.points
+
+    @property
     def details(self) -> tuple[str, ...]:
         return points_text(self.points), refocus_text(self.refocus), *super().details
 

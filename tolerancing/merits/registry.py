@@ -18,6 +18,7 @@ from tolerancing.merits.pupil import (
 )
 from tolerancing.merits.python import PythonMerit
 from tolerancing.merits.rays import FootprintRadius, LargestSpread, Throughput
+from tolerancing.merits.reconstruction.merit import Reconstruction
 
 MERITS: dict[str, type[Merit]] = {
     "largest_spread_deg": LargestSpread,
@@ -31,6 +32,7 @@ MERITS: dict[str, type[Merit]] = {
     "image_shift_um": ImageShift,
     "reconstruction_loss": ReconstructionLoss,
     "reconstructed_contrast": ReconstructedContrast,
+    "reconstruction": Reconstruction,
     "python": PythonMerit,
 }
 """Merits by the kind that a study file gives."""

@@ -162,6 +162,10 @@ class PerturbationBatch:
         """How much longer the wavelength is than it should be, shape (trials,)."""
         return self._sum("light", "wavelength_um")
 
+    def reconstruction_slices(self) -> Array:
+        """Number of slices of the reconstruction, shape (trials,); 0 leaves it to the merit."""
+        return self._sum("reconstruction", "slices")
+
     @property
     def moves_rays(self) -> bool:
         """Whether object or sensor are perturbed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -17,6 +18,7 @@ from lensdesign.lens.poses import SURFACE_DELTAS, Pose
 from lensdesign.lens.shapes.registry import parameters
 from lensdesign.lens.temperature import ALUMINIUM_PER_K
 from tolerancing.perturbations.distributions.base import Distribution
+from tolerancing.perturbations.distributions.discrete import Discrete
 from tolerancing.perturbations.distributions.registry import DISTRIBUTIONS
 
 SHAPE_PARAMETERS = tuple(parameters())
@@ -75,7 +77,10 @@ LIGHT_PARAMETERS = ("wavelength_um",)
 ENVIRONMENT_PARAMETERS = ("temperature_c",)
 """Of all there is: the temperature, from 20 degrees Celsius, at which the design holds."""
 
-FIXED_TARGETS = ("object", "sensor", "light", "environment")
+RECONSTRUCTION_PARAMETERS = ("slices",)
+"""Of the reconstruction: the number of slices of each surface itself, no delta; 0 leaves it to the merit."""
+
+FIXED_TARGETS = ("object", "sensor", "light", "environment", "reconstruction")
 
 PARAMETERS = {
     "lens": LENS_PARAMETERS,
@@ -85,10 +90,13 @@ PARAMETERS = {
     "sensor": SENSOR_PARAMETERS,
     "light": LIGHT_PARAMETERS,
     "environment": ENVIRONMENT_PARAMETERS,
+    "reconstruction": RECONSTRUCTION_PARAMETERS,
 }
 """What can be perturbed, by the first word of the target."""
 
 UNITS = ("mm", "um", "deg", "percent", "fringes", "waves", "c")
+
+MOST_SLICES = 5000
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
@@ -101,8 +109,8 @@ class PerturbedParameter(Section):
     name
         Lower-case letters, digits and underscores; made of target and parameter where left out.
     target
-        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor``, ``light`` or
-        ``environment``.
+        ``lens``, ``surface N`` or ``element N`` with N counted from 1, ``object``, ``sensor``, ``light``,
+        ``environment`` or ``reconstruction``.
     parameter
         One of the target's `PARAMETERS`; values are deltas in the unit of its suffix.
     seat
@@ -177,6 +185,20 @@ class PerturbedParameter(Section):
     def is_irregularity(self) -> bool:
         """Whether its values are sizes of random figures, whose shapes are drawn beside them."""
         return self.parameter in IRREGULARITIES
+
+    @property
+    def is_setting(self) -> bool:
+        """Whether its values are settings of the reconstruction in place of deltas from nominal."""
+        return self.target == "reconstruction"
+
+    def check_setting(self, values: Iterable[float]) -> None:
+        """Refuse values that a setting of the reconstruction cannot take, with a ValueError."""
+        for value in values if self.is_setting else ():
+            if not (1.0 <= value <= MOST_SLICES and value == round(value)):
+                raise ValueError(
+                    f"{self.column} = {value:g}: must be a whole number from 1 to {MOST_SLICES}, the number "
+                    "of slices itself"
+                )
 
     @property
     def quantity(self) -> str:
@@ -271,6 +293,17 @@ class Perturbation(PerturbedParameter):
     group: Name | None = None
     distribution: SerializeAsAny[Distribution]
 
+    @model_validator(mode="after")
+    def _whole_settings(self) -> Perturbation:
+        if self.is_setting:
+            if not isinstance(self.distribution, Discrete):
+                raise ValueError(
+                    f"distribution = {self.distribution.kind!r}: {self.column} takes single values; allowed: "
+                    "discrete"
+                )
+            self.check_setting(self.distribution.levels)
+        return self
+
     @property
     def file_name(self) -> str | None:
         """A file beside the study that the distribution needs."""
@@ -324,3 +357,26 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
     return validate(
         Perturbation, {k: v for k, v in table.items() if k in own} | {"distribution": distribution}, source
     )
+
+
+def refuse_beside_meridian(parameter: PerturbedParameter) -> None:
+    """Refuse a parameter that takes light out of the plane x = 0, or whose effect a line does not show.
+
+    Raises
+    ------
+    ValueError
+        Naming the parameter.
+    """
+    name = parameter.parameter
+    beside = (
+        ("_x_mm" in name and not name.startswith("radius"))
+        or name in ("tilt_y_deg", "roll_y_deg")
+        or (parameter.target == "sensor" and name == "tilt_x_deg")
+        or parameter.is_irregularity
+    )
+    if beside:
+        raise ValueError(
+            f"{parameter.column}: the chain runs on a meridional line along y, which shows nothing of it; "
+            "allowed are perturbations that keep the plane x = 0, such as decenter_y_mm and tilt_x_deg of "
+            "the lens"
+        )

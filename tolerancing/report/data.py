@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
+from tolerancing.analysis.approximations import Approximation, approximations_of
 from tolerancing.analysis.correlation import RankCorrelation, rank_correlation
 from tolerancing.analysis.parabolas import Sensitivity
 from tolerancing.analysis.sensitivities import study_sensitivities
@@ -120,6 +121,11 @@ class ReportData:
             return study_sensitivities(self.study, self.nominal, self.steps)
         except InputError:
             return None
+
+    @cached_property
+    def approximations(self) -> tuple[Approximation, ...]:
+        """Dear merits for which sensitivities and models take the cheap ones."""
+        return approximations_of(self.study, self.results, self.dear)
 
     @cached_property
     def variance_shares(self) -> Array | None:

@@ -136,6 +136,7 @@ def report_of(data: ReportData, written: str | None = None, beside: Beside = Bes
 
 def _blocks(data: ReportData, written: str, beside: Beside) -> Sequence[Block]:
     from tolerancing.report.sections.method import fidelity_section, method_section, reproduction_section
+    from tolerancing.report.sections.reconstruction import reconstruction_section
     from tolerancing.report.sections.series import series_section, trial_pictures
     from tolerancing.report.sections.summary import lens_section, summary_section
     from tolerancing.report.sections.tolerances import sensitivity_section, tolerance_section
@@ -154,6 +155,7 @@ def _blocks(data: ReportData, written: str, beside: Beside) -> Sequence[Block]:
         *designed_section(data, beside.before, beside.front),
         *distribution_section(data),
         *scale_section(data),
+        *reconstruction_section(data),
         *scatter_section(data),
         *worst_section(data, trial_pictures),
         *series_section(data),

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 from lensdesign.common.text import duration_text
 from tolerancing.merits.context import Context
 from tolerancing.run.tasks import Task
-from tolerancing.study.evaluate import context_of, score_dear, score_trials
+from tolerancing.study.evaluate import context_of, realise, score_dear, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.results import WORST
 from tolerancing.study.study import Study
 
 SHORT_SECONDS = 0.2
 """A trial that takes less is timed as one of a chunk, which share work: of as many as take about so long."""
+
+
+MOST_LOOKED_AT = 2000
+"""Trials that are looked at for what they need set up."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,21 @@ def estimate_run(
         score_dear(context, study, (0,), (WORST,))
         seconds += lacking["dear"] * _seconds(lambda: score_dear(context, study, (0,), (WORST,)))
     counts = (lacking["trials"], len(steps), lacking["dear"])
-    return RunEstimate(*counts, workers, seconds / max(workers, 1))
+    setup = _setup_seconds(context, study, lacking["trials"], steps)
+    return RunEstimate(*counts, workers, setup + seconds / max(workers, 1))
+
+
+def _setup_seconds(context: Context, study: Study, trials: int, steps: Sequence[Task]) -> float:
+    """What each worker sets up once for further trials and steps, as their merits tell."""
+    batches = [realise(study, range(min(trials, MOST_LOOKED_AT)))] if trials else []
+    batches += [
+        batch for task in steps if (batch := study.series[task.series].batch(context, task.step)) is not None
+    ]
+    found: dict[Hashable, float] = {}
+    for merit in study.merits:
+        for batch in batches:
+            found.update(merit.setups(context, batch))
+    return sum(found.values())
 
 
 def _step_seconds(context: Context, study: Study, task: Task, trial: float) -> float:

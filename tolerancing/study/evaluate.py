@@ -12,11 +12,11 @@ from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
-from tolerancing.merits.pupil import PupilMerit
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
 from tolerancing.study.results import DearResults, StepResults, TrialResults
 from tolerancing.study.scoring import fault_text, score_batch
+from tolerancing.study.series import LinePairSection
 from tolerancing.study.study import Study
 
 PROBED_TRIALS = 6
@@ -56,10 +56,7 @@ def pupils_of(lens: Lens, study: Study) -> Context:
 def compensated_points(study: Study) -> tuple[tuple[tuple[float, float], float | None], ...]:
     """Field points and wavelengths whose pupils together tell compensators their values."""
     points = dict.fromkeys(
-        (point, merit.wavelength_um)
-        for merit in study.all_merits
-        if isinstance(merit, PupilMerit)
-        for point in merit.points
+        (point, merit.wavelength_um) for merit in study.all_merits for point in merit.pupil_points
     )
     return tuple(points) or (((0.0, 0.0), None),)
 
@@ -117,8 +114,9 @@ def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Se
 
 
 def score_step(context: Context, study: Study, series: int, step: int) -> StepResults:
-    """Score one step of one of a study's series."""
-    return study.series[series].score(context, study.merits, step)
+    """Score one step of one of a study's series; sweeps and grids may name dear merits too."""
+    one = study.series[series]
+    return one.score(context, study.all_merits if isinstance(one, LinePairSection) else study.merits, step)
 
 
 def first_scores(lens: Lens, study: Study) -> tuple[dict[str, str], dict[str, float]]:
@@ -143,10 +141,12 @@ def nominal_scores(context: Context, study: Study) -> dict[str, float]:
         If the nominal lens itself cannot be scored, whatever a merit raises.
     """
     batch = context.perturbed(study.perturbations, np.zeros((1, len(study.perturbations))))
-    merits = {m.label: m for m in study.all_merits}
-    merits |= {m.label: m for part in (*study.sweeps, *study.grids) for m in part.line_pairs()}
-    scores = {label: _nominal_score(merit, context, batch) for label, merit in merits.items()}
-    return {merit.label: scores[merit.label] for merit in study.all_merits}
+    # Line pairs of sweeps and grids are scored for their errors alone: they may share a label with a merit.
+    for pairs in dict.fromkeys(
+        pairs for part in (*study.sweeps, *study.grids) for pairs in part.line_pairs()
+    ):
+        _nominal_score(pairs, context, batch)
+    return {merit.label: _nominal_score(merit, context, batch) for merit in study.all_merits}
 
 
 def _nominal_score(merit: Merit, context: Context, batch: PerturbationBatch) -> float:

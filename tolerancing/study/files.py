@@ -244,9 +244,27 @@ def check_against(study: Study, lens: Lens, source: str) -> None:
         *_faults(study.sweeps, "sweep", lens),
         *_faults(study.grids, "grid", lens),
         *_faults(study.slice_counts, "slice_count", lens),
+        *_faults_of_merits(study),
     ]
     if faults:
         raise DesignError("\n".join(f"{source}: {fault}" for fault in faults))
+
+
+def _faults_of_merits(study: Study) -> list[str]:
+    """Parameters that are varied and that a merit which scores them cannot follow."""
+    faults = dict[str, None]()
+    every = {merit.label for merit in study.all_merits}
+    scored = [(p, every) for p in (*study.perturbations, *study.compensators)]
+    scored += [(sweep, set(sweep.merits)) for sweep in study.sweeps]
+    scored += [(axis, set(grid.merits)) for grid in study.grids for axis in (grid.x, grid.y)]
+    for parameter, labels in scored:
+        for merit in study.all_merits:
+            if merit.label in labels:
+                try:
+                    merit.check_perturbation(parameter)
+                except ValueError as error:
+                    faults[f"merit {merit.label!r}: {error}"] = None
+    return list(faults)
 
 
 def _faults(items: Iterable[Checked], key: str, lens: Lens) -> list[str]:

@@ -48,6 +48,10 @@ class Series(ABC):
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
         """Score one step; `merits` are those that score all trials of the study."""
 
+    def batch(self, context: Context, step: int) -> PerturbationBatch | None:
+        """The perturbed lens of a step; None where it is none."""
+        return None
+
     def seconds(self, context: Context, step: int) -> float | None:
         """What a step takes on this machine, told before it runs; None where it is what a trial takes."""
         return None
@@ -80,6 +84,13 @@ class LinePairSection(Section):
         if not self.merits and not self.line_widths_um:
             raise ValueError("nothing to score: give merits or line_widths_um")
         refuse_twice(self, "line_widths_um", "merits")
+        shared = [pairs.label for pairs in self.line_pairs() if pairs.label in self.merits]
+        if shared:
+            raise ValueError(
+                f"merits: {shared[0]!r} is also what the line pairs of line_widths_um are called, whose "
+                "contrast is that of the reconstruction pupil: give the merit another name, or leave out "
+                "line_widths_um"
+            )
         return self
 
     def check(self, lens: Lens) -> None:

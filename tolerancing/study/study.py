@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -14,7 +14,7 @@ from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
 from tolerancing.perturbations.dependence import Correlation, Dependence, study_dependence
 from tolerancing.perturbations.draws import DRAWS
-from tolerancing.perturbations.parameters import Perturbation
+from tolerancing.perturbations.parameters import Perturbation, PerturbedParameter
 from tolerancing.study.series import Series
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import OneAtATime, ParameterGrid, Sweep
@@ -166,6 +166,7 @@ class Study(Section):
         ]
         refuse_repeated(columns, "a perturbation or merit and another column")
         self._check_names()
+        self._check_settings()
         self.dependence  # noqa: B018  refuses what does not go together
         return self
 
@@ -174,12 +175,41 @@ class Study(Section):
         labels = [m.label for m in self.merits]
         if not labels:
             raise ValueError("merit: all are predicted_by another; at least one must score all trials")
-        named = [(f"merit {m.label!r}: predicted_by", m.predicted_by) for m in self.dear_merits]
-        named += [(f"sweep {s.label!r}: merits", m) for s in self.sweeps for m in s.merits]
-        named += [(f"grid {g.label!r}: merits", m) for g in self.grids for m in g.merits]
-        for what, label in named:
-            if label not in labels:
-                raise ValueError(f"{what}: there is no merit {label!r}; allowed: {', '.join(labels)}")
+        for merit in self.dear_merits:
+            refuse_unknown_merit(f"merit {merit.label!r}: predicted_by", merit.predicted_by, labels)
+        every = [m.label for m in self.all_merits]
+        for kind, parts in (("sweep", self.sweeps), ("grid", self.grids)):
+            for part in parts:
+                for label in part.merits:
+                    refuse_unknown_merit(f"{kind} {part.label!r}: merits", label, every)
+
+    def _check_settings(self) -> None:
+        """Refuse settings of the reconstruction that no merit follows, or that have no derivative."""
+        varied = [p for p in self.varied_parameters if p.is_setting]
+        for parameter in varied:
+            if not any(merit.varies_slices for merit in self.all_merits):
+                raise ValueError(
+                    f"{parameter.column}: no merit of the study follows the number of slices; give one of "
+                    "kind 'reconstruction' with reconstruction_engine = 'slices'"
+                )
+        named = [p.column for p in self.perturbations if p.is_setting]
+        if named and self.sensitivity:
+            raise ValueError(
+                f"{named[0]}: a number of slices has no fractions of a tolerance; give sensitivity = false, "
+                "and a [[sweep]] of it to see what it does alone"
+            )
+
+    @property
+    def varied_parameters(self) -> tuple[PerturbedParameter, ...]:
+        """All that trials, sweeps and grids vary."""
+        axes = (axis for grid in self.grids for axis in (grid.x, grid.y))
+        return (*self.perturbations, *self.sweeps, *axes)
+
+
+def refuse_unknown_merit(what: str, label: str | None, allowed: Sequence[str]) -> None:
+    """Refuse the name of a merit that is not there, with a ValueError."""
+    if label not in allowed:
+        raise ValueError(f"{what}: there is no merit {label!r}; allowed: {', '.join(allowed)}")
 
 
 def refuse_repeated(names: Iterable[str], what: str) -> None:

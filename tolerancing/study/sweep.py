@@ -13,6 +13,7 @@ from lensdesign.common.section import Finite, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
+from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Name, Perturbation, PerturbedParameter
 from tolerancing.study.results import StepResults
 from tolerancing.study.series import Coordinates, LinePairSection, Series, refuse_twice, score_perturbed
@@ -50,6 +51,7 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
         if self.picture_values and not self.line_widths_um:
             raise ValueError("picture_values: pictures are of line pairs; give line_widths_um")
         refuse_twice(self, "values")
+        self.check_setting(self.values)
         return self
 
     @property
@@ -67,10 +69,11 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
         return {self.parameter: self.values[step]}
 
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
-        value = self.values[step]
-        batch = context.perturbed((self,), np.array([[value]]))
-        pictured = self if value in self.picture_values else None
-        return score_perturbed(context, self, step, self.scored(merits), batch, pictured)
+        pictured = self if self.values[step] in self.picture_values else None
+        return score_perturbed(context, self, step, self.scored(merits), self.batch(context, step), pictured)
+
+    def batch(self, context: Context, step: int) -> PerturbationBatch:
+        return context.perturbed((self,), np.array([[self.values[step]]]))
 
 
 class GridAxis(PerturbedParameter):
@@ -83,6 +86,7 @@ class GridAxis(PerturbedParameter):
     @model_validator(mode="after")
     def _distinct(self) -> GridAxis:
         refuse_twice(self, "values")
+        self.check_setting(self.values)
         return self
 
 
@@ -124,9 +128,11 @@ class ParameterGrid(LinePairSection, Series):
         return {self.x.column: self.x.values[column], self.y.column: self.y.values[row]}
 
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
+        return score_perturbed(context, self, step, self.scored(merits), self.batch(context, step))
+
+    def batch(self, context: Context, step: int) -> PerturbationBatch:
         values = np.array([list(self.coordinates(step).values())], float)
-        batch = context.perturbed((self.x, self.y), values)
-        return score_perturbed(context, self, step, self.scored(merits), batch)
+        return context.perturbed((self.x, self.y), values)
 
 
 @dataclass(frozen=True)
@@ -156,10 +162,12 @@ class OneAtATime(Series):
         }
 
     def score(self, context: Context, merits: Sequence[Merit], step: int) -> StepResults:
+        return score_perturbed(context, self, step, merits, self.batch(context, step))
+
+    def batch(self, context: Context, step: int) -> PerturbationBatch:
         perturbation, fraction = self._step(step)
         values = np.array([[fraction * perturbation.distribution.largest]])
-        batch = context.perturbed((perturbation,), values)
-        return score_perturbed(context, self, step, merits, batch)
+        return context.perturbed((perturbation,), values)
 
     def _step(self, step: int) -> tuple[Perturbation, float]:
         index, part = divmod(step, len(STEPS))

@@ -115,7 +115,7 @@ class FirstOrderRays(Context):
             )
 
         known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
-        return self._once(
+        return self.once(
             batch,
             ("rays", field_points_mm, wavelength, id(stop)),
             lambda: known.arrival(known.changes.amounts(batch)),

@@ -203,10 +203,11 @@ def meridional_scene(
     bars: int = 5,
     wavelength_um: float | None = None,
     plane_distance_mm: float = 0.0,
+    margin_mm: float = MARGIN_MM,
 ) -> Scene:
     """A line scene that holds the bars at a field point, and the lens's footprint on the exit plane."""
     wavelength = wavelength_of(lens, wavelength_um)
-    half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + MARGIN_MM
+    half_object = 0.5e-3 * (2 * bars - 1) * widest_line_um + margin_mm
     pitch = OBJECT_PITCH_WAVES * 1e-3 * wavelength
     count = scipy.fft.next_fast_len(2 * int(np.ceil(half_object / pitch)) + 1)
     object_grid = Grid((count,), pitch, lens.object_z_mm, (0.0, float(field_mm)))
@@ -251,7 +252,7 @@ def _line_contrast(truth: Engine, tested: Engine, line_width_um: float, bars: in
     best = np.asarray(truth.adjoint(exit_field).values)
     seen = np.asarray(tested.adjoint(exit_field).values)
     refocus, shift, moved = register(seen, best, grid, wavelength)
-    contrast = _contrasts_of(grid, line_width_um, bars)
+    contrast = contrasts_of(grid, line_width_um, bars)
     mean, weakest = contrast(moved)
     return LineContrast(
         line_width_um=float(line_width_um),
@@ -272,7 +273,7 @@ def _profile(values: ComplexArray, grid: Grid, line_width_um: float, bars: int) 
     return np.interp(y, grid.y_mm - grid.centre_mm[1], np.abs(values) ** 2)
 
 
-def _contrasts_of(
+def contrasts_of(
     grid: Grid, line_width_um: float, bars: int
 ) -> Callable[[ComplexArray], tuple[float, float]]:
     """What tells a field's contrast: that of the means of bars and gaps, and that of the weakest pair."""

@@ -23,7 +23,8 @@ from wavesim import (
     refocus,
     resolve,
 )
-from wavesim.pupil import line_pair_image
+from wavesim.evaluation.metrics import RESOLVED_CONTRAST
+from wavesim.pupil import line_pair_image, remove_shift
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,6 +33,9 @@ WIDTHS_UM = (0.775, 1.55)
 PAPER_SLICES = (10, 30, 50)
 DECENTERS_MM, TILTS_DEG = (0.01, 0.03, 0.05), (0.1, 0.3, 0.5)
 SAMPLES = 192
+PIVOTS = ("front vertex", "middle", "exit vertex", "first plane", "second plane")
+"""About which the lens may turn; planes are those of the sensor."""
+
 SETTINGS: dict[Budget, dict[str, Any]] = {
     "small": {"more_slices": [], "chart": 1 / 48},
     "quick": {"more_slices": [200, 500], "chart": 1 / 24},
@@ -142,6 +146,19 @@ def _pupil(lens: Any, **pose: float) -> ReconstructionPupil:
     return refocus(_sampler(lens).pupil(Pose(**pose))).pupil
 
 
+def _pivots_mm(lens: Any) -> dict[str, float]:
+    """Where on the axis the lens may turn, from its front vertex."""
+    exit_mm = lens.exit_vertex_z_mm
+    first, second = lens.sensor.plane_distances_mm
+    places = (0.0, 0.5 * exit_mm, exit_mm, exit_mm + first, exit_mm + second)
+    return dict(zip(PIVOTS, places, strict=True))
+
+
+def _left_in_place(lens: Any, **pose: float) -> ReconstructionPupil:
+    """Registered sideways, and not refocused."""
+    return remove_shift(_sampler(lens).pupil(Pose(**pose))).pupil
+
+
 def _worse(pupil: ReconstructionPupil, width_um: float) -> float:
     """Contrast of the lines along x or y, whichever is less."""
     return min(line_pair_contrast(pupil, width_um, "x"), line_pair_contrast(pupil, width_um, "y"))
@@ -157,23 +174,53 @@ def figure_7bc(work: Work) -> Made:
         for size, pupil in group.items()
         for width in WIDTHS_UM
     ]
+    largest = TILTS_DEG[-1]
+    for name, pivot_mm in _pivots_mm(work.lens).items():
+        pose = {"tilt_y_deg": largest, "pivot_z_mm": pivot_mm}
+        for way, seen in (("refocused", _pupil), ("not refocused", _left_in_place)):
+            contrast = _worse(seen(work.lens, **pose), WIDTHS_UM[0])
+            numbers.append(
+                Number(f"contrast of 0.775 µm lines, tilt {largest:g}° about the {name}, {way}", contrast)
+            )
+    exit_mm = _pivots_mm(work.lens)["exit vertex"]
+    left = [
+        _worse(_left_in_place(work.lens, tilt_y_deg=tilt, pivot_z_mm=exit_mm), width)
+        for tilt, width in ((TILTS_DEG[1], WIDTHS_UM[0]), (largest, WIDTHS_UM[1]))
+    ]
+    names = ("contrast of 0.775 µm lines, tilt 0.3°", "contrast of 1.55 µm lines, tilt 0.5°")
+    for name, contrast in zip(names, left, strict=True):
+        numbers.append(Number(f"{name} about the exit vertex, not refocused", contrast))
+    least = _worse(_left_in_place(work.lens, tilt_y_deg=largest, pivot_z_mm=exit_mm), WIDTHS_UM[0])
+    numbers.append(
+        Number(
+            "lines of 0.775 µm resolved at a tilt of 0.5° about the exit vertex, not refocused",
+            "yes" if least >= RESOLVED_CONTRAST else "no",
+            "",
+            "no",
+        )
+    )
     least = _worse(tilted["0.5°"], WIDTHS_UM[0])
     numbers.append(
         Number(
-            "lines of 0.775 µm resolved at a tilt of 0.5°",
-            "yes" if least >= 0.2 else "no",
-            "",
-            "no",
-            remark="blurred most of all, but not lost; the paper's went through slices, which may tell",
+            "lines of 0.775 µm resolved at a tilt of 0.5° about the front vertex, refocused",
+            "yes" if least >= RESOLVED_CONTRAST else "no",
+            remark="the pivot and the refocusing decide; the paper states neither",
         )
     )
     groups = {"decenter": pupils, "tilt": tilted}
     picture = work.picture(_plates(groups), "Line pairs as a nominal model brings them back, refocused.")
     difference = (
         "As in the paper lines of 1.55 µm hardly change, a decenter up to 0.05 mm matters little, and a tilt "
-        "of 0.5° hurts lines of 0.775 µm. By our figures they keep two thirds of their contrast: shown is "
-        "the pupil that an otherwise exact reconstruction has, tilt about the front vertex, without slices, "
-        "noise or retrieval."
+        "of 0.5° hurts lines of 0.775 µm. Shown is the pupil that an otherwise exact reconstruction has, "
+        "tilt about the front vertex, refocused, without slices, noise or retrieval; lines keep two thirds "
+        "of their contrast. What the paper shows, lines of 0.775 µm lost at 0.5° and not at 0.3°, those of "
+        "1.55 µm kept, comes out of a lens that turns about its exit vertex, where the paper has its plane "
+        "z = 0, and of a reconstruction that is left in the nominal object plane: the tilt moves the focus "
+        "by 1.4 µm. The paper does not state its pivot, nor whether it refocused. Slices are not the reason: "
+        "where 200 vertical slices lose these lines they do so without a tilt, and 500 vertical or 10 "
+        "oblique ones keep them at 0.5° within 0.11 of what the eikonal engine keeps, about the front "
+        "vertex, the middle, the exit vertex and the first plane alike (`python -m "
+        "benchmarks.tilt_and_slices`)."
     )
     command = "wavesim pupil designs/paper_singlet.toml --tilt-y-deg 0.5 -o pupil.png"
     study = "tolerancing run designs/paper_figure_7.toml --store figure_7.db"

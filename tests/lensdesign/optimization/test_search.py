@@ -17,8 +17,8 @@ from lensdesign.optimization import result, search
 from lensdesign.optimization.asked.sections import Constraints, FieldSpread, Settings
 from lensdesign.optimization.asked.specification import Specification, load_specification
 from lensdesign.optimization.asked.variables import VariableRange
+from lensdesign.optimization.limits.reach import Reach
 from lensdesign.optimization.problem import DesignProblem, Rays, finished_lens, sample_rays
-from lensdesign.optimization.reach import Reach
 from lensdesign.optimization.result import Tried
 from lensdesign.optimization.rows.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.search import optimize
@@ -257,7 +257,7 @@ def test_field_limits_and_bounds_bind_where_they_are_tight(thinnest):
 @pytest.fixture
 def no_reach(monkeypatch):
     """Without a search for what can be met: it has tests of its own, and takes longer than the one before."""
-    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach(None, None))
+    monkeypatch.setattr(result, "largest_that_can", lambda *_: Reach())
 
 
 @pytest.mark.usefixtures("no_reach")

@@ -141,3 +141,47 @@ def test_what_a_study_does_not_have_is_refused(write_study, full_study):
         inverse(loaded, "speed")
     with pytest.raises(InputError, match=r"change = 0\.1: is in one merit's unit; name the merit: largest_s"):
         inverse(loaded, change=0.1)
+
+
+DEAR = """
+[[merit]]
+name = "refined"
+kind = "strehl"
+refocus = false
+at_least = 0.5
+predicted_by = "strehl"
+"""
+
+
+def test_limits_of_a_dear_merit_are_its_own(write_study, full_study):
+    loaded = load_study(write_study(full_study + DEAR))
+    dear, cheap = (inverse(loaded, name).limits[name][1] for name in ("refined", "strehl"))
+    assert dear.above < 0.9 * cheap.above
+    context = context_of(loaded.lens, loaded.study)
+    (merit,) = loaded.study.dear_merits
+    for factor, passes in ((1.0, True), (1.0 + 2.0 * PRECISION, False)):
+        batch = context.perturbed(loaded.study.perturbations[1:], np.array([[factor * dear.above]]))
+        assert merit.passed(merit.scores(context, batch))[0] == passes
+
+
+SLICED = """
+[[perturbation]]
+target = "reconstruction"
+parameter = "slices"
+distribution = "discrete"
+values = [10, 20]
+
+[[merit]]
+name = "chain"
+kind = "reconstruction"
+reconstruction_engine = "slices"
+line_widths_um = [0.775]
+region_mm = 0.03
+at_least = 0.5
+"""
+
+
+def test_a_number_of_slices_has_no_limit(write_study, ray_study):
+    loaded = load_study(write_study("sensitivity = false\n" + ray_study + SLICED))
+    with pytest.raises(InputError, match="reconstruction_slices: a number of slices is no deviation"):
+        inverse(loaded, "largest_spread_deg")

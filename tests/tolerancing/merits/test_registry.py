@@ -47,6 +47,7 @@ REQUIRED = {
     "line_pair_contrast": {"line_width_um": 1.55},
     "mtf": {"frequency_lp_per_mm": 300.0},
     "reconstruction_loss": {"patch_mm": 0.02},
+    "reconstruction": {"line_widths_um": [0.775], "region_mm": 0.03},
 }
 
 

@@ -7,7 +7,7 @@ from lensdesign import DesignError, Pose
 from lensdesign.common.toml_files import validate
 from lensdesign.lens.scaling import scaled
 from tolerancing.merits.context import Context, Sampling
-from tolerancing.study.evaluate import context_of, score_step
+from tolerancing.study.evaluate import context_of, nominal_scores, score_step
 from tolerancing.study.files import load_study
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.sweep import STEPS, ParameterGrid
@@ -139,3 +139,79 @@ def test_slice_counts_are_judged_against_the_eikonal_engine(paper_lens, loaded):
 def test_faulty_series_are_refused(kind, keys, message):
     with pytest.raises(DesignError, match=message):
         validate(kind, keys, "here")
+
+
+DEAR = """
+[[merit]]
+name = "refined"
+kind = "rms_waves"
+refocus = false
+at_most = 1.0
+predicted_by = "strehl"
+"""
+
+SWEEP_OF_DEAR = """
+[[sweep]]
+name = "of_dear"
+target = "lens"
+parameter = "decenter_y_mm"
+values = [0.0, 0.02]
+merits = ["refined"]
+"""
+
+
+def test_a_sweep_scores_the_dear_merit_that_it_names_itself(write_study, full_study):
+    loaded = load_study(write_study(full_study + DEAR + SWEEP_OF_DEAR))
+    number = [part.label for part in loaded.study.series].index("of_dear")
+    context = context_of(loaded.lens, loaded.study)
+    steps = [score_step(context, loaded.study, number, step) for step in range(2)]
+    (dear,) = loaded.study.dear_merits
+    expected = dear.scores(context, context.perturbed(loaded.study.perturbations[:1], np.array([[0.02]])))
+    assert steps[1].scores == {"refined": expected[0]}
+    assert steps[1].scores["refined"] > steps[0].scores["refined"] + 0.01
+
+
+def test_line_pairs_of_a_sweep_take_no_merits_place(write_study, full_study):
+    """A merit may share its name with a sweep's own line pairs, which are those of the pupil."""
+    named = full_study.replace('kind = "strehl"', 'kind = "strehl"\nname = "contrast_1um"')
+    loaded = load_study(write_study(named))
+    context = context_of(loaded.lens, loaded.study)
+    assert nominal_scores(context, loaded.study)["contrast_1um"] == pytest.approx(1.0, abs=1e-9)
+    both = named.replace('merits = ["largest_spread_deg"]', 'merits = ["contrast_1um"]')
+    with pytest.raises(DesignError, match=r"'contrast_1um' is also what the line pairs .* are called"):
+        load_study(write_study(both))
+
+
+SLICED = """
+[[merit]]
+name = "chain"
+kind = "reconstruction"
+reconstruction_engine = "slices"
+slices = 20
+line_widths_um = [0.775]
+region_mm = 0.03
+at_least = 0.5
+"""
+
+SLICES = """
+[[perturbation]]
+target = "reconstruction"
+parameter = "slices"
+distribution = "discrete"
+values = [10, 20]
+"""
+
+
+def test_settings_are_refused_where_nothing_follows_them(write_study, ray_study):
+    with pytest.raises(DesignError, match="no merit of the study follows the number of slices"):
+        load_study(write_study("sensitivity = false\n" + ray_study + SLICES))
+    with pytest.raises(DesignError, match=r"give sensitivity = false, and a .*sweep"):
+        load_study(write_study(ray_study + SLICES + SLICED))
+    study = load_study(write_study("sensitivity = false\n" + ray_study + SLICES + SLICED)).study
+    assert study.perturbations[-1].is_setting
+
+
+def test_what_a_line_cannot_show_is_refused_with_the_merits_name(write_study, ray_study):
+    aside = ray_study.replace('"decenter_y_mm"', '"decenter_x_mm"')
+    with pytest.raises(DesignError, match=r"merit 'chain': lens_decenter_x_mm: .*meridional line"):
+        load_study(write_study(aside + SLICED))

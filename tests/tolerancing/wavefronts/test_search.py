@@ -348,4 +348,4 @@ def test_two_elements_on_the_papers_track_are_good_as_built() -> None:
     assert check_against(lens, asked).feasible
     problem = DesignProblem(asked, asked.lens)
     (found,) = problem.predicted(problem.to_unit(lens))
-    assert found.failing < 0.03
+    assert found.failing < 0.025

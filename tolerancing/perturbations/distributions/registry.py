@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tolerancing.perturbations.distributions.base import Distribution
 from tolerancing.perturbations.distributions.bounded import EndPoint, Parabolic, Triangular, Uniform
+from tolerancing.perturbations.distributions.discrete import Discrete
 from tolerancing.perturbations.distributions.empirical import Empirical
 from tolerancing.perturbations.distributions.normal import Normal, TruncatedNormal
 
@@ -17,6 +18,7 @@ DISTRIBUTIONS: dict[str, type[Distribution]] = {
         Parabolic,
         EndPoint,
         Empirical,
+        Discrete,
     )
 }
 """Distributions by the name that a study file gives."""

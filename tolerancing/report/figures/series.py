@@ -38,7 +38,7 @@ def sweep_panels(study: Study, sweep: Sweep, steps: Sequence[StepResults]) -> li
     panels = []
     if sweep.line_widths_um:
         panels.append(_contrast_panel(sweep, steps, values))
-    for merit in study.merits:
+    for merit in study.all_merits:
         if merit.label in sweep.merits:
             with styled():
                 figure = styled_figure(4.7, 2.8)
@@ -80,7 +80,7 @@ def _contrast_panel(sweep: Sweep, steps: Sequence[StepResults], values: list[flo
 
 def grid_panels(study: Study, grid: ParameterGrid, steps: Sequence[StepResults]) -> list[Panel]:
     """A map of each merit over the two parameters of a grid, with the limit as a contour."""
-    return [_map_panel(grid, merit, steps) for merit in grid.scored(study.merits)]
+    return [_map_panel(grid, merit, steps) for merit in grid.scored(study.all_merits)]
 
 
 def _map_panel(grid: ParameterGrid, merit: Merit, steps: Sequence[StepResults]) -> Panel:

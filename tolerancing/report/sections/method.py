@@ -41,6 +41,9 @@ NEGLECTED = {
     "within the lens and at its rim, noise and phase retrieval are left out.",
     "eikonal patch": "A patch of bars carried through the perturbed lens and back through the nominal one; "
     "internal reflections are left out, and phase retrieval counts as ideal.",
+    "whole chain on a line": "From an object on a meridional line to the pixels of all planes, and from "
+    "these back by retrieval through the reconstruction's model; light beside the line, internal "
+    "reflections and light from beyond the region are left out.",
     "eikonal, two planes, retrieval": "From the object to frames in two planes, and from these back by phase "
     "retrieval; internal reflections, and light from beyond the patch, are left out.",
 }

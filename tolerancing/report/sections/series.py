@@ -69,9 +69,9 @@ def _sweep(data: ReportData, sweep: Sweep) -> list[Block]:
     blocks: list[Block] = [Heading(f"Sweep {sweep.label}: {series_label(sweep)}", 3)]
     if not steps:
         return [*blocks, Paragraph("No step is finished.")]
-    blocks.append(Paragraph(line_pair_text(sweep), soft=True))
+    blocks.append(Paragraph(f"{line_pair_text(sweep)}{_differences(data, sweep, steps)}", soft=True))
     blocks.append(FigureBlock(tuple(sweep_panels(data.study, sweep, steps)), columns=2))
-    columns = [m.label for m in sweep.scored(data.study.merits)]
+    columns = [m.label for m in sweep.scored(data.study.all_merits)]
     blocks += _steps_table([sweep.parameter], columns, steps)
     return [*blocks, *_plates(steps, lambda s: f"{s.coordinates[sweep.parameter]:g} {sweep.unit}".strip())]
 
@@ -83,7 +83,25 @@ def line_pair_text(section: LinePairSection) -> str:
     x, y = section.field_mm
     axis = section.orientation
     which = "the worse of both orientations" if axis == "worse" else f"bars following each other along {axis}"
-    return f"All else nominal. Line pairs at ({x:g}, {y:g}) mm in the object, {which}; refocused and not."
+    return (
+        f"All else nominal. Line pairs at ({x:g}, {y:g}) mm in the object, {which}; refocused and not. Their "
+        "contrast is that of the reconstruction pupil, registered: fields are taken as known behind the lens."
+    )
+
+
+def _differences(data: ReportData, section: LinePairSection, steps: Sequence[StepResults]) -> str:
+    """How far the line pairs' contrasts are from those of the study's merits of the same line widths."""
+    sentences = []
+    for merit in data.study.all_merits:
+        width = getattr(merit, "judged_width_um", getattr(merit, "line_width_um", None))
+        if merit.label not in section.merits or width not in section.line_widths_um or merit.unit:
+            continue
+        pairs = next(p for p in section.line_pairs() if p.line_width_um == width and p.refocus)
+        found = [abs(s.scores.get(pairs.label, np.nan) - s.scores.get(merit.label, np.nan)) for s in steps]
+        known = [one for one in found if np.isfinite(one)]
+        if known:
+            sentences.append(f" They differ from {merit.label} by up to {max(known):.2g}.")
+    return "".join(sentences)
 
 
 def _grid(data: ReportData, grid: ParameterGrid) -> list[Block]:
@@ -91,9 +109,10 @@ def _grid(data: ReportData, grid: ParameterGrid) -> list[Block]:
     blocks: list[Block] = [Heading(f"Grid {grid.label}: {grid.x.column} and {grid.y.column}", 3)]
     if not steps:
         return [*blocks, Paragraph("No step is finished.")]
-    blocks.append(Paragraph(f"{line_pair_text(grid)} Red: the limit.", soft=True))
+    differences = _differences(data, grid, steps)
+    blocks.append(Paragraph(f"{line_pair_text(grid)}{differences} Red: the limit.", soft=True))
     blocks.append(FigureBlock(tuple(grid_panels(data.study, grid, steps)), columns=2))
-    columns = [m.label for m in grid.scored(data.study.merits)]
+    columns = [m.label for m in grid.scored(data.study.all_merits)]
     return [*blocks, *_steps_table([grid.x.column, grid.y.column], columns, steps)]
 
 

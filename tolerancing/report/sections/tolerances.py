@@ -17,6 +17,7 @@ from tolerancing.report.blocks import (
     Heading,
     Paragraph,
     Table,
+    Warning,
     number_text,
     percent_text,
     signed_text,
@@ -82,6 +83,9 @@ def distribution_text(perturbation: Perturbation) -> str:
         words = name.replace("_", " ")
         if isinstance(value, float):
             parts.append(f"{words} {value:g} {perturbation.unit}".strip())
+        elif isinstance(value, tuple):
+            listed = ", ".join(f"{one:g}" for one in value)
+            parts.append(f"{words} {listed} {perturbation.unit}".strip())
         else:
             parts.append(f"{words} {value}")
     return ", ".join(parts)
@@ -141,6 +145,7 @@ def sensitivity_section(data: ReportData) -> list[Block]:
             soft=True,
         )
     )
+    blocks += [Warning(one.sentence) for one in data.approximations]
     ranking = found.ranking(data.study.merits)
     blocks.append(FigureBlock(tuple(_bars(data, found, ranking, m) for m in range(len(ranking))), columns=2))
     blocks += [_sensitivities(data, found, ranking, m) for m in range(len(ranking))]

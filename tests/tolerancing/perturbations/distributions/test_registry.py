@@ -15,6 +15,7 @@ from lensdesign import InputError
 from lensdesign.common.section import Positive
 from tolerancing.perturbations.distributions import (
     DISTRIBUTIONS,
+    Discrete,
     Distribution,
     Empirical,
     Normal,
@@ -54,6 +55,7 @@ def table_of(kind):
     shape = DISTRIBUTIONS[kind]
     widths = {name: 0.2 + 0.1 * k for k, name in enumerate(shape.widths)}
     files = {"file": "shop.csv", "column": "x"} if issubclass(shape, Empirical) else {}
+    files |= {"values": [0.1, 0.4, 0.5]} if issubclass(shape, Discrete) else {}
     named = {"target": "lens", "parameter": "decenter_y_mm", "distribution": kind}
     return named | {"mean": -0.7} | widths | files
 
@@ -130,7 +132,7 @@ def test_files_keep_a_distribution(kind, folder, made):
     assert distribution_text(read).startswith(kind.replace("_", " ") + ", mean -0.7 mm")
 
 
-@pytest.mark.parametrize("kind", [kind for kind in DISTRIBUTIONS if kind != "empirical"])
+@pytest.mark.parametrize("kind", [kind for kind in DISTRIBUTIONS if kind not in ("empirical", "discrete")])
 def test_widths_must_be_positive_and_finite(kind):
     shape = DISTRIBUTIONS[kind]
     keys = [key for key, field in shape.model_fields.items() if field.is_required()]

@@ -1,0 +1,91 @@
+"""Progress on standard error: a moving line in a terminal, else a line every ten seconds."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from lensdesign.common.console import message_console, progress_bar
+from lensdesign.common.deadlines import now
+from lensdesign.common.text import visible
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+LINE_SECONDS = 10.0
+"""Time between lines where standard error is no terminal."""
+
+
+class ProgressLines:
+    """Prints the latest of some texts every ten seconds, with the time that has passed.
+
+    Parameters
+    ----------
+    text
+        The first text.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text, self._began, self._ended = text, now(), threading.Event()
+        self._thread = threading.Thread(target=self._print, daemon=True, name="progress")
+
+    def update(self, text: str) -> None:
+        """Replace the text."""
+        self._text = text
+
+    def __enter__(self) -> ProgressLines:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ended.set()
+        self._thread.join(1.0)
+
+    def _print(self) -> None:
+        while not self._ended.wait(LINE_SECONDS):
+            print(f"{now() - self._began:.0f} s: {visible(self._text)}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_text(text: str) -> Iterator[Any]:
+    """Show a text that `update` replaces, until the block ends."""
+    console = message_console()
+    if console.is_terminal:
+        with console.status(text) as status:
+            yield status
+    else:
+        with ProgressLines(text) as lines:
+            yield lines
+
+
+class ProgressCount:
+    """How many parts of some work are done: a bar in a terminal, else a line every ten seconds."""
+
+    def __init__(self, lines: ProgressLines | None, bar: Progress | None, what: str) -> None:
+        self._lines, self._bar, self._began = lines, bar, now()
+        self._first: int | None = None
+        self._task = None if bar is None else bar.add_task(what, total=None)
+
+    def update(self, done: int, total: int, what: str) -> None:
+        """Tell how many parts are done, of how many, and which is next."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, total=total, description=visible(what))
+        if self._lines is not None:
+            self._first = done if self._first is None else self._first
+            made = done - self._first
+            left = f", about {(now() - self._began) / made * (total - done):.0f} s more" if made else ""
+            self._lines.update(f"{done} of {total}{left}; {what}")
+
+
+@contextmanager
+def progress_count(what: str) -> Iterator[ProgressCount]:
+    """Count the parts of some work until the block ends."""
+    if message_console().is_terminal:
+        with progress_bar() as bar:
+            yield ProgressCount(None, bar, what)
+    else:
+        with ProgressLines(what) as lines:
+            yield ProgressCount(lines, None, what)

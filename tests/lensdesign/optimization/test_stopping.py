@@ -1,0 +1,165 @@
+"""Searches that are stopped, by their user or by a time limit, keep their best lens."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from places import DESIGNS, ROOT
+from stopping import heeding
+
+from lensdesign.common import deadlines
+from lensdesign.files.design import load_design
+from lensdesign.optimization import SearchInterrupted, check_against, load_specification, optimize
+from lensdesign.optimization import result as result_module
+from lensdesign.optimization import search as search_module
+from lensdesign.optimization.asked import ending
+from lensdesign.optimization.problem import DesignProblem
+
+SPEC = DESIGNS / "thinnest_singlet_spec.toml"
+
+STOPPED = """
+import os, sys
+from lensdesign.optimization.problem import DesignProblem
+
+trace, count = DesignProblem._trace, [0]
+
+
+def counting(self, *arguments):
+    count[0] += 1
+    if count[0] == {number}:
+        os.kill(os.getpid(), {signal})
+    return trace(self, *arguments)
+
+
+DesignProblem._trace = counting
+sys.argv = ["lensdesign", *{arguments}]
+from lensdesign.cli.commands import main
+
+main()
+"""
+
+
+def stopped(number: int, sent: signal.Signals, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a command that sends itself a signal at one of its traces."""
+    code = STOPPED.format(number=number, signal=int(sent), arguments=[*map(str, arguments)])
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        preexec_fn=heeding,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+
+
+@pytest.mark.parametrize("number", [40, 150, 400])
+@pytest.mark.parametrize(("sent", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_an_interrupted_search_writes_its_best_lens(
+    tmp_path: Path, number: int, sent: signal.Signals, status: int
+) -> None:
+    out = tmp_path / "best.toml"
+    ended = stopped(number, sent, "optimize", SPEC, "-o", out)
+    assert ended.returncode == status, ended.stderr
+    assert f"interrupted; {out} holds the best lens so far" in ended.stderr
+    lens, asked = load_design(out), load_specification(SPEC)
+    feasible = check_against(lens, asked).feasible
+    assert ("which meets the specification" in ended.stderr) is feasible
+    assert f"{lens.exit_vertex_z_mm:.6g} mm" in ended.stdout
+    assert "an interrupt ended the search of N-BK7" in ended.stdout
+
+
+def test_an_interrupt_before_the_first_lens_writes_nothing(tmp_path: Path) -> None:
+    ended = stopped(1, signal.SIGTERM, "optimize", SPEC, "-o", tmp_path / "best.toml")
+    assert ended.returncode == 143
+    assert "before there was a lens to keep" in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [3, 12])
+def test_the_best_lens_is_no_worse_than_the_best_reported(
+    monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    asked, lines, seen = load_specification(SPEC), [], [0]
+
+    def improved(line: str) -> None:
+        lines.append(line)
+        seen[0] += 1
+
+    trace = DesignProblem._trace
+
+    def interrupted(self: DesignProblem, *arguments: Any) -> Any:
+        if seen[0] >= number:
+            seen[0] = -10_000
+            raise KeyboardInterrupt
+        return trace(self, *arguments)
+
+    monkeypatch.setattr(DesignProblem, "_trace", interrupted)
+    time = iter(range(10**9))
+    monkeypatch.setattr(search_module, "now", lambda: float(next(time)))
+    with pytest.raises(SearchInterrupted) as stop:
+        optimize(asked, improved)
+    found = stop.value.result
+    reported = float(lines[-1].split(": ")[1].split(" ")[0]) * asked.exit_vertex_z_mm
+    if found.feasible:
+        assert found.lens.exit_vertex_z_mm == pytest.approx(reported, rel=2e-2)
+    else:
+        assert found.violations
+    assert found.unfinished
+
+
+@pytest.mark.parametrize("limit", [300.0, 3000.0])
+def test_a_time_limit_is_kept_within_a_tenth(monkeypatch: pytest.MonkeyPatch, limit: float) -> None:
+    """Time is counted in traces, and the check of the result takes a twentieth of it."""
+    time, trace = [0.0], DesignProblem._trace
+
+    def counting(self: DesignProblem, *arguments: Any) -> Any:
+        time[0] += 1.0
+        return trace(self, *arguments)
+
+    monkeypatch.setattr(DesignProblem, "_trace", counting)
+    for module in (deadlines, search_module, result_module, ending):
+        monkeypatch.setattr(module, "now", lambda: time[0])
+    asked = load_specification(SPEC)
+    limits = asked.constraints.replaced(max_lens_thickness_mm=7.0)  # which cannot be met
+    settings = asked.optimize.replaced(max_seconds=limit)
+    found = optimize(asked.replaced(constraints=limits, optimize=settings))
+    assert time[0] <= 1.1 * limit
+    assert not found.feasible
+    assert found.unfinished or any(one.cut for one in found.reach.limits)
+
+
+def test_trials_that_do_not_fit_are_left_out_and_count_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = load_specification(DESIGNS / "as_built_spec.toml")
+    limits = asked.constraints.replaced(min_yield=0.1)
+    asked = asked.replaced(constraints=limits, optimize=asked.optimize.replaced(max_seconds=60.0, starts=1))
+    time = [0.0]
+    for module in (deadlines, search_module, result_module, ending):
+        monkeypatch.setattr(module, "now", lambda: time[0])
+    trials, made = type(asked.as_built).trials, []
+
+    def slow(self: Any, lenses: Any, count: int, *more: Any) -> Any:
+        time[0] += 0.1 * count * len(lenses)
+        made.append(count)
+        return trials(self, lenses, count, *more)
+
+    def ended(self: DesignProblem, *arguments: Any) -> Any:
+        time[0] += 0.1
+        return trace(self, *arguments)
+
+    trace = DesignProblem._trace
+    monkeypatch.setattr(type(asked.as_built), "trials", slow)
+    monkeypatch.setattr(DesignProblem, "_trace", ended)
+    found = optimize(asked)
+    assert max(made) == 20
+    assert time[0] <= 66.0
+    assert found.as_built is None
+    assert not found.feasible
+    assert any("left no time for the trials" in sentence for sentence in found.unfinished)
+    assert any(v.startswith("yield: not checked") for v in found.violations)
+    assert math.isfinite(found.goal_value)

@@ -1,0 +1,1 @@
+"""The whole chain as a merit: object, frames through the perturbed lens, reconstruction."""

@@ -1,0 +1,313 @@
+"""The whole chain on a meridional line: object, frames of a perturbed lens, reconstruction."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import scipy.fft
+
+from lensdesign.common.arrays import Array
+from lensdesign.errors import InputError
+from lensdesign.lens.lens import Lens
+from tolerancing.merits.reconstruction.matrices import MATRICES
+from tolerancing.merits.reconstruction.objects import LineObject, LineScores, ObjectKind
+from tolerancing.merits.reconstruction.retrieval import (
+    SAMPLES_PER_PIXEL,
+    LineModel,
+    LineOperator,
+    pixel_amplitude,
+    retrieve_on_line,
+)
+from wavesim.camera.recorded import Recorded
+from wavesim.fields.field import Field, Grid
+from wavesim.fields.passage import Passage
+from wavesim.scene.engine import Engine
+from wavesim.scene.patches import OBJECT_FINENESS
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
+
+if TYPE_CHECKING:
+    from wavesim import Frame
+
+EngineName = Literal["eikonal", "slices"]
+Compensation = Literal["vertical", "oblique"]
+
+SAMPLES_PER_LINE = 2.0
+"""Samples of the reconstructed object across the finest line, at least."""
+
+FULL_WELL_FRACTION = 0.8
+"""Fraction of full well in the brightest pixel."""
+
+LEAST_REFOCUS = 0.02
+"""Depths of focus, wavelength / NA^2, up to which the object plane of the model is left where it is."""
+
+
+@dataclass(frozen=True)
+class ReconstructionEngine:
+    """The engine of the reconstruction's model.
+
+    Attributes
+    ----------
+    name : {"eikonal", "slices"}
+    slices : int
+        Slices of each surface.
+    compensation : {"vertical", "oblique"}
+        Of the phase within a slice.
+    """
+
+    name: EngineName
+    slices: int = 0
+    compensation: Compensation = "oblique"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """For :func:`wavesim.engine_for`."""
+        if self.name == "eikonal":
+            return {}
+        return {"slices": self.slices, "compensation": self.compensation}
+
+
+@dataclass(frozen=True, eq=False)
+class LineChain:
+    """One region of the object on a meridional line, seen by one lens.
+
+    Attributes
+    ----------
+    lens : Lens
+        The nominal lens.
+    field_mm : float
+        Height of the region's middle, along y.
+    region_mm : float
+        Length of the region, which a field stop bounds.
+    planes_mm : tuple of float
+        Where the sensor records, from the exit vertex.
+    kind, line_widths_um
+        As of :class:`LineObject`.
+    wavelength_um : float
+        Vacuum wavelength.
+    imaging : {"eikonal", "slices"}
+        The engine that carries the object's light to the sensor.
+    imaging_slices : int
+        Oblique slices of each surface of that engine, where it is of slices.
+    margin_mm : float
+        On either side of the region, for light of an object that is sought beside the object plane.
+    """
+
+    lens: Lens
+    field_mm: float
+    region_mm: float
+    planes_mm: tuple[float, ...]
+    kind: ObjectKind
+    line_widths_um: tuple[float, ...]
+    wavelength_um: float
+    imaging: EngineName = "eikonal"
+    imaging_slices: int = 100
+    margin_mm: float = 0.008
+
+    @cached_property
+    def scene(self) -> Scene:
+        """From the region to the pixels of the first plane; the line's pixels are those along y."""
+        aperture = self.lens.object.numerical_aperture
+        pitch_um = OBJECT_FINENESS * 0.5 * self.wavelength_um / aperture
+        if self.line_widths_um:
+            pitch_um = min(pitch_um, min(self.line_widths_um) / SAMPLES_PER_LINE)
+        count = scipy.fft.next_fast_len(max(8, math.ceil(1e3 * self.region_mm / pitch_um)))
+        pitch_mm = self.region_mm / count
+        grid = Grid((count,), pitch_mm, self.lens.object_z_mm, (0.0, self.field_mm))
+        return Scene(self.lens, grid, self._sensor_grid(0, NOMINAL), self.wavelength_um)
+
+    @cached_property
+    def object(self) -> LineObject:
+        """What is imaged."""
+        aperture = self.lens.object.numerical_aperture
+        return LineObject(
+            self.kind, self.line_widths_um, self.scene.object_grid, aperture, self.wavelength_um
+        )
+
+    def recorded(
+        self, system: Placement, electrons: float | None, bits: int, noise: np.random.SeedSequence | None
+    ) -> list[Recorded]:
+        """Amplitudes that the pixels record behind a perturbed system, on every plane.
+
+        Parameters
+        ----------
+        system
+            Lens, object, sensor and light as they are.
+        electrons
+            In the brightest pixel of each plane; None for the mean intensity without noise.
+        bits
+            Of a count.
+        noise
+            Seed of the noise.
+        """
+        from wavesim import propagate
+        from wavesim.camera.mounting import light_on
+
+        nominal = replace(self.scene, exit_grid=self._sensor_grid(0, system))
+        settings = {"slices": self.imaging_slices, "compensation": "oblique"}
+        engine = _engine(placed_scene(nominal, system), self.imaging, settings)
+        behind = light_on(self._light(self.scene).with_values(self.object.transmission), system)
+        first = engine.forward(behind)
+        planes = []
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for number, distance in enumerate(self.planes_mm):
+                grid = self._sensor_grid(number, system)
+                field = first if grid == first.grid else propagate(first, grid, coarse_output=True)
+                planes.append((distance - self.planes_mm[0], pixel_amplitude(field.values)))
+        if not all(np.any(amplitude > 0.0) for _, amplitude in planes):
+            raise InputError("no light falls on the sensor: the region's light lies beside it")
+        if electrons is None:
+            return [Recorded(*plane) for plane in planes]
+        return self._with_noise(planes, electrons, bits, noise)
+
+    def reconstructed(
+        self,
+        planes: Sequence[Recorded],
+        engine: ReconstructionEngine,
+        *,
+        model: Placement = NOMINAL,
+        refocus_um: float = 0.0,
+        iterations: int,
+    ) -> LineScores:
+        """What a reconstruction from recorded amplitudes leaves of the object.
+
+        Parameters
+        ----------
+        planes
+            As of :meth:`recorded`.
+        engine
+            The engine of the reconstruction.
+        model
+            What the reconstruction knows of lens and bench.
+        refocus_um
+            How much nearer to the lens than its place the object is sought.
+        iterations
+            Largest number.
+        """
+        found, _ = retrieve_on_line(
+            self.model(engine, model, refocus_um),
+            planes,
+            is_complex=self.object.is_complex,
+            iterations=iterations,
+        )
+        return self.object.judge(found)
+
+    def model(
+        self, engine: ReconstructionEngine, model: Placement = NOMINAL, refocus_um: float = 0.0
+    ) -> LineModel:
+        """The reconstruction's model of how the object makes amplitudes; parameters as of `reconstructed`.
+
+        Raises
+        ------
+        InputError
+            If the object is sought farther from its place than the margin about the region allows.
+        """
+        moved = abs(refocus_um) > LEAST_REFOCUS * self.wavelength_um / self.lens.object.numerical_aperture**2
+        if moved and abs(refocus_um) > self.largest_refocus_um:
+            raise InputError(
+                f"rays show the region sharp {refocus_um:.3g} um from its place; allowed: up to "
+                f"{self.largest_refocus_um:.3g} um either way"
+            )
+        if engine.name == "slices" and model == NOMINAL:
+            operator: LineOperator = MATRICES.matrix(self._model_engine(engine))
+        else:
+            operator = _engine(self._model_scene(model), engine.name, engine.settings)
+        light = self._light(placed_scene(self.scene, model))
+        to_operator = Passage(
+            light.grid.at(light.grid.z_mm + 1e-3 * refocus_um),
+            operator.scene.object_grid,
+            light.wavelength_um,
+        )
+        return LineModel(operator, to_operator if moved else None, self._passages(model), light)
+
+    @property
+    def largest_refocus_um(self) -> float:
+        """Refocus whose steepest light stays within the margin about the region."""
+        return 1e3 * self.margin_mm / math.tan(math.asin(min(self.lens.object.numerical_aperture, 0.99)))
+
+    def setup(self, engine: ReconstructionEngine) -> dict[Hashable, float]:
+        """The matrix of an engine of slices and the seconds that it takes; nothing where it is there."""
+        built = self._model_engine(engine)
+        return {} if built.key() in MATRICES else {built.key(): MATRICES.seconds(built)}
+
+    def _model_engine(self, engine: ReconstructionEngine) -> Engine:
+        key = engine
+        if key not in self._engines:
+            self._engines[key] = _engine(self._model_scene(NOMINAL), engine.name, engine.settings)
+        return self._engines[key]
+
+    @cached_property
+    def _engines(self) -> dict[ReconstructionEngine, Engine]:
+        return {}
+
+    def _model_scene(self, model: Placement) -> Scene:
+        """From the region with its margin to the first plane, as the reconstruction knows it."""
+        scene = placed_scene(replace(self.scene, exit_grid=self._sensor_grid(0, model)), model)
+        grid = scene.object_grid
+        beside = math.ceil(self.margin_mm / grid.pitch_mm)
+        return replace(scene, object_grid=replace(grid, shape=(grid.shape[0] + 2 * beside,)))
+
+    def _light(self, scene: Scene) -> Field:
+        """A plane wave along the axis in the field stop, which is the region itself."""
+        grid = scene.object_grid
+        return Field(grid, np.ones(grid.shape, complex), scene.wavelength_um)
+
+    def _sensor_grid(self, number: int, system: Placement) -> Grid:
+        sensor = self.lens.sensor
+        z_mm = self.lens.exit_vertex_z_mm + self.planes_mm[number] + system.plane_distance_mm(number)
+        pitch = 1e-3 * sensor.pixel_pitch_um / SAMPLES_PER_PIXEL
+        count = SAMPLES_PER_PIXEL * sensor.pixels[1]
+        return Grid((count,), pitch, z_mm, (0.0, system.sensor_shift_mm[1]))
+
+    def _passages(self, system: Placement) -> tuple[Passage | None, ...]:
+        first = self._sensor_grid(0, system)
+        grids = [self._sensor_grid(number, system) for number in range(len(self.planes_mm))]
+        return tuple(None if g == first else Passage(first, g, self.wavelength_um) for g in grids)
+
+    def _with_noise(
+        self,
+        planes: Sequence[tuple[float, Array]],
+        electrons: float,
+        bits: int,
+        noise: np.random.SeedSequence | None,
+    ) -> list[Recorded]:
+        """What frames of one exposure tell of amplitudes."""
+        from wavesim import Electronics
+        from wavesim.camera import recorded_planes
+        from wavesim.camera.exposures import plane_seeds
+        from wavesim.camera.sensor import frames_of_light
+
+        full_well = electrons / FULL_WELL_FRACTION
+        electronics = Electronics(
+            bits=bits, offset_counts=min(64.0, 2.0**bits / 16.0), full_well_electrons=full_well
+        )
+        frames: list[Frame] = []
+        for (_, amplitude), distance, seed in zip(
+            planes, self.planes_mm, plane_seeds(noise, len(planes)), strict=True
+        ):
+            light = amplitude[:, None] ** 2
+            sensor, wavelength = self.lens.sensor, self.wavelength_um
+            frames += frames_of_light(
+                light, sensor, distance, wavelength, electronics, seed, (1.0,), FULL_WELL_FRACTION
+            )
+        lines = recorded_planes(frames)
+        return [
+            replace(p, amplitude=p.amplitude[:, 0], sigma=None if p.sigma is None else p.sigma[:, 0])
+            for p in lines
+        ]
+
+
+def _engine(scene: Scene, name: str, settings: dict[str, Any]) -> Engine:
+    """An engine, without its warning of few slices, which may be what a study is about."""
+    from wavesim import engine_for
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return engine_for(scene, name, **(settings if name == "slices" else {}))

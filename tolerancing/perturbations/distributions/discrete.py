@@ -1,0 +1,61 @@
+"""Single values, each as likely as the others."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from lensdesign.common.arrays import Array
+from lensdesign.common.section import Finite, tuples
+from tolerancing.perturbations.distributions.base import Distribution, check_factor
+
+
+class Discrete(Distribution):
+    """Single values, each as likely as the others; `mean` shifts them.
+
+    Attributes
+    ----------
+    values
+        Two or more, increasing.
+    """
+
+    kind = "discrete"
+    widths = ()
+
+    values: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=1000)]
+
+    _list = field_validator("values", mode="before")(tuples)
+
+    @model_validator(mode="after")
+    def _increasing(self) -> Discrete:
+        if list(self.values) != sorted(set(self.values)):
+            raise ValueError(f"values = {list(self.values)}: must be increasing")
+        return self
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The values, shifted by the mean."""
+        return tuple(self.mean + value for value in self.values)
+
+    def quantile(self, probability: Array) -> Array:
+        index = np.floor(np.asarray(probability) * len(self.values)).astype(int)
+        return np.asarray(self.levels)[np.clip(index, 0, len(self.values) - 1)]
+
+    @property
+    def standard_deviation(self) -> float:
+        return float(np.std(self.values))
+
+    @property
+    def largest(self) -> float:
+        return float(np.max(np.abs(np.asarray(self.values) - np.mean(self.values))))
+
+    @property
+    def centre(self) -> float:
+        return float(np.mean(self.levels))
+
+    def scaled(self, factor: float) -> Discrete:
+        check_factor(factor)
+        middle = float(np.mean(self.values))
+        return self.replaced(values=tuple(middle + factor * (value - middle) for value in self.values))
