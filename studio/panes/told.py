@@ -63,8 +63,8 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
             return
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
-            f"<tr><td>{text(one.merit.label)} {text(one.merit.limit_text)}</td><td>{text(one.location)}</td>"
-            f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
+            f"<tr><td>{text(one.merit.label.replace('_', ' '))} {text(one.merit.limit_text)}"
+            f"<br><small>{text(one.location)}</small></td><td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
             for one in predicted.limits
         )
         points = "".join(
@@ -82,7 +82,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         shown.object = (
             f'<div class="told"><p class="yield" data-yield="{predicted.yield_fraction!r}">'
             f"<b>{100.0 * predicted.yield_fraction:.1f} %</b> of lenses keep all limits{cost}</p>"
-            f"<table class='facts'><tr><th>limit</th><th>field points</th><th>good</th></tr>{limits}</table>"
+            f"<table class='facts'><tr><th>limit</th><th>good</th></tr>{limits}</table>"
             f"{note}<table class='facts'><tr><th>field</th><th>rms</th></tr>{points}</table>"
             f'<table class="bars">{bars}</table></div>'
         )
