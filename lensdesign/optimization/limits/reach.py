@@ -53,7 +53,7 @@ class Reach:
     def in_words(self, asked: ObjectSpace) -> str:
         """Return what can be met of what was asked, as messages say it."""
         if not self.nominal and any(one.reached == one.asked for one in self.limits):
-            return "a search for limits found a lens that meets the specification: allow more starts"
+            return "a lens that meets the specification was found by raising another value; allow more starts"
         parts = []
         if self.good is not None:
             parts.append(f"a predicted yield of {self.good:.3f}")

@@ -53,6 +53,9 @@ NEARBY_STARTS = 3
 EVALUATIONS = 1500
 """Most evaluations of one search."""
 
+MOST_VERIFIED = 12
+"""Lenses that are checked at most, from the largest value down, until one passes."""
+
 MOST = 4.0
 """Multiple of the value asked beyond which no limit is sought."""
 
@@ -212,6 +215,7 @@ class _LimitSearch:
     most: float
     best: _End | None = None
     as_asked: list[_End] = field(default_factory=list)
+    ends: list[_End] = field(default_factory=list)
     failed: int = 0
 
     def __post_init__(self) -> None:
@@ -240,8 +244,12 @@ class _LimitSearch:
             return self._limit(cut)
 
     def _limit(self, cut: str) -> Limit:
-        kind, found = self.kind, None if self.best is None else self._verified(self.best)
-        if self.best is None or found is None:
+        kind, found = self.kind, None
+        for end in sorted(self.ends, key=lambda one: -one.value)[:MOST_VERIFIED]:
+            found = self._verified(end)
+            if found is not None:
+                break
+        if found is None:
             return Limit(kind.name, kind.unit, self.asked, None, True, self.failed, (), cut)
         value, lens, binding = found
         ended = value < self.most * self.asked * (1.0 - 1e-12)
@@ -310,6 +318,7 @@ class _LimitSearch:
             self.as_asked.append(end)
         if self.best is None or value > self.best.value:
             self.best = end
+        self.ends.append(end)
         return True
 
     def _search(self, value: float, glasses: str, point: Array) -> Found | None:
