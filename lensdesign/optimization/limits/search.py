@@ -2,9 +2,11 @@
 
 Of one value of a specification the largest is sought for which a lens keeps every constraint. Fresh starts
 find a lens for some smaller value. From lens to lens the value is raised, each search starting from the lens
-before (continuation), until it cannot be raised further. Then independent starts look for a lens just above.
-If one is found, the value is raised from there. If none is, this is the limit: confirmed by those starts,
-which is no proof.
+before (continuation), until it cannot be raised further. Then independent starts find other lenses for four
+fifths of the value, and from these for a value just above it. If one is found, the value is raised from there.
+If none is, this is the limit: confirmed by those starts, which is no proof. Lenses of two elements have
+several families with limits of their own, the best of which one start in fifteen may lead to; the number of
+starts grows with the number of variables.
 """
 
 from __future__ import annotations
@@ -41,11 +43,12 @@ SHARES = (0.75, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01)
 FRESH_STARTS = 6
 """Fresh starts at each of these."""
 
-CONFIRMING_STARTS = 12
-"""Independent starts just above a limit, none of which finds a lens, of a single choice of glasses."""
+EASIER = 0.8
+"""Fraction of the largest value at which independent starts find a lens before they look just above it."""
 
-CONFIRMING_STARTS_OF_EACH = 4
-"""The same of each of several choices, the best one apart."""
+FEWEST_STARTS, MOST_STARTS, STARTS_OF_OTHERS = 12, 64, 6
+"""Independent starts with the best choice of glasses: for up to four variables, at most, and of each other
+choice; each variable more than four adds as many as the four together."""
 
 NEARBY_STARTS = 3
 """Starts from points near the last lens, in case its own search lost its way."""
@@ -81,8 +84,8 @@ class Limit:
         Whether larger values were tried and not met. False where the search ended at the largest multiple
         of the value asked that it tries, or at the value asked itself.
     starts
-        Independent starts just above `reached`, none of which found a lens; where `reached` is None, starts
-        at all values that were tried.
+        Independent starts, none of which found a lens above `reached`; where `reached` is None, starts at all
+        values that were tried.
     binding
         Constraints and bounds that are reached there.
     cut
@@ -115,7 +118,7 @@ class Limit:
             return f"{self.starts} starts found no lens down to {SHARES[-1]:g} times what is asked, not proof"
         if not self.ended:
             return "no larger value was tried"
-        return f"{self.starts} independent starts just above found no lens, not proof"
+        return f"{self.starts} independent starts found no lens above it, not proof"
 
 
 class LimitsInterrupted(KeyboardInterrupt):
@@ -182,6 +185,11 @@ def find_limits(
     return tuple(limits)
 
 
+def _confirming_starts(variables: int) -> int:
+    """How many independent starts confirm a limit with one choice of glasses."""
+    return min(max(variables - 3, 1) * FEWEST_STARTS, MOST_STARTS)
+
+
 def _without_as_built_goal(specification: Specification) -> Specification:
     """With another goal in place of one of lenses as built, whose predictions take most of the time."""
     if specification.optimize.goal not in AS_BUILT_GOALS:
@@ -217,6 +225,7 @@ class _LimitSearch:
     as_asked: list[_End] = field(default_factory=list)
     ends: list[_End] = field(default_factory=list)
     failed: int = 0
+    starts: int = 0
 
     def __post_init__(self) -> None:
         self.asked = self.kind.asked(self.specification)
@@ -253,7 +262,7 @@ class _LimitSearch:
             return Limit(kind.name, kind.unit, self.asked, None, True, self.failed, (), cut)
         value, lens, binding = found
         ended = value < self.most * self.asked * (1.0 - 1e-12)
-        return Limit(kind.name, kind.unit, self.asked, value, ended, self.failed, binding, cut, lens)
+        return Limit(kind.name, kind.unit, self.asked, value, ended, self.starts, binding, cut, lens)
 
     def _first(self) -> None:
         """A first lens: as asked, or for less; from what is known, and from fresh starts."""
@@ -284,9 +293,10 @@ class _LimitSearch:
                 failed_at = value
 
     def _confirm(self) -> bool:
-        """Whether independent starts find a lens just above the best, or by way of smaller values."""
-        end, self.failed = self.best, 0
+        """Whether independent starts get further than the best lens."""
+        end = self.best
         assert end is not None  # it was raised before
+        self.starts = 0
         value = end.value * (1.0 + 2.0 * RESOLUTION)
         if value > self.most * self.asked:
             return False
@@ -295,14 +305,14 @@ class _LimitSearch:
             point = np.clip(end.point + 0.05 * rng.standard_normal(len(end.point)), 0.0, 1.0)
             if self._can(value, end.glasses, point):
                 return True
-        self.failed = 0
         for glasses in sorted(self.names, key=lambda name: name != end.glasses):
-            count = CONFIRMING_STARTS if glasses == end.glasses else CONFIRMING_STARTS_OF_EACH
-            for number, point in enumerate(self._fresh(value, glasses, count)):
-                if number % 2:
-                    found = self._search(0.9 * value, glasses, point)
-                    point = point if found is None else found.outcome.point
-                if self._can(value, glasses, point):
+            count = _confirming_starts(len(end.point)) if glasses == end.glasses else STARTS_OF_OTHERS
+            for point in self._fresh(EASIER * end.value, glasses, count):
+                self.starts += 1
+                easier = self._search(EASIER * end.value, glasses, point)
+                if easier is None or easier.outcome.violation > KEPT:
+                    continue
+                if self._can(value, glasses, easier.outcome.point):
                     return True
         return False
 
