@@ -12,7 +12,6 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError
 from wavesim.fields.field import Grid
 
 ComplexArray = NDArray[np.complexfloating]
@@ -216,16 +215,3 @@ def needed_mm(line_widths_um: tuple[float, ...]) -> float:
     gaps = sum(max(pair) for pair in pairwise(line_widths_um))
     ends = line_widths_um[0] + line_widths_um[-1] if line_widths_um else 0.0
     return 1e-3 * (SET_LENGTH * sum(line_widths_um) + SET_GAP * (gaps + ends))
-
-
-def refuse_width(width_um: float, allowed: tuple[float, ...]) -> None:
-    """Refuse a line width of which the object has no lines.
-
-    Raises
-    ------
-    InputError
-        Naming the width and those that the object has.
-    """
-    if width_um not in allowed:
-        listed = ", ".join(f"{width:g}" for width in allowed) or "none"
-        raise InputError(f"line_width_um = {width_um:g}: the object has lines of {listed} um")

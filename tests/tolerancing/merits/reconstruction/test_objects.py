@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lensdesign.errors import InputError
-from tolerancing.merits.reconstruction.objects import LineObject, needed_mm, refuse_width, set_middles_mm
+from tolerancing.merits.reconstruction.objects import LineObject, needed_mm, set_middles_mm
 from wavesim.fields.field import Grid
 
 GRID = Grid((140,), 0.05 / 140, -13.5)
@@ -53,8 +52,3 @@ def test_sets_lie_side_by_side_about_the_middle():
     first, second = set_middles_mm((1.0, 2.0))
     assert second - first == pytest.approx(1e-3 * (4.5 + 4 * 2.0 + 9.0))
     assert needed_mm((1.0, 2.0)) == pytest.approx(1e-3 * (27.0 + 8.0 + 12.0))
-
-
-def test_refuses_lines_that_are_not_there():
-    with pytest.raises(InputError, match=r"line_width_um = 3: the object has lines of 1, 2 um"):
-        refuse_width(3.0, (1.0, 2.0))
