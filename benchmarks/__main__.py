@@ -41,6 +41,8 @@ SCRIPTS = (
     "focus_rule",
     "merits_and_chain",
     "goals_and_chain",
+    "whole_chain",
+    "tilt_and_slices",
     "study_speed",
     "study_faults",
     "attack",

@@ -14,6 +14,8 @@ MODULES = (
     "tolerancing.run.workers",
     "tolerancing.study.evaluate",
     "tolerancing.merits.arrival",
+    "lensdesign.analysis.extreme_rays",
+    "lensdesign.analysis.spread",
     "tolerancing.perturbations.irregularity",
     "wavesim.pupil.characteristic",
     "wavesim.pupil.focus",

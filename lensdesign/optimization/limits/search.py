@@ -3,7 +3,7 @@
 Of one value of a specification the largest is sought for which a lens keeps every constraint. Fresh starts
 find a lens for some smaller value. From lens to lens the value is raised, each search starting from the lens
 before (continuation), until it cannot be raised further. Then independent starts find other lenses for four
-fifths of the value, and from these for a value just above it. If one is found, the value is raised from there.
+fifths of the value, and from these for a value just above. If one is found, the value is raised from there.
 If none is, this is the limit: confirmed by those starts, which is no proof. Lenses of two elements have
 several families with limits of their own, the best of which one start in fifteen may lead to; the number of
 starts grows with the number of variables.
@@ -50,8 +50,11 @@ FEWEST_STARTS, MOST_STARTS, STARTS_OF_OTHERS = 12, 64, 6
 """Independent starts with the best choice of glasses: for up to four variables, at most, and of each other
 choice; each variable more than four adds as many as the four together."""
 
-NEARBY_STARTS = 3
-"""Starts from points near the last lens, in case its own search lost its way."""
+NEARBY_STARTS, NEARBY = 3, (0.03, 0.1, 0.2)
+"""Starts near the last lens, for each variable; their distances in turn, in ranges of the variables."""
+
+MOST_SEARCHES = 10
+"""Evaluations of a limit, over those of a search for one lens."""
 
 EVALUATIONS = 1500
 """Most evaluations of one search."""
@@ -231,7 +234,7 @@ class _LimitSearch:
         self.asked = self.kind.asked(self.specification)
         choices = sum(1 for _ in bases_of(self.specification))
         self.names = [glasses for glasses, _ in bases_of(self.specification)]
-        self.budget = Budget(choices * self.specification.optimize.max_evaluations)
+        self.budget = Budget(MOST_SEARCHES * choices * self.specification.optimize.max_evaluations)
         self.seeds = itertools.count(self.seed * 1_000_003)
 
     def run(self) -> Limit:
@@ -301,8 +304,9 @@ class _LimitSearch:
         if value > self.most * self.asked:
             return False
         rng = np.random.default_rng(next(self.seeds))
-        for _ in range(NEARBY_STARTS):
-            point = np.clip(end.point + 0.05 * rng.standard_normal(len(end.point)), 0.0, 1.0)
+        for number in range(NEARBY_STARTS * len(end.point)):
+            away = NEARBY[number % len(NEARBY)] * rng.standard_normal(len(end.point))
+            point = np.clip(end.point + away, 0.0, 1.0)
             if self._can(value, end.glasses, point):
                 return True
         for glasses in sorted(self.names, key=lambda name: name != end.glasses):

@@ -41,7 +41,8 @@ def test_a_search_that_is_ended_leaves_what_was_there(tmp_path: Path) -> None:
     out, err = search.communicate(timeout=600)
     assert search.returncode == 130
     assert out == ""
-    assert err == "interrupted\n"
+    assert err.splitlines()[-1].startswith("interrupted")
+    assert "Traceback" not in err
     assert (tmp_path / "out.toml").read_text() == "mine"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.toml", "spec.toml"]
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
@@ -109,6 +108,8 @@ class LineObject:
 
     def _smooth(self, generator: np.random.Generator) -> Array:
         """Random values from 0 to 1 whose finest detail is `DETAIL_UM` wide."""
+        import scipy.fft
+
         count = self.grid.size
         cycles = scipy.fft.rfftfreq(count, 1e3 * self.grid.pitch_mm)
         spectrum = scipy.fft.rfft(generator.standard_normal(count))
@@ -145,6 +146,8 @@ class LineObject:
 
     def _as_passed(self, values: ComplexArray) -> ComplexArray:
         """Values without the detail beyond the lens's aperture, on finer samples."""
+        import scipy.fft
+
         count = len(values)
         padded = np.concatenate([values, np.full(count, values.mean())])
         spectrum = scipy.fft.fft(padded)
