@@ -2,9 +2,9 @@
 
 The limit of the field is sought as `lensdesign optimize` and `lensdesign limits` do it. True means that the
 lens at the limit passes the check, and that a dense multistart (sixty fresh starts and sixty starts near the
-best lens) at 1.01 times the largest limit of all seeds finds no lens; where no limit is found, that sixty fresh
-starts find no lens at a hundredth of the field. `--specifications 0,3` measures some of them, `--seeds` fewer
-seeds.
+best lens) at 1.01 times the largest limit of all seeds finds no lens; where no limit is found, that sixty
+fresh starts find no lens at a hundredth of the field. `--specifications 0,3` measures some of them, `--seeds`
+fewer seeds.
 """
 
 from __future__ import annotations

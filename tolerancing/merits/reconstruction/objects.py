@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.fields.field import Grid
+
+if TYPE_CHECKING:
+    from wavesim.fields.field import Grid
 
 ComplexArray = NDArray[np.complexfloating]
 ObjectKind = Literal["lines", "amplitude", "complex"]
