@@ -26,7 +26,7 @@ READERS = "lensdesign.as_built"
 
 @dataclass(frozen=True)
 class AsBuiltValues:
-    """What a search is told of a lens; p object points, v variables.
+    """Predictions of a lens for a search; p object points, v variables.
 
     Attributes
     ----------
