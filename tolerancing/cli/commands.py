@@ -269,8 +269,8 @@ def _print_summary(summary: Summary, predicted: StudyPrediction | None) -> None:
         ("all limits", "", "", "", *_yield_cells(summary.good)),
     )
     for row in summary.merits:
-        if row.merit.details:
-            print(f"{row.merit.label}: {row.merit.details[0]}")
+        if row.merit.location:
+            print(f"{row.merit.label}: {row.merit.location}")
     if predicted is not None:
         merits = ", ".join(one.merit.label for one in predicted.limits)
         print(f"predicted without trials: {100.0 * predicted.yield_fraction:.1f} % within {merits} at once")

@@ -61,7 +61,7 @@ def predict(
 
 def _print_yield(found: StudyPrediction) -> None:
     rows = [
-        (one.merit.label, one.merit.limit_text, one.location, f"{100.0 * one.yield_fraction:.1f}")
+        (one.merit.label, one.merit.limit_text, one.merit.location, f"{100.0 * one.yield_fraction:.1f}")
         for one in found.limits
     ]
     last = ("all limits at once", "", "", f"{100.0 * found.yield_fraction:.1f}")

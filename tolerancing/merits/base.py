@@ -134,6 +134,11 @@ class Merit(Section):
         return f"{'at least' if self.at_least is not None else 'at most'} {self.limit:g} {self.unit}".strip()
 
     @property
+    def location(self) -> str:
+        """The field points at which it judges, in words; empty if it has none."""
+        return ""
+
+    @property
     def details(self) -> tuple[str, ...]:
         """What it was asked for beside its limit, in words."""
         return () if self.wavelength_um is None else (f"light of {self.wavelength_um:g} um",)

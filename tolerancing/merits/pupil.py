@@ -65,8 +65,12 @@ class PupilMerit(Merit):
         return self.points
 
     @property
+    def location(self) -> str:
+        return points_text(self.points)
+
+    @property
     def details(self) -> tuple[str, ...]:
-        return points_text(self.points), refocus_text(self.refocus), *super().details
+        return self.location, refocus_text(self.refocus), *super().details
 
     def check(self, lens: Lens) -> None:
         for point in self.points:

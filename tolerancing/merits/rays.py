@@ -45,10 +45,12 @@ class RayMerit(Merit):
             check_field_point(lens, point, "field_points_mm")
 
     @property
+    def location(self) -> str:
+        return points_text(self.field_points_mm) if self.field_points_mm else "over the whole field"
+
+    @property
     def details(self) -> tuple[str, ...]:
-        if self.field_points_mm:
-            return points_text(self.field_points_mm), *super().details
-        return "over the whole field", *super().details
+        return self.location, *super().details
 
     def points(self, lens: Lens) -> Points:
         """The field points at which this lens is judged."""

@@ -47,11 +47,6 @@ class LimitPrediction:
         """Fraction of lenses that keep this limit."""
         return float(np.mean(self.passed))
 
-    @property
-    def location(self) -> str:
-        """The field points at which it holds, in words."""
-        return self.merit.details[0]
-
 
 @dataclass(frozen=True, eq=False)
 class StudyPrediction:

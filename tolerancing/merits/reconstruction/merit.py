@@ -176,9 +176,13 @@ class Reconstruction(Merit):
             f"reconstruction by {engines}",
             f"{self.model} model",
             refocus_text(self.refocus),
-            points_text(self.points),
+            self.location,
             *super().details,
         )
+
+    @property
+    def location(self) -> str:
+        return points_text(self.points)
 
     @property
     def varies_slices(self) -> bool:

@@ -148,7 +148,7 @@ def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
         [
             one.merit.label,
             one.merit.limit_text,
-            one.location,
+            one.merit.location,
             percent_text(one.yield_fraction),
             percent_text(fraction(own)),
         ]
