@@ -64,7 +64,8 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
         predicted, waves = found.prediction, found.prediction.wavefronts
         limits = "".join(
             f"<tr><td>{text(one.merit.label.replace('_', ' '))} {text(one.merit.limit_text)}"
-            f"<br><small>{text(one.merit.location)}</small></td><td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
+            f"<br><small>{text(one.merit.location)}</small></td>"
+            f"<td>{100.0 * one.yield_fraction:.1f} %</td></tr>"
             for one in predicted.limits
         )
         points = "".join(
