@@ -22,6 +22,7 @@ from tolerancing.analysis.scorer import ROWS_AT_ONCE
 from tolerancing.budgets.score_model import StudyScoreModel
 from tolerancing.budgets.study_budget import SCALES, budget_of_study, scaled_perturbations
 from tolerancing.cost import cost_of, load_costs
+from tolerancing.merits.base import all_passed
 from tolerancing.study.evaluate import context_of, score_trials
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import Study
@@ -93,8 +94,7 @@ def _independent(loaded: LoadedStudy, weights: Array, elements: float) -> Array:
     model = StudyScoreModel(loaded.lens, study, np.zeros((0, len(weights))), np.zeros((0, len(study.merits))))
 
     def good(scales: Array) -> float:
-        scores = model.scores(scales)
-        return float(np.mean(np.all([m.passed(scores[:, k]) for k, m in enumerate(study.merits)], axis=0)))
+        return float(np.mean(all_passed(study.merits, model.scores(scales))))
 
     def normalized(logarithms: Array, halvings: int = 11) -> Array:
         low, high = -1.5, 1.5

@@ -249,7 +249,7 @@ def _result(
         else:
             ending.built = _as_built(specification, lens)
     built = ending.built
-    check = check_against(lens, _without_as_built(specification) if unchecked else specification, built)
+    check = check_against(lens, specification.without_as_built() if unchecked else specification, built)
     # A search for how much of it can be met takes too long where each lens takes reconstructions.
     if not check.feasible and reach is None and not specification.asks_losses:
         if searched and now() < ending.end:
@@ -292,13 +292,6 @@ def _unchecked(specification: Specification, why: str) -> list[str]:
         LOSS_GOAL: limits.max_as_built_reconstruction_loss,
     }
     return [f"{name}: not checked, as {why}" for name, limit in asked.items() if limit is not None]
-
-
-def _without_as_built(specification: Specification) -> Specification:
-    limits = specification.constraints.replaced(
-        min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
-    )
-    return specification.model_copy(update={"constraints": limits})
 
 
 def _as_built(specification: Specification, lens: Lens) -> AsBuiltReport | None:

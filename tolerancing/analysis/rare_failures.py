@@ -36,6 +36,7 @@ from lensdesign.errors import InputError
 from tolerancing.analysis.response import Response, fit_response
 from tolerancing.analysis.scorer import StudyScorer
 from tolerancing.analysis.yields import CONFIDENCE, wilson
+from tolerancing.merits.base import all_passed
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
 from tolerancing.store.store import Store
 from tolerancing.study.evaluate import context_of
@@ -123,7 +124,7 @@ def rare_yield(store: Store, trials: int, *, report: Callable[[int], None] | Non
     drawn, weights = proposed(chances, trials, rng)
     scorer = StudyScorer(context_of(loaded.lens, study), study, report)
     scores = scorer(values[drawn], range(FIRST_TRIAL, FIRST_TRIAL + trials))
-    kept = np.all([m.passed(scores[:, k]) for k, m in enumerate(study.merits)], axis=0)
+    kept = all_passed(study.merits, scores)
     share, error, plain = weighted_failures(~kept, weights, MODELLED)
     low, high = wilson(1.0 - share, plain)
     return RareYield(
@@ -178,7 +179,7 @@ def proposed(chances: Array, count: int, rng: np.random.Generator) -> tuple[NDAr
     return drawn.astype(np.intp), even / q[drawn]
 
 
-def weighted_failures(failed: Array, weights: Array, modelled: int) -> tuple[float, float, float]:
+def weighted_failures(failed: NDArray[np.bool_], weights: Array, modelled: int) -> tuple[float, float, float]:
     """Share of failures, its standard error, and how many plain trials have that.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from tolerancing.budgets.score_model import StudyScoreModel
+from tolerancing.merits.base import all_passed
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.study_prediction import is_predicted
 
@@ -49,8 +50,7 @@ def loosen_each(lens: Lens, study: Study) -> tuple[LoosenedYield, ...]:
     )
 
     def good(scales: Array) -> float:
-        scores = model.scores(scales)
-        return float(np.mean(np.all([m.passed(scores[:, k]) for k, m in enumerate(merits)], axis=0)))
+        return float(np.mean(all_passed(merits, model.scores(scales))))
 
     ones = np.ones(len(study.perturbations))
     return tuple(

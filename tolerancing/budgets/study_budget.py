@@ -16,6 +16,7 @@ from tolerancing.analysis.scorer import ROWS_AT_ONCE
 from tolerancing.analysis.yields import Yield, yield_of
 from tolerancing.budgets.score_model import StudyScoreModel
 from tolerancing.budgets.tolerance_search import Budget, check_required, loosest_tolerances
+from tolerancing.merits.base import all_passed
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.store.store import Store
@@ -318,9 +319,10 @@ class _Rounds:
                 weights=self.costs.weights,
             )
         except InputError:
-            own = self.tried(model, None, self.study.seed + 1).verified
+            smallest = self.smallest(model)
+            own = self.tried(model, smallest, self.study.seed + 1).verified
             if own is not None and own.high >= self.required:
-                return self.smallest(model)
+                return smallest
             raise InputError(
                 f"required yield = {self.required:g}: out of reach; with the smallest scales, {SCALES[0]:g} "
                 f"of the study's tolerances, {own.passed if own else 0} of {self.fresh} lenses are good"
@@ -339,9 +341,8 @@ class _Rounds:
             low, good(low), good(ones), float(np.sum(weights / low)), float(np.sum(weights)), None, None, 2
         )
 
-    def tried(self, model: StudyScoreModel, searched: Budget | None, seed: int) -> StudyBudget:
-        """What trials of the lens make of a budget, of the smallest scales if there is none."""
-        budget = self.smallest(model) if searched is None else searched
+    def tried(self, model: StudyScoreModel, budget: Budget, seed: int) -> StudyBudget:
+        """What trials of the lens make of a budget."""
         perturbations = scaled_perturbations(self.study, budget.scales)
         scaled = self.study.model_copy(
             update={"perturbations": perturbations, "seed": seed, "draws": "random"}
@@ -367,7 +368,7 @@ class _Rounds:
 
     def good(self, scores: Array) -> NDArray[np.bool_]:
         """Which lenses keep all limits, from their scores of shape (n, merits)."""
-        return np.all([m.passed(scores[:, k]) for k, m in enumerate(self.study.merits)], axis=0)
+        return all_passed(self.study.merits, scores)
 
     def made(
         self, budget: Budget, verified: Yield | None, seed: int, estimate: tuple[float, float] | None

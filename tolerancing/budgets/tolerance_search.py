@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.optimization.nlopt_driver import Evaluation, minimize
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import Merit, all_passed
 
 SMOOTHING = (0.1, 0.05)
 """Widths of the logistic function that replaces pass or fail, in standard deviations of the scores."""
@@ -179,8 +179,7 @@ class _Search:
         """Fraction of good lenses; the cheapest scales that keep the yield are remembered."""
         self.evaluations += 1
         scores = self.model.scores(scales)
-        kept = [merit.passed(scores[:, k]) for k, merit in enumerate(self.merits)]
-        good = float(np.mean(np.all(kept, axis=0)))
+        good = float(np.mean(all_passed(self.merits, scores)))
         cost = self.cost(scales)
         allowed = bool(np.all((scales >= self.low) & (scales <= self.high)))
         if good >= self.required and allowed and (self.best is None or cost < self.best[0]):

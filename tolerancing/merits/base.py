@@ -220,6 +220,11 @@ class Merit(Section):
         return self.scores(context, batch)
 
 
+def all_passed(merits: Sequence[Merit], scores: Array) -> NDArray[np.bool_]:
+    """Which lenses keep the limits of all merits, from their scores of shape (n, merits)."""
+    return np.all([merit.passed(scores[:, k]) for k, merit in enumerate(merits)], axis=0)
+
+
 def points_text(points: Sequence[tuple[float, float]]) -> str:
     """Object points in words; the worst of several counts."""
     text = ", ".join(f"({x:g}, {y:g})" for x, y in points)

@@ -302,5 +302,3 @@ class Context:
             shared[key] = [whole[place]] if isinstance(whole, list) else work()
         result: Result = shared[key]
         return result
-
-    _once = once

@@ -10,7 +10,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
-from tolerancing.merits.base import Merit
+from tolerancing.merits.base import Merit, all_passed
 from tolerancing.merits.context import Context
 from tolerancing.perturbations.batch import PerturbationBatch, batch_of
 from tolerancing.perturbations.draws import probabilities
@@ -91,9 +91,9 @@ def score_trials(context: Context, study: Study, trials: Sequence[int]) -> Trial
         + ([_compensator_values(context, batch)] if study.compensators else [])
         or [np.empty((len(batch), 0))]
     )
-    kept = [merit.passed(scores[:, k]) for k, merit in enumerate(study.merits)]
+    passed = all_passed(study.merits, scores)
     seconds = np.full(len(batch), (time.perf_counter() - start) / len(batch))
-    return TrialResults(tuple(trials), batch.values, scores, extras, messages, np.all(kept, axis=0), seconds)
+    return TrialResults(tuple(trials), batch.values, scores, extras, messages, passed, seconds)
 
 
 def score_dear(context: Context, study: Study, trials: Sequence[int], chosen: Sequence[str]) -> DearResults:

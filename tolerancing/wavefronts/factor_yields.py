@@ -14,7 +14,6 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from tolerancing.study.study import Study
 from tolerancing.wavefronts.prediction import (
-    drawn_amounts,
     drawn_batch,
     first_order,
     is_predicted_wavefront,
@@ -22,6 +21,7 @@ from tolerancing.wavefronts.prediction import (
     study_derivatives,
 )
 from tolerancing.wavefronts.rays import BLOCK, FirstOrderRays, predicted_merits
+from tolerancing.wavefronts.system import amounts_of
 
 JOINT_EVERY = 16
 """Every so many of a prediction's draws serve for joint yields."""
@@ -34,6 +34,8 @@ class FirstOrderYield:
     ----------
     lens, study
         As :func:`tolerancing.wavefronts.prediction.predict` takes them.
+    every
+        Every so many of a prediction's draws serve.
 
     Raises
     ------
@@ -43,11 +45,11 @@ class FirstOrderYield:
         If rays from a field point do not pass.
     """
 
-    def __init__(self, lens: Lens, study: Study) -> None:
+    def __init__(self, lens: Lens, study: Study, every: int = 1) -> None:
         judged = judged_points(study)
         self._known = study_derivatives(lens, study, judged, second=False)
         self._forms = [first_order(field) for field in self._known.fields]
-        self._amounts = drawn_amounts(study)
+        self._amounts = amounts_of(drawn_batch(study, every))
         self._limits = np.array([point.limit_waves**2 for point in judged])
 
     def at(self, factors: Array) -> float:
@@ -69,7 +71,7 @@ class JointYield:
 
     def __init__(self, lens: Lens, study: Study) -> None:
         waves = any(is_predicted_wavefront(merit) for merit in study.merits)
-        self._waves = FirstOrderYield(lens, study) if waves else None
+        self._waves = FirstOrderYield(lens, study, JOINT_EVERY) if waves else None
         self._merits = predicted_merits(study)
         self._rays = FirstOrderRays(lens, study)
         self._batch = drawn_batch(study, JOINT_EVERY)
@@ -78,7 +80,7 @@ class JointYield:
         """Yield with tolerances multiplied by factors, one for each perturbation; 0 leaves one out."""
         good = np.ones(len(self._batch), bool)
         if self._waves is not None:
-            good &= self._waves.passed(factors)[::JOINT_EVERY]
+            good &= self._waves.passed(factors)
         changed = replace(self._batch, values=self._batch.values * factors)
         for start in range(0, len(good), BLOCK) if self._merits else ():
             part = slice(start, start + BLOCK)

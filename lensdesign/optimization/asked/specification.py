@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -83,6 +83,13 @@ class Specification(Lens):
                     f"{self.half_field_mm:g} mm"
                 )
         return self
+
+    def without_as_built(self) -> Self:
+        """The specification without the constraints that are about lenses as built; its goal stays."""
+        limits = self.constraints.replaced(
+            min_yield=None, max_as_built_rms_waves=None, max_as_built_reconstruction_loss=None
+        )
+        return self.model_copy(update={"constraints": limits})
 
     @property
     def asks_as_built(self) -> bool:

@@ -135,9 +135,8 @@ def reach_of(limits: tuple[Limit, ...], nominal: bool = False) -> Reach:
 
 def _nominal(specification: Specification, goal: str = "thinnest lens") -> Specification:
     """The specification with another goal, and nothing asked of lenses as built."""
-    limits = specification.constraints.replaced(min_yield=None, max_as_built_rms_waves=None)
     settings = specification.optimize.replaced(goal=goal)
-    return specification.model_copy(update={"constraints": limits, "optimize": settings})
+    return specification.without_as_built().model_copy(update={"optimize": settings})
 
 
 def _best_as_built(specification: Specification, base: Lens, point: Array) -> Reach | None:

@@ -377,16 +377,11 @@ class _LimitSearch:
             try:
                 rays = dense_rays(problem)
                 lens = finished_lens(problem, end.point, rays)
-                if check_against(lens, _without_trials(problem.specification)).feasible:
+                if check_against(lens, problem.specification.without_as_built()).feasible:
                     return value, lens, binding(problem, end.point, rays, BINDING)
             except DesignError:
                 continue
         return None
-
-
-def _without_trials(specification: Specification) -> Specification:
-    limits = specification.constraints.replaced(min_yield=None, max_as_built_rms_waves=None)
-    return specification.model_copy(update={"constraints": limits})
 
 
 def binding(problem: DesignProblem, point: Array, rays: Rays, within: float) -> tuple[str, ...]:
