@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.calibration.joint.lens_changes import Changed, PathSlopes, by_engines, by_rays, path_slopes
-from wavesim.calibration.joint.linearised import Linearised, RealArray
-from wavesim.calibration.joint.sight import ComplexArray, ThroughSpace
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear.sight import ComplexArray, ThroughSpace
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
 from wavesim.camera.mounting import light_on, planes_at

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.line import Line
-from wavesim.calibration.joint.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes
 from wavesim.calibration.joint.step import JointStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns

@@ -16,10 +16,10 @@ import numpy as np
 
 from lensdesign.analysis.paraxial import first_order
 from wavesim.calibration.joint.lens_changes import Changed, by_rays, path_slopes
-from wavesim.calibration.joint.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes, moved
 from wavesim.calibration.joint.ray_changes import Seat
-from wavesim.calibration.joint.sight import ComplexArray
+from wavesim.reconstruction.linear.sight import ComplexArray
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import Parameter, Unknowns
 from wavesim.camera.frame_sets import frames_by_plane

@@ -9,7 +9,7 @@ import pytest
 from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.joint.linearised import Linearised
+from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.calibration.joint.pixels import AllPixels
 from wavesim.calibration.joint.some_pixels import SomePixels, TilesToPlanes
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters

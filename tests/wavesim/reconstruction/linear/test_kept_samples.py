@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wavesim.calibration.joint.kept_samples import KeptSamples
+from wavesim.reconstruction.linear.kept_samples import KeptSamples
 from wavesim.fields.field import Grid
 from wavesim.fields.slight_tilts import TiltedWay, way_to
 from wavesim.reconstruction.recording.pixel_means import PixelMeans

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.calibration.joint.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
+from wavesim.reconstruction.linear.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
 from wavesim.fields.field import Field
 from wavesim.reconstruction.recording_model import RecordingModel
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_twins import small_twin
 
-from wavesim.calibration.joint.linearised import Linearised
-from wavesim.calibration.joint.sight import ThroughSpace
+from wavesim.reconstruction.linear.linearised import Linearised
+from wavesim.reconstruction.linear.sight import ThroughSpace
 from wavesim.camera.recorded import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 
