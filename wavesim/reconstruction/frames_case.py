@@ -62,7 +62,8 @@ class FramesCase(NamedTuple):
 
     `shown` is the part of the object that is judged and written, `inside` its samples within the field stop,
     `carried` the part that is refocused, `held` what the iterations are not given of the planes, `engine_on`
-    makes an engine from another part of the object to the same plane.
+    makes an engine from another part of the object to the same plane, `engine_of_error` one of another
+    accuracy together with its predicted error, `calibrated` says whether a calibrated bench was given.
     """
 
     patch: Patch
@@ -84,6 +85,8 @@ class FramesCase(NamedTuple):
     scratch: Scratch
     memory: Memory
     predicted_error: float
+    engine_of_error: Callable[[float], tuple[Engine, float]]
+    calibrated: bool
 
     @property
     def modes(self) -> tuple[SourceMode, ...]:
@@ -141,6 +144,11 @@ def frames_case(
     key = _key(lens, framed.frames, settings, light, recorded, engine)
     predicted_error, even = engine.predicted_error(behind), behind.even
     lit = light.with_values(scratch.held(light.values, "the illumination"))
+
+    def engine_of_error(error: float) -> tuple[Engine, float]:
+        own = _engine(scene, settings.replaced(error=error), runs, limit, Light(lit, even))
+        return own, own.predicted_error(Light(lit, even))
+
     return FramesCase(
         patch,
         lit,
@@ -163,6 +171,8 @@ def frames_case(
         scratch,
         memory,
         predicted_error,
+        engine_of_error,
+        bench is not None,
     )
 
 

@@ -2,29 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from lensdesign.common.clusters import ClusterError
+from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
+from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
-from wavesim.camera.windows import imaging_engine
+from wavesim.camera.windows import LEAST_DIVERSITY, imaging_engine
+from wavesim.engines.registry import AUTO
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_metrics
-from wavesim.evaluation.verdicts import FEW, LIMIT, PlaneResidual, Verdict, verdict
+from wavesim.evaluation.plane_residuals import PlaneResidual
+from wavesim.evaluation.verdicts import (
+    FEW,
+    LIMIT,
+    MODEL_ERROR,
+    Finding,
+    Trial,
+    Undetected,
+    Verdict,
+    plane_verdicts,
+    verdict,
+)
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
+from wavesim.reconstruction.doubts.guesses import smooth_phase_waves
 from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
+from wavesim.reconstruction.doubts.orientation import misoriented
+from wavesim.reconstruction.doubts.score_test import ScoreTest, score_test
 from wavesim.reconstruction.doubts.starts import agreement_of_starts
 from wavesim.reconstruction.doubts.trials import Doubts
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
-from wavesim.reconstruction.from_object import Progressed, reconstruct
+from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
@@ -34,13 +52,21 @@ from wavesim.reconstruction.stopped_down import (
     on_all_samples,
     stopped_down_problem,
 )
+from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import Memory
 from wavesim.scene.bench import Bench
-from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
+
+FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
+"""A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
+`FINEST`, which pixels and free space have too."""
+
+RAMP_WAVES = 0.35
+"""Phase ramp over half of a patch from which on light or camera may have made it, and not the object."""
 
 NEAR = 1.4
 """Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
@@ -172,7 +198,11 @@ def _goes_on(case: FramesCase) -> str:
 
 
 class _Found(NamedTuple):
-    """What one method gave: the transmission, or the field behind the part that is to be refocused."""
+    """What one method gave: the transmission, or the field behind the part that is to be refocused.
+
+    `whole` is the transmission on all samples, `engine_errors` what a more accurate engine would change of
+    the amplitudes, `model_error` the relative error of amplitudes that is allowed.
+    """
 
     transmission: Field | None
     behind: Field | None
@@ -180,6 +210,9 @@ class _Found(NamedTuple):
     curve: tuple[float, ...]
     of_method: dict[str, Any]
     agreement: float | None = None
+    whole: Field | None = None
+    engine_errors: tuple[Array, ...] = ()
+    model_error: float = MODEL_ERROR
 
 
 def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told) -> FoundObject:
@@ -199,10 +232,10 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         begun = [progress_kept(case.checkpoint, case.scratch)]
         if begun == [None] and start is None:
             begun = [_begun_on_half(case, settings, take, told)]
-        found = _object(case, settings, engine_on, told, start, begun)
-    transmission, behind, maps, curve, of_method, agreement = found
+        case, found = _object(case, settings, take, told, start, begun)
+    judged = _verdict(case, settings, engine_on, found, told)
+    transmission, behind, maps, curve, of_method = found[:5]
     del found
-    judged = _verdict(case, settings, engine_on, maps, curve, agreement, told)
     focus = None
     if behind is not None and settings.focus_mm is not None:
         told.step("refocusing")
@@ -238,40 +271,112 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
 
 
 def _verdict(
-    case: FramesCase,
-    settings: ReconstructionSettings,
-    engine_on: EngineOn,
-    maps: tuple[Array, ...],
-    curve: tuple[float, ...],
-    agreement: float | None,
-    told: _Told,
+    case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, found: _Found, told: _Told
 ) -> Verdict:
-    """Whether the planes are explained; where they are not, what helps is tried, a whole field aside."""
-    planes = []
-    for plane, error, held, about in zip(case.recorded, maps, case.held, case.planes, strict=True):
-        assert plane.sigma is not None
-        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
-        planes.append(PlaneResidual(about.distance_mm, *left))
-    first = verdict(planes, curve=curve, agreement=agreement)
-    # Where little is amiss and the misfit falls, or there is no more than a few iterations, that is it.
-    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
-    if first.explained or early or settings.method == "paper" or isinstance(case.engine, Tiled):
+    """Whether the planes are explained; where they are not, what helps is tried, except on a whole field."""
+    residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
+    known = [
+        (plane, error)
+        for plane, error in zip(case.recorded, found.residual_maps, strict=True)
+        if is_given(plane)
+    ]
+    given, maps = [plane for plane, _ in known], [error for _, error in known]
+    findings = misoriented(given, maps)
+
+    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> Verdict:
+        return verdict(
+            residuals,
+            trials,
+            curve,
+            found.agreement,
+            model_error=found.model_error,
+            findings=findings,
+            undetected=undetected,
+            calibrated=case.calibrated,
+        )
+
+    first = judged()
+    if settings.method == "paper" or isinstance(case.engine, Tiled):
         return first
-    told.step("what may differ")
+    if settings.kind == "complex" and found.whole is not None:
+        findings += _ramp(found.whole)
+    # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
+    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
+    if early:
+        return judged()
     with engine_on(case.light.grid) as engine:
-        doubts = Doubts(
+        trials, undetected = list[Trial](), tuple[Undetected, ...]()
+        if found.whole is not None and not case.modes[1:]:
+            told.step("what the frames say of the bench")
+            test = _score_test(case, settings, engine, found, told)
+            if test is not None and first.within:
+                undetected = test.undetected
+                if test.is_preferred:
+                    findings.append(Finding(test.cause, test.explanation, test.chi_square))
+        if not first.within:
+            told.step("what may differ")
+            trials = Doubts(
+                engine,
+                case.light,
+                case.given,
+                maps,
+                settings.kind,
+                settings.tv_weight,
+                settings.scale,
+                settings.active_width,
+                case.diversity,
+                case.modes,
+            ).trials()
+    return judged(trials, undetected)
+
+
+def _score_test(
+    case: FramesCase, settings: ReconstructionSettings, engine: Engine, found: _Found, told: _Told
+) -> ScoreTest | None:
+    """What the frames say of small errors of the bench; None where rays or samples do not take them."""
+    assert found.whole is not None
+    try:
+        return score_test(
             engine,
             case.light,
             case.given,
-            [error for error, plane in zip(maps, case.recorded, strict=True) if is_given(plane)],
+            found.whole.values,
             settings.kind,
-            settings.tv_weight,
-            settings.scale,
-            settings.active_width,
-            case.diversity,
-            case.modes,
+            scale=found.of_method["scale"],
+            fits_scale=settings.scale is None,
+            active_width=settings.active_width,
+            model_error=found.model_error,
+            progress=told.step,
         )
-        return verdict(planes, doubts.trials(), curve, agreement)
+    except TransferLensError:
+        return None
+
+
+def _ramp(transmission: Field) -> list[Finding]:
+    """A finding where a complex object carries a phase ramp that light or camera may have made."""
+    phase = smooth_phase_waves(transmission)
+    x, y = phase[1, 0], phase[0, 1]
+    if math.hypot(x, y) < RAMP_WAVES:
+        return []
+    said = (
+        f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
+        "light or a shifted plane would give too"
+    )
+    return [Finding("phase ramp", said)]
+
+
+def _residuals(
+    case: FramesCase, maps: Sequence[Array], engine_errors: Sequence[Array | None]
+) -> list[PlaneResidual]:
+    planes = []
+    errors = engine_errors or [None] * len(maps)
+    for plane, error, held, about, engine in zip(
+        case.recorded, maps, case.held, case.planes, errors, strict=True
+    ):
+        assert plane.sigma is not None
+        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
+        planes.append(PlaneResidual(about.distance_mm, *left, engine))
+    return planes
 
 
 def _begun_on_half(
@@ -309,35 +414,57 @@ def _begun_on_half(
 def _object(
     case: FramesCase,
     settings: ReconstructionSettings,
-    engine_on: EngineOn,
+    take: Take,
     told: _Told,
     start: Field | None,
     begun: list[Progressed | None],
-) -> _Found:
-    with engine_on(case.light.grid) as engine:
-        found = reconstruct(
-            engine,
-            case.light,
-            case.given,
-            kind=settings.kind,
-            tv_weight=settings.tv_weight,
-            iterations=settings.most_iterations,
-            until_noise=True,
-            scale=settings.scale,
-            start="amplitude" if settings.first == "amplitude" else start,
-            active_width=settings.active_width,
-            progress=told.iteration,
-            resume=begun.pop(),
-            keep=keeper(case.checkpoint),
-            scratch=case.scratch,
-            modes=case.modes,
-        )
-        agreement = agreement_of_starts(
-            engine, case.light, case.given, settings, found, told.step, case.modes
-        )
-        maps = found.residual_maps
-        if len(maps) < len(case.recorded):
-            maps = maps_of_all(engine, case.light, case.recorded, settings.active_width, found, case.modes)
+) -> tuple[FramesCase, _Found]:
+    """The object, and the case with the engine that found it.
+
+    Where residuals exceed the noise by no more than the engine's predicted error, a more accurate engine goes
+    on from there, unless the error was stated.
+    """
+    kept: Checkpoint | None = case.checkpoint
+    curve: tuple[float, ...] = ()
+    model_error = MODEL_ERROR
+    first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
+    errors: tuple[Array, ...] = ()
+    while True:
+        with _ready(case.engine, take, told) as engine:
+            found = reconstruct(
+                engine,
+                case.light,
+                case.given,
+                kind=settings.kind,
+                tv_weight=settings.tv_weight,
+                iterations=settings.most_iterations,
+                until_noise=True,
+                scale=settings.scale,
+                start=first,
+                active_width=settings.active_width,
+                progress=told.iteration,
+                resume=begun.pop() if begun else None,
+                keep=keeper(kept),
+                scratch=case.scratch,
+                modes=case.modes,
+            )
+            maps = found.residual_maps
+            if len(maps) < len(case.recorded):
+                maps = maps_of_all(
+                    engine, case.light, case.recorded, settings.active_width, found, case.modes
+                )
+            curve += found.misfit
+            finer = _more_accurate(case, settings, maps, found.misfit[-1], told)
+            if finer is None or settings.error is not None or settings.engine != AUTO:
+                if finer is not None:
+                    errors = _engine_errors(finer, case, settings, found, maps)
+                elif not _within(case, maps, MODEL_ERROR) and _could_be_the_engine(case, found.misfit[-1]):
+                    model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
+                agreement = agreement_of_starts(
+                    engine, case.light, case.given, _with_starts(case, settings), found, told.step, case.modes
+                )
+                break
+        case, first, kept = finer, found.transmission, None
     said: dict[str, Any] = {
         "scale": found.scale,
         "misfit": found.misfit[-1],
@@ -345,11 +472,64 @@ def _object(
     }
     if settings.source_deg:
         said["source_deg"] = case.source.width_deg
-    part = cut_field(found.transmission, case.carried)
-    if settings.focus_mm is None:
-        return _Found(part, None, maps, found.misfit, said, agreement)
-    behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
-    return _Found(None, behind, maps, found.misfit, said, agreement)
+    part, behind = cut_field(found.transmission, case.carried), None
+    if settings.focus_mm is not None:
+        behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
+    whole = None if isinstance(case.engine, Tiled) else found.transmission
+    transmission = part if behind is None else None
+    return case, _Found(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
+
+
+def _within(case: FramesCase, maps: Sequence[Array], model_error: float) -> bool:
+    return max(p.excess for p in plane_verdicts(_residuals(case, maps, ()), model_error)) <= 1.0
+
+
+def _could_be_the_engine(case: FramesCase, misfit: float) -> bool:
+    """Whether the engine's predicted error is as large as what the misfit exceeds the noise by."""
+    excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
+    return case.predicted_error > excess
+
+
+def _more_accurate(
+    case: FramesCase, settings: ReconstructionSettings, maps: Sequence[Array], misfit: float, told: _Told
+) -> FramesCase | None:
+    """The case with a more accurate engine, where the engine's error may be what is left; else None."""
+    if isinstance(case.engine, Tiled) or settings.method == "paper":
+        return None
+    if (
+        case.predicted_error <= FINEST
+        or not _could_be_the_engine(case, misfit)
+        or _within(case, maps, MODEL_ERROR)
+    ):
+        return None
+    target = max(case.predicted_error / FINER, FINEST)
+    told.step(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
+    try:
+        engine, predicted = case.engine_of_error(target)
+    except TransferLensError:
+        return None
+    if predicted > case.predicted_error / LEAST_FINER:
+        return None
+    return case._replace(engine=engine, predicted_error=predicted)
+
+
+def _engine_errors(
+    finer: FramesCase,
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    maps: Sequence[Array],
+) -> tuple[Array, ...]:
+    """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
+    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    return tuple(one - other for one, other in zip(more, maps, strict=True))
+
+
+def _with_starts(case: FramesCase, settings: ReconstructionSettings) -> ReconstructionSettings:
+    """Settings with a second start where the planes may not determine a complex object."""
+    if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
+        return settings
+    return settings.replaced(starts=2) if case.diversity < LEAST_DIVERSITY else settings
 
 
 def _paper(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:

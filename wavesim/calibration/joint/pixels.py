@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavesim.calibration.joint.lens_changes import Changed, PathSlopes, by_engines, by_rays, path_slopes
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.sight import ComplexArray, ThroughSpace
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns, light_orders
 from wavesim.camera.mounting import light_on, planes_at
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear.sight import ComplexArray, ThroughSpace
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Orders, light_mode
 from wavesim.scene.engine import Engine, Operator

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.line import Line
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes
 from wavesim.calibration.joint.step import JointStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 

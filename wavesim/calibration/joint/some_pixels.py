@@ -16,10 +16,8 @@ import numpy as np
 
 from lensdesign.analysis.paraxial import first_order
 from wavesim.calibration.joint.lens_changes import Changed, by_rays, path_slopes
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes, moved
 from wavesim.calibration.joint.ray_changes import Seat
-from wavesim.reconstruction.linear.sight import ComplexArray
 from wavesim.calibration.joint.turned_tiles import TurnedTiles
 from wavesim.calibration.parameters import Parameter, Unknowns
 from wavesim.camera.frame_sets import frames_by_plane
@@ -29,6 +27,8 @@ from wavesim.camera.pixels.points import points_among, recorded_points
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import Patch
+from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linear.sight import ComplexArray
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Grids, Operator

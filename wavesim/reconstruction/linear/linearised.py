@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavesim.reconstruction.linear.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
 from wavesim.fields.field import Field
+from wavesim.reconstruction.linear.sight import ComplexArray, OnPixels, RealArray, Sight, ThroughSpace
 from wavesim.reconstruction.recording_model import RecordingModel
 
 DARK = 1e-5
@@ -40,6 +40,8 @@ class Linearised:
         Its length.
     scale : float
         Recorded amplitude for a unit of the model's.
+    size : float
+        Weighted length of the recorded amplitudes, of which residuals are fractions.
     """
 
     def __init__(self, model: RecordingModel, transmission: ComplexArray, fits_scale: bool) -> None:
@@ -54,6 +56,7 @@ class Linearised:
         size = math.sqrt(
             sum(_sum((w * p.amplitude) ** 2) for w, p in zip(self._root_weights, model.recorded, strict=True))
         )
+        self.size = size
         self.scale = self._fitted_scale(intensity) if fits_scale else model.scale
         real = behind.values.real.dtype.type
         power = real(self.scale**2)

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.reconstruction.linear.kept_samples import KeptSamples
 from wavesim.fields.plane_waves import axial_wavenumbers, fft_frequencies
+from wavesim.reconstruction.linear.kept_samples import KeptSamples
 from wavesim.reconstruction.recording.pixel_means import PixelMeans, tilt_changes
 from wavesim.reconstruction.recording_model import RecordingModel
 
