@@ -10,7 +10,8 @@ from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.camera.frame_sets import frames_by_plane, refuse_other_pitch
 from wavesim.camera.frames import Frame
-from wavesim.camera.windows import check_diversity, check_footprint
+from wavesim.camera.same_pictures import refuse_same_pictures
+from wavesim.camera.windows import LEAST_DIVERSITY, check_diversity, check_footprint
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, lit_patch
 from wavesim.runtime.checkpoint import digest_of, key_of
@@ -34,7 +35,7 @@ def framed_patch(lens: Lens, frames: Sequence[Frame], settings: PatchSettings, p
     Raises
     ------
     InputError
-        If frames do not belong to the design, or a value is not usable.
+        If frames do not belong to the design, a value is not usable, or two planes hold the same picture.
 
     Warns
     -----
@@ -51,6 +52,7 @@ def framed_patch(lens: Lens, frames: Sequence[Frame], settings: PatchSettings, p
     sensor = lens.sensor.replaced(pixels=(columns, rows))
     check_footprint(lens, patch, sensor, planes, pose)
     figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    refuse_same_pictures(by_plane, diverse=figure >= LEAST_DIVERSITY)
     return Framed(tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure)
 
 

@@ -29,8 +29,8 @@ LIMIT = 1.3
 averaged in another way than they were made, and the iterations end."""
 
 HELD_LIMIT = 1.25
-"""The same of the geometric mean of residuals on fitted pixels and on pixels that were held out. Perfect benches
-come to 1.16 at most."""
+"""The same of the geometric mean of residuals on fitted pixels and on pixels that were held out. Perfect
+benches come to 1.16 at most."""
 
 LEAST_FITTED = 0.6
 """Residuals on fitted pixels are not taken for smaller than this multiple of the noise in that mean: where a
@@ -46,8 +46,8 @@ LEAST_GAIN = 0.2
 """Fraction of the squared misfit that a trial must take away to be named."""
 
 FEW, MORE = 3, 10
-"""After `FEW` iterations the misfit says nothing. After more, it is extrapolated by `MORE` steps as large as the
-last one; if it then comes to the noise, more iterations are advised."""
+"""After `FEW` iterations the misfit says nothing. After more, it is extrapolated by `MORE` steps as large as
+the last one; if it then comes to the noise, more iterations are advised."""
 
 FREER = {"shift": 1.15, "mounting": 1.65}
 """Factors by which trials must be better that change more than others, or resemble them: each plane's shift
@@ -74,8 +74,8 @@ ADVICE = {
     "engine": "give a smaller --error, or leave --engine and --error to the program",
     "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
-    "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the object, "
-    "tilted light and a shifted plane give the same frames",
+    "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
+    "object, tilted light and a shifted plane give the same frames",
     "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
 }
 

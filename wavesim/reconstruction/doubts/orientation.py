@@ -17,7 +17,7 @@ from wavesim.evaluation.verdicts import Finding
 from wavesim.reconstruction.doubts.guesses import shift_pixels
 
 SURE = 100.0
-"""Difference of the sums of squared residuals over variances from which on another orientation fits better."""
+"""Difference of the sums of squared residuals over variances, from which on another picture fits better."""
 
 LEAST_SHIFT_PIXELS = 0.7
 """Shift from which on a picture is displaced, if the displaced picture fits better."""

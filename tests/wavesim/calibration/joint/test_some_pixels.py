@@ -9,13 +9,13 @@ import pytest
 from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
-from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.calibration.joint.pixels import AllPixels
 from wavesim.calibration.joint.some_pixels import SomePixels, TilesToPlanes
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.camera.recorded import Recorded
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
+from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 

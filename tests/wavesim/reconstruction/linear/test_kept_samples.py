@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wavesim.reconstruction.linear.kept_samples import KeptSamples
 from wavesim.fields.field import Grid
 from wavesim.fields.slight_tilts import TiltedWay, way_to
+from wavesim.reconstruction.linear.kept_samples import KeptSamples
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 
 GRID = Grid((48, 40), 3.2e-3, 1.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from small_twins import small_twin
 
+from wavesim.camera.recorded import Recorded
 from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.reconstruction.linear.sight import ThroughSpace
-from wavesim.camera.recorded import Recorded
 from wavesim.reconstruction.recording_model import RecordingModel
 
 PITCH = 3.2e-3
