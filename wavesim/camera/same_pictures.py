@@ -20,11 +20,11 @@ ROWS = 1000
 """Rows of a frame that are compared, at most."""
 
 NOISE, RELATIVE = 1.15, 0.01
-"""Mean square difference of two pictures over that of their noise, up to which they are the same; and relative
-difference of their intensities beyond the noise, which drift of light brings."""
+"""Mean square difference of two pictures over that of their noise, up to which they are the same; and
+relative difference of their intensities beyond the noise, which drift of light brings."""
 
 STRUCTURE = 3.0
-"""Mean square intensity about the mean, over that of the noise, from which on a picture shows more than noise."""
+"""Mean square intensity about the mean, over that of the noise, from which on a picture is not noise."""
 
 
 def refuse_same_pictures(by_plane: Sequence[Sequence[Frame]], *, diverse: bool) -> None:

@@ -26,6 +26,10 @@ LEAST_PIXELS = 50
 DARK, BRIGHT = 1.5, 2.0
 """Multiples of a dark pixel's noise, up to which read noise dominates, and from which on shot noise does."""
 
+SAME = 1.25
+"""Ratio of dark pixels over that of bright ones, up to which a gain explains both: it acts on both alike, in
+amplitudes, while smoothing by a factor f changes dark pixels by its root."""
+
 DARK_FLOOR = 0.25 * math.sqrt(2.0 * math.pi)
 """Intensity over its standard deviation, below which a standard deviation of the amplitude is that of a dark
 pixel (:func:`wavesim.camera.recorded.recorded_intensity`)."""
@@ -100,19 +104,14 @@ def _explanation(ratio: float, dark: float | None, bright: float | None) -> str:
     said = f"residuals on held-out pixels are {ratio:.2g} times the stated noise, and cannot be below 1"
     smoothed = "pictures that were smoothed, averaged or compressed"
     if bright is None:
-        factor = ratio if dark is None else dark
+        factor = (ratio if dark is None else dark) ** 2
         return (
             f"{said}. A read noise {factor:.2g} times as large as stated would explain it, as would "
             f"another gain, or {smoothed}"
         )
     if dark is not None and dark < TOO_SMALL < bright:
-        return f"{said}. A read noise {dark:.2g} times as large as stated would explain it"
-    if dark is not None and dark < 0.6 * bright:
-        return (
-            f"{said}. A gain (electrons per count) {bright**-2:.2g} times as large as stated would explain "
-            f"it, or {smoothed}"
-        )
-    return (
-        f"{said}, in bright and in dark pixels. {smoothed.capitalize()} would explain it, or a gain "
-        f"(electrons per count) {bright**-2:.2g} times as large as stated"
-    )
+        return f"{said}. A read noise {dark**2:.2g} times as large as stated would explain it"
+    gain = f"a gain (electrons per count) {bright**-2:.2g} times as large as stated"
+    if dark is None or dark < SAME * bright:
+        return f"{said}. {gain.capitalize()} would explain it, or {smoothed}"
+    return f"{said}. {smoothed.capitalize()} would explain it, or {gain}"

@@ -7,42 +7,34 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from lensdesign.common.clusters import ClusterError
-from lensdesign.errors import TransferLensError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
-from wavesim.camera.recorded import noise_misfit
 from wavesim.camera.recording import Progress
-from wavesim.camera.windows import LEAST_DIVERSITY, imaging_engine
+from wavesim.camera.windows import imaging_engine
 from wavesim.engines.registry import AUTO
 from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.evaluation.judgement import truth_metrics
-from wavesim.evaluation.plane_residuals import PlaneResidual
-from wavesim.evaluation.verdicts import (
-    FEW,
-    LIMIT,
-    MODEL_ERROR,
-    Finding,
-    Trial,
-    Undetected,
-    Verdict,
-    plane_verdicts,
-    verdict,
-)
+from wavesim.evaluation.verdicts import MODEL_ERROR
 from wavesim.fields.field import Field, Grid
 from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
-from wavesim.reconstruction.doubts.guesses import smooth_phase_waves
-from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
-from wavesim.reconstruction.doubts.orientation import misoriented
-from wavesim.reconstruction.doubts.score_test import ScoreTest, score_test
+from wavesim.reconstruction.doubts.held_out import maps_of_all
 from wavesim.reconstruction.doubts.starts import agreement_of_starts
-from wavesim.reconstruction.doubts.trials import Doubts
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
-from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
+from wavesim.reconstruction.from_object import Progressed, reconstruct
+from wavesim.reconstruction.judging import (
+    EngineOn,
+    MethodResult,
+    engine_errors,
+    is_engine_limited,
+    judge_result,
+    more_accurate_case,
+    starts_needed,
+)
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
@@ -61,20 +53,8 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
 
-FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
-"""A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
-`FINEST`, which pixels and free space have too."""
-
-RAMP_WAVES = 0.35
-"""Phase ramp over half of a patch from which on light or camera may have made it, and not the object."""
-
-NEAR = 1.4
-"""Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
-
 Take = Callable[[Engine], Engine]
 """Hands an engine's tiles to a cluster, if there is one, and returns it."""
-
-EngineOn = Callable[[Grid], AbstractContextManager[Engine]]
 
 
 def reconstruct_frames(
@@ -197,24 +177,6 @@ def _goes_on(case: FramesCase) -> str:
     return "the same command goes on from where it was last kept" if kept else ""
 
 
-class _Found(NamedTuple):
-    """What one method gave: the transmission, or the field behind the part that is to be refocused.
-
-    `whole` is the transmission on all samples, `engine_errors` what a more accurate engine would change of
-    the amplitudes, `model_error` the relative error of amplitudes that is allowed.
-    """
-
-    transmission: Field | None
-    behind: Field | None
-    residual_maps: tuple[Array, ...]
-    curve: tuple[float, ...]
-    of_method: dict[str, Any]
-    agreement: float | None = None
-    whole: Field | None = None
-    engine_errors: tuple[Array, ...] = ()
-    model_error: float = MODEL_ERROR
-
-
 def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _Told) -> FoundObject:
     def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
         own = case.engine.scene.object_grid
@@ -233,7 +195,7 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         if begun == [None] and start is None:
             begun = [_begun_on_half(case, settings, take, told)]
         case, found = _object(case, settings, take, told, start, begun)
-    judged = _verdict(case, settings, engine_on, found, told)
+    judged = judge_result(case, settings, engine_on, found, told.step)
     transmission, behind, maps, curve, of_method = found[:5]
     del found
     focus = None
@@ -268,115 +230,6 @@ def _run(case: FramesCase, settings: ReconstructionSettings, take: Take, told: _
         case.memory,
         case.predicted_error,
     )
-
-
-def _verdict(
-    case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, found: _Found, told: _Told
-) -> Verdict:
-    """Whether the planes are explained; where they are not, what helps is tried, except on a whole field."""
-    residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
-    known = [
-        (plane, error)
-        for plane, error in zip(case.recorded, found.residual_maps, strict=True)
-        if is_given(plane)
-    ]
-    given, maps = [plane for plane, _ in known], [error for _, error in known]
-    findings = misoriented(given, maps)
-
-    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> Verdict:
-        return verdict(
-            residuals,
-            trials,
-            curve,
-            found.agreement,
-            model_error=found.model_error,
-            findings=findings,
-            undetected=undetected,
-            calibrated=case.calibrated,
-        )
-
-    first = judged()
-    if settings.method == "paper" or isinstance(case.engine, Tiled):
-        return first
-    if settings.kind == "complex" and found.whole is not None:
-        findings += _ramp(found.whole)
-    # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
-    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
-    if early:
-        return judged()
-    with engine_on(case.light.grid) as engine:
-        trials, undetected = list[Trial](), tuple[Undetected, ...]()
-        if found.whole is not None and not case.modes[1:]:
-            told.step("what the frames say of the bench")
-            test = _score_test(case, settings, engine, found, told)
-            if test is not None and first.within:
-                undetected = test.undetected
-                if test.is_preferred:
-                    findings.append(Finding(test.cause, test.explanation, test.chi_square))
-        if not first.within:
-            told.step("what may differ")
-            trials = Doubts(
-                engine,
-                case.light,
-                case.given,
-                maps,
-                settings.kind,
-                settings.tv_weight,
-                settings.scale,
-                settings.active_width,
-                case.diversity,
-                case.modes,
-            ).trials()
-    return judged(trials, undetected)
-
-
-def _score_test(
-    case: FramesCase, settings: ReconstructionSettings, engine: Engine, found: _Found, told: _Told
-) -> ScoreTest | None:
-    """What the frames say of small errors of the bench; None where rays or samples do not take them."""
-    assert found.whole is not None
-    try:
-        return score_test(
-            engine,
-            case.light,
-            case.given,
-            found.whole.values,
-            settings.kind,
-            scale=found.of_method["scale"],
-            fits_scale=settings.scale is None,
-            active_width=settings.active_width,
-            model_error=found.model_error,
-            progress=told.step,
-        )
-    except TransferLensError:
-        return None
-
-
-def _ramp(transmission: Field) -> list[Finding]:
-    """A finding where a complex object carries a phase ramp that light or camera may have made."""
-    phase = smooth_phase_waves(transmission)
-    x, y = phase[1, 0], phase[0, 1]
-    if math.hypot(x, y) < RAMP_WAVES:
-        return []
-    said = (
-        f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
-        "light or a shifted plane would give too"
-    )
-    return [Finding("phase ramp", said)]
-
-
-def _residuals(
-    case: FramesCase, maps: Sequence[Array], engine_errors: Sequence[Array | None]
-) -> list[PlaneResidual]:
-    planes = []
-    errors = engine_errors or [None] * len(maps)
-    for plane, error, held, about, engine in zip(
-        case.recorded, maps, case.held, case.planes, errors, strict=True
-    ):
-        assert plane.sigma is not None
-        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
-        planes.append(PlaneResidual(about.distance_mm, *left, engine))
-    return planes
 
 
 def _begun_on_half(
@@ -418,7 +271,7 @@ def _object(
     told: _Told,
     start: Field | None,
     begun: list[Progressed | None],
-) -> tuple[FramesCase, _Found]:
+) -> tuple[FramesCase, MethodResult]:
     """The object, and the case with the engine that found it.
 
     Where residuals exceed the noise by no more than the engine's predicted error, a more accurate engine goes
@@ -454,14 +307,20 @@ def _object(
                     engine, case.light, case.recorded, settings.active_width, found, case.modes
                 )
             curve += found.misfit
-            finer = _more_accurate(case, settings, maps, found.misfit[-1], told)
+            finer = more_accurate_case(case, settings, maps, found.misfit[-1], told.step)
             if finer is None or settings.error is not None or settings.engine != AUTO:
                 if finer is not None:
-                    errors = _engine_errors(finer, case, settings, found, maps)
-                elif not _within(case, maps, MODEL_ERROR) and _could_be_the_engine(case, found.misfit[-1]):
+                    errors = engine_errors(finer, case, settings, found, maps)
+                elif is_engine_limited(case, maps, found.misfit[-1]):
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
                 agreement = agreement_of_starts(
-                    engine, case.light, case.given, _with_starts(case, settings), found, told.step, case.modes
+                    engine,
+                    case.light,
+                    case.given,
+                    starts_needed(case, settings),
+                    found,
+                    told.step,
+                    case.modes,
                 )
                 break
         case, first, kept = finer, found.transmission, None
@@ -477,62 +336,12 @@ def _object(
         behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
     whole = None if isinstance(case.engine, Tiled) else found.transmission
     transmission = part if behind is None else None
-    return case, _Found(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
+    return case, MethodResult(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
 
 
-def _within(case: FramesCase, maps: Sequence[Array], model_error: float) -> bool:
-    return max(p.excess for p in plane_verdicts(_residuals(case, maps, ()), model_error)) <= 1.0
-
-
-def _could_be_the_engine(case: FramesCase, misfit: float) -> bool:
-    """Whether the engine's predicted error is as large as what the misfit exceeds the noise by."""
-    excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
-    return case.predicted_error > excess
-
-
-def _more_accurate(
-    case: FramesCase, settings: ReconstructionSettings, maps: Sequence[Array], misfit: float, told: _Told
-) -> FramesCase | None:
-    """The case with a more accurate engine, where the engine's error may be what is left; else None."""
-    if isinstance(case.engine, Tiled) or settings.method == "paper":
-        return None
-    if (
-        case.predicted_error <= FINEST
-        or not _could_be_the_engine(case, misfit)
-        or _within(case, maps, MODEL_ERROR)
-    ):
-        return None
-    target = max(case.predicted_error / FINER, FINEST)
-    told.step(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
-    try:
-        engine, predicted = case.engine_of_error(target)
-    except TransferLensError:
-        return None
-    if predicted > case.predicted_error / LEAST_FINER:
-        return None
-    return case._replace(engine=engine, predicted_error=predicted)
-
-
-def _engine_errors(
-    finer: FramesCase,
-    case: FramesCase,
-    settings: ReconstructionSettings,
-    found: Reconstructed,
-    maps: Sequence[Array],
-) -> tuple[Array, ...]:
-    """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
-    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
-    return tuple(one - other for one, other in zip(more, maps, strict=True))
-
-
-def _with_starts(case: FramesCase, settings: ReconstructionSettings) -> ReconstructionSettings:
-    """Settings with a second start where the planes may not determine a complex object."""
-    if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
-        return settings
-    return settings.replaced(starts=2) if case.diversity < LEAST_DIVERSITY else settings
-
-
-def _paper(case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told) -> _Found:
+def _paper(
+    case: FramesCase, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told
+) -> MethodResult:
     with engine_on(case.light.grid) as engine:
         retrieved, maps = retrieve_resumably(
             engine,
@@ -547,7 +356,7 @@ def _paper(case: FramesCase, settings: ReconstructionSettings, engine_on: Engine
     said = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
     told.step("back to the object")
     with engine_on(case.carried) as engine:
-        return _Found(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, said)
+        return MethodResult(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, said)
 
 
 def _refocused(

@@ -248,7 +248,7 @@ class FramedSettings(EngineSettings, PatchSettings):
 
     kind: Kind = Field("complex", description="object: complex or amplitude.")
     scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
-    active_width: float = Field(1.0, description="Of a pixel, as a share of the pitch.")
+    active_width: float = Field(1.0, ge=0.0, le=1.0, description="Of a pixel, as a share of the pitch.")
 
 
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):

@@ -38,7 +38,7 @@ def test_noise_is_explained() -> None:
     "planes",
     [
         [plane(1.2 * LIMIT), plane()],
-        [plane(), plane(held_times=1.3 * HELD_LIMIT)],
+        [plane(), plane(held_times=1.3 * HELD_LIMIT**2)],
         [plane(), plane(bump=0.8)],
     ],
 )

@@ -34,10 +34,11 @@ from wavesim.reconstruction.doubts.guesses import (
 )
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
+from wavesim.reconstruction.source_width import coherent_deg
 from wavesim.scene.bench import LightErrors
-from wavesim.scene.engine import Engine
+from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.scene import Scene
-from wavesim.scene.source import SourceMode
+from wavesim.scene.source import Source, SourceMode
 
 Shifts = Sequence[tuple[float, float]]
 
@@ -59,18 +60,24 @@ over their diversity."""
 LONGEST, REFINED = 0.4, 2
 """Longest step, and how often steps beside the best one are tried."""
 
+SOURCES, BLURS_PIXELS = (0.5, 1.0, 2.0), (0.15, 0.3)
+"""Widths of the source that are tried, over that at which light is coherent over half of the object; and root
+mean square blurs."""
+
 FALLS = 0.995
 """Ratio of misfits, below which a first step helps, and longer ones are tried."""
 
 
 class Change(NamedTuple):
-    """What is changed: a cause and what to say of it, engine, light and planes."""
+    """What is changed: a cause and what to say of it, engine, light, planes, pixels and modes."""
 
     cause: str
     told: str
     engine: Engine
     light: Field
     recorded: Sequence[Recorded]
+    active_width: float
+    modes: Sequence[SourceMode]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +108,7 @@ class Doubts:
     def trials(self) -> list[Trial]:
         """All that are worth it, the best first."""
         found = list[Trial]()
-        for group in (self._swaps, self._backgrounds, self._moved, self._stretched):
+        for group in (self._swaps, self._backgrounds, self._blurred, self._moved, self._stretched):
             found += group()
             if any(self._explains(trial) for trial in found):
                 break
@@ -124,8 +131,18 @@ class Doubts:
         engine: Engine | None = None,
         light: Field | None = None,
         recorded: Sequence[Recorded] | None = None,
+        active_width: float | None = None,
+        modes: Sequence[SourceMode] | None = None,
     ) -> Change:
-        return Change(cause, told, engine or self.engine, light or self.light, recorded or self.recorded)
+        return Change(
+            cause,
+            told,
+            engine or self.engine,
+            light or self.light,
+            recorded or self.recorded,
+            self.active_width if active_width is None else active_width,
+            self.modes if modes is None else modes,
+        )
 
     def _found(self, change: Change, kind: Kind | None = None, iterations: int = ITERATIONS) -> Reconstructed:
         return reconstruct(
@@ -136,8 +153,8 @@ class Doubts:
             tv_weight=self.tv_weight,
             iterations=iterations,
             scale=self.scale,
-            active_width=self.active_width,
-            modes=self.modes,
+            active_width=change.active_width,
+            modes=change.modes,
         )
 
     def _trial(self, change: Change) -> Trial:
@@ -163,6 +180,21 @@ class Doubts:
             for plane, (_, level) in zip(self.recorded, found, strict=True)
         ]
         yield self._trial(self._change("background", f"backgrounds of {said} taken out", recorded=planes))
+
+    def _blurred(self) -> Iterator[Trial]:
+        """What washes pictures out: a wide source, or a camera that vibrates."""
+        if not self.modes and not isinstance(self.engine, Tiled):
+            for factor in SOURCES:
+                width = factor * coherent_deg(self.light)
+                modes = Source(width).few_modes(self.light.wavelength_um)
+                yield self._trial(self._change("source", f"source {width:.2g} deg wide", modes=modes))
+        if not self.active_width:
+            return
+        pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
+        for blur in BLURS_PIXELS:
+            width = math.sqrt(self.active_width**2 + 12.0 * blur**2)
+            said = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
+            yield self._trial(self._change("vibration", said, active_width=width))
 
     def _moved(self) -> Iterator[Trial]:
         """What moves the light on the planes: sensor, light, lens."""

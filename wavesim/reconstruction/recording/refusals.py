@@ -15,6 +15,9 @@ from wavesim.reconstruction.from_field import refuse_planes
 from wavesim.scene.engine import Grids
 from wavesim.scene.source import SourceMode
 
+WIDEST_PIXEL = 2.0
+"""Side of the square over which a picture may be averaged, in pixels: more than 1 where it is blurred."""
+
 
 def refuse_numbers(
     kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
@@ -28,8 +31,8 @@ def refuse_numbers(
     refuse_not_whole("iterations", iterations, 1)
     if scale is not None:
         refuse_not_positive("scale", scale)
-    if not 0.0 <= active_width <= 1.0:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
+    if not 0.0 <= active_width <= WIDEST_PIXEL:
+        raise InputError(f"active_width = {active_width!r}: must be from 0 to {WIDEST_PIXEL:g}")
 
 
 def refuse_others(

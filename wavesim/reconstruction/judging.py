@@ -1,0 +1,237 @@
+"""Judging a result by its frames: residuals, the engine's error, the bench that frames prefer, and causes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple
+
+from lensdesign.errors import TransferLensError
+from wavesim.camera.recorded import noise_misfit
+from wavesim.camera.windows import LEAST_DIVERSITY
+from wavesim.evaluation.plane_residuals import PlaneResidual
+from wavesim.evaluation.verdicts import (
+    FEW,
+    LIMIT,
+    MODEL_ERROR,
+    Finding,
+    Trial,
+    Undetected,
+    Verdict,
+    plane_verdicts,
+    verdict,
+)
+from wavesim.fields.field import Field, Grid
+from wavesim.reconstruction.doubts.guesses import smooth_phase_waves
+from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
+from wavesim.reconstruction.doubts.orientation import misoriented
+from wavesim.reconstruction.doubts.score_test import ScoreTest, score_test
+from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.found import Array
+from wavesim.reconstruction.frames_case import FramesCase
+from wavesim.reconstruction.from_object import Reconstructed
+from wavesim.scene.engine import Engine, Tiled
+from wavesim.scene.settings import ReconstructionSettings
+
+FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
+"""A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
+`FINEST`, which pixels and free space have too."""
+
+RAMP_WAVES = 0.35
+"""Phase ramp over half of a patch from which on light or camera may have made it, and not the object."""
+
+NEAR = 1.4
+"""Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
+
+Progress = Callable[[str], None]
+"""Called with what is computed."""
+
+EngineOn = Callable[[Grid], AbstractContextManager[Engine]]
+"""Makes an engine from a part of the object ready."""
+
+
+class MethodResult(NamedTuple):
+    """What one method gave: the transmission, or the field behind the part that is to be refocused.
+
+    `whole` is the transmission on all samples, `engine_errors` what a more accurate engine would change of
+    the amplitudes, `model_error` the relative error of amplitudes that is allowed.
+    """
+
+    transmission: Field | None
+    behind: Field | None
+    residual_maps: tuple[Array, ...]
+    curve: tuple[float, ...]
+    of_method: dict[str, Any]
+    agreement: float | None = None
+    whole: Field | None = None
+    engine_errors: tuple[Array, ...] = ()
+    model_error: float = MODEL_ERROR
+
+
+def judge_result(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    found: MethodResult,
+    progress: Progress,
+) -> Verdict:
+    """Whether the planes are explained; where they are not, what helps is tried, except on a whole field."""
+    residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
+    known = [
+        (plane, error)
+        for plane, error in zip(case.recorded, found.residual_maps, strict=True)
+        if is_given(plane)
+    ]
+    given, maps = [plane for plane, _ in known], [error for _, error in known]
+    findings = misoriented(given, maps)
+
+    def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> Verdict:
+        return verdict(
+            residuals,
+            trials,
+            curve,
+            found.agreement,
+            model_error=found.model_error,
+            findings=findings,
+            undetected=undetected,
+            calibrated=case.calibrated,
+        )
+
+    first = judged()
+    if settings.method == "paper" or isinstance(case.engine, Tiled):
+        return first
+    if settings.kind == "complex" and found.whole is not None:
+        findings += _ramp(found.whole)
+    # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
+    early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
+    if early:
+        return judged()
+    with engine_on(case.light.grid) as engine:
+        trials, undetected = list[Trial](), tuple[Undetected, ...]()
+        if found.whole is not None and not case.modes[1:]:
+            progress("what the frames say of the bench")
+            test = _score_test(case, settings, engine, found, progress)
+            if test is not None and first.within:
+                undetected = test.undetected
+                if test.is_preferred:
+                    findings.append(Finding(test.cause, test.explanation, test.chi_square))
+        if not first.within:
+            progress("what may differ")
+            trials = Doubts(
+                engine,
+                case.light,
+                case.given,
+                maps,
+                settings.kind,
+                settings.tv_weight,
+                settings.scale,
+                settings.active_width,
+                case.diversity,
+                case.modes,
+            ).trials()
+    return judged(trials, undetected)
+
+
+def _score_test(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    found: MethodResult,
+    progress: Progress,
+) -> ScoreTest | None:
+    """What the frames say of small errors of the bench; None where rays or samples do not take them."""
+    assert found.whole is not None
+    try:
+        return score_test(
+            engine,
+            case.light,
+            case.given,
+            found.whole.values,
+            settings.kind,
+            scale=found.of_method["scale"],
+            fits_scale=settings.scale is None,
+            active_width=settings.active_width,
+            model_error=found.model_error,
+            progress=progress,
+        )
+    except TransferLensError:
+        return None
+
+
+def _ramp(transmission: Field) -> list[Finding]:
+    """A finding where a complex object carries a phase ramp that light or camera may have made."""
+    phase = smooth_phase_waves(transmission)
+    x, y = phase[1, 0], phase[0, 1]
+    if math.hypot(x, y) < RAMP_WAVES:
+        return []
+    said = (
+        f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
+        "light or a shifted plane would give too"
+    )
+    return [Finding("phase ramp", said)]
+
+
+def _residuals(
+    case: FramesCase, maps: Sequence[Array], engine_errors: Sequence[Array | None]
+) -> list[PlaneResidual]:
+    planes = []
+    errors = engine_errors or [None] * len(maps)
+    for plane, error, held, about, engine in zip(
+        case.recorded, maps, case.held, case.planes, errors, strict=True
+    ):
+        assert plane.sigma is not None
+        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
+        planes.append(PlaneResidual(about.distance_mm, *left, engine))
+    return planes
+
+
+def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) -> bool:
+    """Whether residuals exceed the noise, and by no more than the engine's predicted error."""
+    planes = plane_verdicts(_residuals(case, maps, ()))
+    if max(plane.excess for plane in planes) <= 1.0:
+        return False
+    excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
+    return case.predicted_error > excess
+
+
+def more_accurate_case(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    maps: Sequence[Array],
+    misfit: float,
+    progress: Progress,
+) -> FramesCase | None:
+    """The case with a more accurate engine, where the engine's error may be what is left; else None."""
+    if isinstance(case.engine, Tiled) or settings.method == "paper":
+        return None
+    if case.predicted_error <= FINEST or not is_engine_limited(case, maps, misfit):
+        return None
+    target = max(case.predicted_error / FINER, FINEST)
+    progress(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")
+    try:
+        engine, predicted = case.engine_of_error(target)
+    except TransferLensError:
+        return None
+    if predicted > case.predicted_error / LEAST_FINER:
+        return None
+    return case._replace(engine=engine, predicted_error=predicted)
+
+
+def engine_errors(
+    finer: FramesCase,
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    maps: Sequence[Array],
+) -> tuple[Array, ...]:
+    """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
+    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    return tuple(one - other for one, other in zip(more, maps, strict=True))
+
+
+def starts_needed(case: FramesCase, settings: ReconstructionSettings) -> ReconstructionSettings:
+    """Settings with a second start where the planes may not determine a complex object."""
+    if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
+        return settings
+    return settings.replaced(starts=2) if case.diversity < LEAST_DIVERSITY else settings
