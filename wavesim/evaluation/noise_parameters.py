@@ -14,8 +14,9 @@ import numpy as np
 
 from wavesim.evaluation.plane_residuals import PlaneResidual
 
-TOO_SMALL = 0.8
-"""Residuals over the stated noise below which the noise was overstated."""
+TOO_SMALL, TOO_SMALL_DARK = 0.8, 0.6
+"""Residuals over the stated noise below which the noise was overstated: of all pixels or bright ones, and of
+dark ones, whose amplitudes scatter less than their standard deviation where they are dim but not dark."""
 
 SURE = 4.0
 """Standard deviations of that ratio by which it must be smaller than 1."""
@@ -85,8 +86,8 @@ def noise_check(planes: Sequence[PlaneResidual]) -> NoiseCheck | None:
     bright = _ratio(error, sigma, deviation >= BRIGHT * floor)
     assert ratio is not None
     sure = SURE / math.sqrt(2.0 * len(sigma))
-    worst = min(one for one in (ratio, dark, bright) if one is not None)
-    is_too_small = worst < TOO_SMALL and ratio < 1.0 - sure
+    overstated = min(ratio, bright or 1.0) < TOO_SMALL or (dark or 1.0) < TOO_SMALL_DARK
+    is_too_small = overstated and ratio < 1.0 - sure
     return NoiseCheck(
         ratio, dark, bright, is_too_small, _explanation(ratio, dark, bright) if is_too_small else ""
     )

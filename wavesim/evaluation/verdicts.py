@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.text import finite_or_none
 from wavesim.evaluation.noise_parameters import NoiseCheck, noise_check
 from wavesim.evaluation.plane_residuals import PlaneResidual
 from wavesim.runtime.threads import row_blocks
@@ -258,7 +259,10 @@ class Verdict:
         told = vars(self) | {
             "planes": [vars(plane) | {"region_px": list(plane.region_px)} for plane in self.planes],
             "trials": [trial._asdict() for trial in self.trials],
-            "findings": [finding._asdict() for finding in self.findings],
+            "findings": [
+                finding._asdict() | {"chi_square": finite_or_none(finding.chi_square)}
+                for finding in self.findings
+            ],
             "noise": None if self.noise is None else self.noise._asdict(),
             "undetected": [vars(one) for one in self.undetected],
             "words": self.words,

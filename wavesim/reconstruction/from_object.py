@@ -179,7 +179,8 @@ def reconstruct(
         One plane or more, with distances from the engine's exit grid. Pixels count by their `sigma`; where it
         is infinite, nothing is replaced.
     kind
-        "complex", or "amplitude" for a transmission that is real and between 0 and 1.
+        "complex", or "amplitude" for a transmission that is real and not negative, and at most 1 where the
+        scale is known.
     tv_weight
         Of the total variation, for transmissions of order 1; 0 leaves it out. "auto": `TV_PER_NOISE` times
         the noise of a step, which all planes' `sigma` tell, and as much more as the misfit is more than noise
@@ -326,7 +327,8 @@ class _Descent:
         point, misfit = self._farther(state.ahead, kind, self.rounds if far else 1)
         point = prox_tv(point, STEP * (FARTHER if far else 1.0) * self._tv_weight(misfit))
         if kind == "amplitude":
-            np.clip(point, 0.0, 1.0, out=point)
+            # With a scale that is not known, bright parts on a dark ground may exceed the first one's unit.
+            np.clip(point, 0.0, None if self.fits_scale else 1.0, out=point)
         step = step_array(self.sizes, kind)
         after = self.scratch.make(step)
         np.multiply(point, self.model.lit, out=after)

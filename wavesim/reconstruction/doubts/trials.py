@@ -32,6 +32,7 @@ from wavesim.reconstruction.doubts.guesses import (
     shift_pixels,
     smooth_phase_waves,
 )
+from wavesim.reconstruction.doubts.orientation import ORIENTATIONS
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.source_width import coherent_deg
@@ -108,7 +109,14 @@ class Doubts:
     def trials(self) -> list[Trial]:
         """All that are worth it, the best first."""
         found = list[Trial]()
-        for group in (self._swaps, self._backgrounds, self._blurred, self._moved, self._stretched):
+        for group in (
+            self._swaps,
+            self._turned,
+            self._backgrounds,
+            self._blurred,
+            self._moved,
+            self._stretched,
+        ):
             found += group()
             if any(self._explains(trial) for trial in found):
                 break
@@ -168,6 +176,20 @@ class Doubts:
             planes[j] = replace(self.recorded[i], distance_mm=self.recorded[j].distance_mm)
             said = f"planes {i + 1} and {j + 1} exchanged"
             yield self._trial(self._change("planes swapped", said, recorded=planes))
+
+    def _turned(self) -> Iterator[Trial]:
+        """Each picture but the first, mirrored and turned against it."""
+        for n in range(1, len(self.recorded)):
+            plane = self.recorded[n]
+            for name, turn in ORIENTATIONS.items():
+                amplitude = turn(plane.amplitude)
+                if amplitude.shape != plane.amplitude.shape:
+                    continue
+                sigma = None if plane.sigma is None else np.ascontiguousarray(turn(plane.sigma))
+                planes = list(self.recorded)
+                planes[n] = replace(plane, amplitude=np.ascontiguousarray(amplitude), sigma=sigma)
+                said = f"picture of plane {n + 1} {name}"
+                yield self._trial(self._change("orientation", said, recorded=planes))
 
     def _backgrounds(self) -> Iterator[Trial]:
         """Light where the result is dark, taken out of each plane."""
