@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 from small_pictures import draw_few_dots
 
 from lensdesign import Pose, load_design
@@ -499,3 +499,16 @@ def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> 
     same = tmp_path / "same.toml"
     same.write_text(paper_design.read_text(encoding="utf-8"), encoding="utf-8")
     refused(command("scale", same, 2, "-o", same), "it is the design itself")
+
+
+def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
+    doubled, contradicts = (GOLDEN / "imports" / name for name in ("doubled_glass.agf", "nd_contradicts.agf"))
+    code, out, err = command("glass", "B-TWO", "--catalog", doubled)
+    assert code == 0
+    assert "an Abbe number of 40, and its coefficients give 62.09" in err
+    assert out.startswith("B-TWO (doubled_glass.agf)")
+    code, _, err = command("glass", "A-ONE", "--catalog", doubled)
+    assert code == 0
+    assert f"note: glass A-ONE stands twice with the same index ({doubled}, line 2 and line 8)" in err
+    assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
+    refused(command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)")
