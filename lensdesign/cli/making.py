@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -317,11 +317,27 @@ def _moved(pose: Pose) -> str:
 
 def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
     dropped = [*found.dropped, *([f"pose: {moved}"] if moved else [])]
+    first = found.first_order
     if as_json:
-        print_json({"design": str(output), "dropped": dropped, "remarks": list(found.remarks)})
+        figures = None if first is None else asdict(first)
+        print_json(
+            {
+                "design": str(output),
+                "dropped": dropped,
+                "remarks": list(found.remarks),
+                "first_order": figures,
+            }
+        )
         return
     for entry in dropped:
         typer.echo(f"left out: {visible(entry)}", err=True)
     for remark in found.remarks:
         typer.echo(f"note: {visible(remark)}", err=True)
     typer.echo(f"wrote {output}: {len(found.lens.surfaces)} surfaces")
+    if first is not None:
+        typer.echo(
+            f"traced as the file's records imply: focal length {first.efl_mm:.6g} mm, back focal length "
+            f"{first.bfl_mm:.6g} mm, magnification {first.magnification:.6g} at {first.image_distance_mm:.6g} mm, "
+            f"marginal ray of NA {first.object_na:.6g} {first.stop_height_mm:.6g} mm high at the stop of "
+            f"{found.lens.stop_semi_diameter_mm:.6g} mm"
+        )
