@@ -337,7 +337,8 @@ def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
     if first is not None:
         typer.echo(
             f"traced as the file's records imply: focal length {first.efl_mm:.6g} mm, back focal length "
-            f"{first.bfl_mm:.6g} mm, magnification {first.magnification:.6g} at {first.image_distance_mm:.6g} mm, "
+            f"{first.bfl_mm:.6g} mm, magnification {first.magnification:.6g} at "
+            f"{first.image_distance_mm:.6g} mm, "
             f"marginal ray of NA {first.object_na:.6g} {first.stop_height_mm:.6g} mm high at the stop of "
             f"{found.lens.stop_semi_diameter_mm:.6g} mm"
         )

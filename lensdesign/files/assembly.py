@@ -259,9 +259,10 @@ def _with_stop(
 ) -> tuple[list[Row], bool]:
     """Rows whose stop is as wide as the file's rays fill it; and whether it is as high as the marginal ray.
 
-    The system aperture decides: the stop is as high as the exact marginal ray there, unless the file has a smaller
-    aperture at the stop, which clips. Where the user gave a numerical aperture (`asked`), that is what the design
-    has to reach, and a stop with an aperture stays as it is. A stop that floats gives the numerical aperture.
+    The system aperture decides: the stop is as high as the exact marginal ray there, unless the file has a
+    smaller aperture at the stop, which clips. Where the user gave a numerical aperture (`asked`), that is
+    what the design has to reach, and a stop with an aperture stays as it is. A stop that floats gives the
+    numerical aperture.
     """
     stop = _stop(rows)
     distance, na = values["working_distance_mm"], values["numerical_aperture"]
@@ -287,20 +288,22 @@ def _with_stop(
         return list(rows), False
     if semi is None:
         draft.remark(
-            f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's height"
+            f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's "
+            "height"
         )
         return _resized(rows, height), exact is not None
     if any(abs(semi - h) <= MARGINAL_TOLERANCE * h for h in (height, paraxial)):
         return list(rows), abs(semi - height) <= MARGINAL_TOLERANCE * height
     if semi > height:
         draft.remark(
-            f"{row.name}: a stop of {semi:.6g} mm lets through more than the system aperture ({_said(draft)}); "
+            f"{row.name}: a stop of {semi:.6g} mm lets through more than the system aperture "
+            f"({_said(draft)}); "
             f"{height:.6g} mm taken, its marginal ray's height"
         )
         return _resized(rows, height), exact is not None
     draft.remark(
-        f"{row.name}: the system aperture ({_said(draft)}) needs {height:.6g} mm at the stop, whose aperture of "
-        f"{semi:.6g} mm clips it"
+        f"{row.name}: the system aperture ({_said(draft)}) needs {height:.6g} mm at the stop, whose "
+        f"aperture of {semi:.6g} mm clips it"
     )
     return list(rows), False
 
@@ -364,7 +367,7 @@ def _paraxial_height(
 
 
 def _remark_automatic(rows: Sequence[Row], draft: Draft) -> None:
-    """Say which semi-diameters were only computed by the other program, and are no apertures of the design."""
+    """Say which semi-diameters the other program only computed; they are no apertures of the design."""
     found = [
         f"{row.name} {row.automatic_mm:.6g} mm"
         for row in rows[1:-1]

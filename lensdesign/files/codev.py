@@ -44,7 +44,6 @@ from lensdesign.files.draft import (
     read_lines,
     read_note,
     same_name,
-    shown,
     writable,
 )
 from lensdesign.lens.glass import get_material, refractive_index

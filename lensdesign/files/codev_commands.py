@@ -41,7 +41,8 @@ _SOLVES = frozenset(_SOLVE_WORDS.split())
 class FileSurface:
     """A surface while its commands are being read; `kind` is SO, S or SI.
 
-    `given` names the quantities that have a value; `solved` those for which a solve stands, with its words and line.
+    `given` names the quantities that have a value; `solved` those for which a solve stands, with its words
+    and line.
     """
 
     kind: str
@@ -163,7 +164,8 @@ def check_solves(reader: FileReader) -> None:
         for quantity, (words, where) in surface.solved.items():
             if quantity not in surface.given:
                 raise InputError(
-                    f"{where}: the {quantity} of {surface.name} is left to a solve or pickup ({shown(words)}), and the "
+                    f"{where}: the {quantity} of {surface.name} is left to a solve or pickup "
+                    f"({shown(words)}), and the "
                     "file does not give its present value; give the value instead"
                 )
             reader.draft.remark(f"{surface.name}: {words.split()[0]} solve replaced by its present value")

@@ -1,9 +1,9 @@
 """Private glasses of CODE V's files: indices at given wavelengths, or a dispersion formula with coefficients.
 
-The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae", wavelengths in um.
-Laurent and Glass Manufacturer Laurent are sums of even powers for n^2, Glass Manufacturer Sellmeier has
-B1 C1 B2 C2 ... in n^2 = 1 + sum B w^2 / (w^2 - C), Cauchy has n = A0 + A1 / w^2 + A2 / w^4. Files with other formulas
-are refused where a surface has such a glass.
+The formulas are those of the CODE V Lens System Setup Reference Manual, "Dispersion formulae", wavelengths in
+um. Laurent and Glass Manufacturer Laurent are sums of even powers for n^2, Glass Manufacturer Sellmeier has
+B1 C1 B2 C2 ... in n^2 = 1 + sum B w^2 / (w^2 - C), Cauchy has n = A0 + A1 / w^2 + A2 / w^4. Files with other
+formulas are refused where a surface has such a glass.
 """
 
 from __future__ import annotations
@@ -85,9 +85,10 @@ class PrivateGlass:
             return self._by_formula(key, wavelength_um)
         if key[:1].isalpha():
             raise InputError(
-                f"{self.where}: private glass {shown(self.name)} is given by {shown(key)}, which cannot be read; "
-                f"what can are indices at the wavelengths of PWL, and the formulas {', '.join(FORMULAS)}. Give its "
-                "indices instead"
+                f"{self.where}: private glass {shown(self.name)} is given by {shown(key)}, which cannot be "
+                "read; "
+                f"what can are indices at the wavelengths of PWL, and the formulas {', '.join(FORMULAS)}. "
+                "Give its indices instead"
             )
         return self._by_table(1000.0 * wavelength_um)
 
@@ -102,8 +103,8 @@ class PrivateGlass:
         coefficients = [number(v, self.where) for v in self.words[1:]]
         if not 0 < len(coefficients) <= count:
             raise InputError(
-                f"{self.where}: private glass {shown(self.name)} has {len(coefficients)} {name} coefficients; allowed "
-                f"are 1 to {count}"
+                f"{self.where}: private glass {shown(self.name)} has {len(coefficients)} {name} "
+                f"coefficients; allowed are 1 to {count}"
             )
         try:
             index = formula(coefficients, wavelength_um)
@@ -132,7 +133,8 @@ class PrivateGlass:
             return (
                 nearest,
                 "",
-                f"index of the private glass {self.name} at {wavelength_nm:g} nm; that at {nearest_nm:g} nm is taken",
+                f"index of the private glass {self.name} at {wavelength_nm:g} nm; that at {nearest_nm:g} nm "
+                "is taken",
             )
         index = _interpolated(pairs[:4], wavelength_nm)
         return index, f"index {index:.7g} of {self.name} at {wavelength_nm:g} nm interpolated", ""

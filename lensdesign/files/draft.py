@@ -80,7 +80,8 @@ class ImportedFirstOrder:
     efl_mm, bfl_mm
         Effective and back focal length; inf for an afocal lens.
     magnification
-        Transverse, of the object at the working distance into its paraxial image; inf where that is at infinity.
+        Transverse, of the object at the working distance into its paraxial image; inf where that is at
+        infinity.
     image_distance_mm
         From the last vertex to the paraxial image of the object.
     object_na
@@ -184,8 +185,8 @@ class Draft:
 
     `aperture` is a kind and its value: object_na, image_na, pupil_diameter_mm, image_f_number (focal length
     over entrance pupil), working_f_number, or stop (whose semi-diameter counts then, not the value).
-    `recorded` holds the same surfaces once more, read independently of `rows`: the lens that comes of the rows
-    is compared with them.
+    `recorded` holds the same surfaces once more, read independently of `rows`: the lens that comes of the
+    rows is compared with them.
     """
 
     source: str

@@ -1,8 +1,9 @@
 """Whether an imported lens does to rays near the axis what the records of its file imply.
 
-The lens is traced with exact rays close to the axis. The file's records, read a second time and without what the
-reader made of them, give the same figures by the paraxial equations (Hecht, Optics, section 6.2): refraction
-n' u' = n u - (n' - n) c y, transfer y' = y + d u. Where both differ, something was lost or invented on the way.
+The lens is traced with exact rays close to the axis. The file's records, read a second time and without what
+the reader made of them, give the same figures by the paraxial equations (Hecht, Optics, section 6.2):
+refraction n' u' = n u - (n' - n) c y, transfer y' = y + d u. Where both differ, something was lost or
+invented on the way.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from lensdesign.errors import InputError
-from lensdesign.files.draft import Draft, ImportedFirstOrder, RecordedSurface, Supplement
+from lensdesign.files.draft import Draft, ImportedFirstOrder, Supplement
 from lensdesign.files.marginal_ray import MeridionalSystem
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
@@ -28,15 +30,15 @@ MARGINAL_TOLERANCE = 1e-3
 """Relative difference between the marginal ray's height at the stop and the stop's semi-diameter."""
 
 SMALLEST_POWER = 1e-3
-"""Per mm; power is compared to `TOLERANCE` of this at least, as aspheres in r^4 still bend rays near the axis."""
+"""Per mm; power is compared to `TOLERANCE` of this at least: terms in r^4 still bend rays near the axis."""
 
 NEAR_AXIS = 1e-5
-"""Height of the traced rays as a fraction of the smallest radius; its square is the error of the comparison."""
+"""Height of the traced rays by the smallest radius; its square is the error of the comparison."""
 
 
 @dataclass(frozen=True)
 class _Train:
-    """Refracting surfaces from the first that is no plane in air to the last, with the space on both sides."""
+    """The surfaces from the first that refracts to the last, with the space on both sides."""
 
     before_mm: float
     curvatures: tuple[float, ...]
@@ -56,7 +58,7 @@ class _Train:
         return matrix
 
     def height_at_stop(self, y: float, u: float) -> float:
-        """Height at the stop of a paraxial ray that meets the first surface at `y` with slope `u` before it."""
+        """Height at the stop of a paraxial ray with height `y` and slope `u` at the first surface."""
         assert self.stop_z_mm is not None
         z = 0.0
         for i, c in enumerate(self.curvatures):
@@ -235,7 +237,7 @@ def _near_axis_matrix(system: MeridionalSystem) -> np.ndarray | None:
 
 def _ends(indices: Sequence[float]) -> tuple[int, int] | None:
     """First and last surface between two different media; None where there is none."""
-    bends = [before != behind for before, behind in zip(indices, indices[1:], strict=False)]
+    bends = [before != behind for before, behind in pairwise(indices)]
     if not any(bends):
         return None
     return bends.index(True), len(bends) - 1 - bends[::-1].index(True)

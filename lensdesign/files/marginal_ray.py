@@ -1,4 +1,4 @@
-"""Exact rays in the meridional plane of a lens that is still being read: what an aperture means at the stop."""
+"""Exact rays in the meridional plane of a lens that is being read: what an aperture means at the stop."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class MeridionalSystem:
         vertex = 0.0
         with np.errstate(all="ignore"):
             for i, shape in enumerate(self.shapes[:count]):
-                local = position - [0.0, 0.0, vertex]
+                local = position - np.array([0.0, 0.0, vertex])
                 distance, hit, converged = intersect(local, direction, shape)
                 if not (hit[0] and converged[0] and math.isfinite(distance[0])):
                     return None
@@ -92,7 +92,7 @@ class MeridionalSystem:
                 )
                 if refracted is None:
                     return None
-                direction, position = refracted[None], local + [0.0, 0.0, vertex]
+                direction, position = refracted[None], local + np.array([0.0, 0.0, vertex])
                 if i + 1 < count:
                     vertex += self.distances_mm[i]
         y, z, slope = float(position[0, 1]), float(position[0, 2]), float(direction[0, 1] / direction[0, 2])

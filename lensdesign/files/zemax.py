@@ -206,8 +206,8 @@ def _material(
 # Catalogues that come with OpticStudio, by their names in GCAT.
 _STANDARD_CATALOGUES = """
 ANGSTROMLINK APEL ARCHER ARTON AUER BIREFRINGENT CDGM CORNING HERAEUS HIKARI HOYA INFRARED ISUZU LIEBETRAUT
-LIGHTPATH LZOS MISC NHG NIKON NIKON-HIKARI OHARA OSAKAGASCHEMICAL PILKINGTON RAD_HARD RPO SCHOTT SCHOTT_IRG SUMITA TOPAS
-UMICORE VITRON ZEON
+LIGHTPATH LZOS MISC NHG NIKON NIKON-HIKARI OHARA OSAKAGASCHEMICAL PILKINGTON RAD_HARD RPO SCHOTT SCHOTT_IRG
+SUMITA TOPAS UMICORE VITRON ZEON
 """
 _STANDARD = frozenset(_STANDARD_CATALOGUES.split())
 
@@ -227,8 +227,8 @@ def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: S
         return
     if missing and catalog not in own:
         reader.draft.remark(
-            f"{place}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, which may "
-            "have another of this name (give it as a glass catalogue)"
+            f"{place}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, which "
+            "may have another of this name (give it as a glass catalogue)"
         )
 
 

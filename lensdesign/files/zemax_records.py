@@ -19,8 +19,8 @@ EXACT = Context(prec=25)
 ROUNDING = 2e-14
 """Relative; other programs round more than once on the way from a radius to its curvature."""
 
-# What governs analyses, drawings, weights and polarization, and what names authors, files and surfaces: it says
-# nothing of the lens.
+# What governs analyses, drawings, weights and polarization, and what names authors, files and surfaces: it
+# says nothing of the lens.
 _IDLE_WORDS = """
 VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
 MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
@@ -39,8 +39,8 @@ _SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
 class FileSurface:
     """A surface while its records are being read.
 
-    `terms` are its parameters by number; `automatic_mm` is a semi-diameter that follows the rays, and no aperture;
-    `seen` holds the values and the line of each record that a surface has once.
+    `terms` are its parameters by number; `automatic_mm` is a semi-diameter that follows the rays, and no
+    aperture; `seen` holds the values and the line of each record that a surface has once.
     """
 
     name: str
@@ -63,7 +63,8 @@ class FileSurface:
 class FileReader:
     """A file while it is being read; `waves` are (number, um).
 
-    `behind` holds records behind the surfaces that have no meaning here; they are lost if another surface follows.
+    `behind` holds records behind the surfaces that have no meaning here; they are lost if another surface
+    follows.
     """
 
     draft: Draft
@@ -85,9 +86,9 @@ class FileReader:
 def take_record(reader: FileReader, word: str, values: list[str], where: str, indented: bool) -> None:
     """Take one record: of the header, of a surface, or behind the last one.
 
-    The keyword says to what a record belongs: one that a surface can have belongs to the surface before it, with or
-    without indent. One that is not known is a loss, unless it stands behind the surfaces, where the merit function,
-    tolerances and configurations follow (:func:`finish_records`).
+    The keyword says to what a record belongs: one that a surface can have belongs to the surface before it,
+    with or without indent. One that is not known is a loss, unless it stands behind the surfaces, where the
+    merit function, tolerances and configurations follow (:func:`finish_records`).
 
     Raises
     ------
@@ -122,8 +123,8 @@ def take_record(reader: FileReader, word: str, values: list[str], where: str, in
 def finish_records(reader: FileReader) -> None:
     """Decide about the unknown records behind the last surface.
 
-    Operands of the merit function stand there, before the tolerances and configurations that every whole file has;
-    in a file without these they are a loss.
+    Operands of the merit function stand there, before the tolerances and configurations that every whole file
+    has; in a file without these they are a loss.
     """
     if not reader.in_tail:
         _leave_tail(reader)
@@ -277,7 +278,8 @@ def _set_aperture(reader: FileReader, kind: str, value: float, where: str) -> No
     """Take the system aperture, of which a file has one."""
     if reader.draft.aperture not in (None, (kind, value)):
         raise InputError(
-            f"{where}: a second system aperture; {reader.aperture_where} gives another one, and a lens has one"
+            f"{where}: a second system aperture; {reader.aperture_where} gives another one, and a lens has "
+            "one"
         )
     reader.draft.aperture, reader.aperture_where = (kind, value), where.rpartition(", ")[2]
 

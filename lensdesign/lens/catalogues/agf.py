@@ -26,7 +26,7 @@ ND_NOTED = 2e-4
 No glass of the makers' own catalogues differs by as much."""
 
 ND_REFUSED = 3e-3
-"""The same difference, from which a glass is refused: no melt, temperature or line of another lamp explains it."""
+"""The same difference, from which a glass is refused: no melt or temperature explains it."""
 
 VD_NOTED = 0.02
 """Relative difference between the stated Abbe number and the one by the coefficients that is noted."""
@@ -206,17 +206,17 @@ def _decode(data: bytes, where: str) -> str:
 def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
     """Glasses of an AGF text.
 
-    The records NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC (comment), TD
-    (Schott's formula for the index in heat, and the reference temperature) and ED (whose first value is the
-    expansion about room temperature, in 1e-6/K) are read; the others say nothing about index or size and are
-    passed over. A line that starts with a number continues the CD or TD record before it. Coefficients left
-    out at the end of a CD record are zero; constants that are all zero in a TD record, or an expansion of
-    zero, are not given.
+    The records NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC (comment),
+    TD (Schott's formula for the index in heat, and the reference temperature) and ED (whose first value is
+    the expansion about room temperature, in 1e-6/K) are read; the others say nothing about index or size and
+    are passed over. A line that starts with a number continues the CD or TD record before it. Coefficients
+    left out at the end of a CD record are zero; constants that are all zero in a TD record, or an expansion
+    of zero, are not given.
 
     A name that stands twice is one glass with a note if both entries have the same index (within `ALIKE`),
     and otherwise a glass with a `fault`. So is a glass whose nd contradicts its coefficients by more than
-    `ND_REFUSED`; from `ND_NOTED` on it has a note. Half a unit of the last decimal that nd is given with counts
-    as rounding, and an nd of 1 or less, or a d line outside the wavelength range, is not compared.
+    `ND_REFUSED`; from `ND_NOTED` on it has a note. Half a unit of the last decimal that nd is given with
+    counts as rounding, and an nd of 1 or less, or a d line outside the wavelength range, is not compared.
 
     Parameters
     ----------
@@ -291,9 +291,10 @@ def _without_doubles(entries: Sequence[tuple[_Draft, AgfGlass]]) -> tuple[AgfGla
             found[key] = (first_draft, replace(first, notes=(*first.notes, note)))
         else:
             fault = (
-                f"{draft.where}: glass {glass.name} stands already on line {first_draft.line} with another index "
-                f"({_spread(difference)}); a glass of this name can be used when one of the two is removed or "
-                "renamed"
+                f"{draft.where}: glass {glass.name} stands already on line {first_draft.line} with another "
+                "index "
+                f"({_spread(difference)}); a glass of this name can be used when one of the two is removed "
+                "or renamed"
             )
             found[key] = (first_draft, replace(first, fault=first.fault or fault))
     return tuple(glass for _, glass in found.values())
@@ -387,14 +388,14 @@ def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
     if math.isnan(found) or difference > ND_REFUSED:
         fault = (
             f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its coefficients "
-            f"(CD) give {found:.6g}; allowed is a difference of {ND_REFUSED:g}. Correct the record that is wrong: "
-            "the order of the coefficients, the number of the formula, or nd"
+            f"(CD) give {found:.6g}; allowed is a difference of {ND_REFUSED:g}. Correct the record that is "
+            "wrong: the order of the coefficients, the number of the formula, or nd"
         )
         return replace(glass, fault=fault)
     if difference > ND_NOTED:
         note = (
-            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its coefficients give "
-            f"{found:.6g}; the coefficients are taken"
+            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its "
+            f"coefficients give {found:.6g}; the coefficients are taken"
         )
         return replace(glass, notes=(*glass.notes, note))
     vd = _stated(draft.vd)

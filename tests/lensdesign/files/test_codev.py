@@ -383,7 +383,7 @@ def test_private_glasses_by_tables(tmp_path: Path) -> None:
     assert index_of(tmp_path, table, pwl, lossy=True) == 1.5168
     assert index_of(tmp_path, table, pwl, "532.0", lossy=True) == pytest.approx(1.51947, abs=2e-5)
     with pytest.raises(
-        LossyImportError, match="index of the private glass GLUE1 at 700 nm; that at 656.273 nm"
+        LossyImportError, match=r"index of the private glass GLUE1 at 700 nm; that at 656\.273 nm"
     ):
         index_of(tmp_path, table, pwl, "700.0")
     with pytest.raises(LossyImportError, match="index of the private glass GLUE1 at 700 nm; that at 550 nm"):

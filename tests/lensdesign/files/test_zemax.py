@@ -14,8 +14,8 @@ from places import GOLDEN
 from random_lenses import lenses, poses
 
 from lensdesign import InputError, Lens, MaterialError, Pose
-from lensdesign.analysis.paraxial import first_order
 from lensdesign.analysis.check import check_design
+from lensdesign.analysis.paraxial import first_order
 from lensdesign.common.input_files import LENS_FILE_BYTES
 from lensdesign.files.draft import LossyImportError, Supplement
 from lensdesign.files.zemax import read_zmx, write_zmx
@@ -604,7 +604,7 @@ def test_the_system_aperture_decides_what_rays_fill(tmp_path: Path, record: str,
 
 
 def test_the_footprint_behind_an_aperture_of_one_tenth() -> None:
-    """On the axis, 50 mm behind; the expected height is Snell's law at two circles, done apart from the package."""
+    """On the axis, 50 mm behind; expected is Snell's law at two circles, done apart from the package."""
     from lensdesign.files.first_order_check import meridional_system
 
     lens = read_zmx(IMPORTS / "aperture_smaller_than_stop.zmx", SENSOR).lens
@@ -647,7 +647,7 @@ def test_two_system_apertures_are_refused(tmp_path: Path, second: str) -> None:
 
 
 def test_automatic_semi_diameters_are_no_apertures(tmp_path: Path) -> None:
-    """A flag of 0 or 3 follows the rays, 1 is fixed, 2 is picked up; a clear aperture counts whatever the flag."""
+    """Flags 0 and 3 follow the rays, 1 is fixed, 2 is picked up; a clear aperture counts with any flag."""
     second = "  DISZ 50\n  DIAM 10 1 0 0 1"
     for flag, kept in ((0, None), (3, None), (1, 7.0), (2, 7.0)):
         result = read_zmx(
@@ -697,7 +697,8 @@ def test_of_two_own_catalogues_the_one_that_the_file_names_comes_first(tmp_path:
 def test_a_catalogue_that_is_not_at_hand_is_said(tmp_path: Path) -> None:
     result = read_zmx(IMPORTS / "own_catalogue.zmx", SENSOR)
     assert (
-        "surface 1: glass N-BK7 is that of Schott; the file also names SCHOTT_MELT, which may have another of this "
+        "surface 1: glass N-BK7 is that of Schott; the file also names SCHOTT_MELT, which may have another "
+        "of this "
         "name (give it as a glass catalogue)" in result.remarks
     )
     assert not any("also names" in r for r in read_zmx(saved(tmp_path, SINGLET), SENSOR).remarks)

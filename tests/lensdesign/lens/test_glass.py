@@ -288,7 +288,7 @@ def test_one_faulty_glass_does_not_hide_the_others_of_its_catalogue(tmp_path: Pa
 
 
 def test_stated_nd_of_the_database_agree_with_its_formulas() -> None:
-    """What would be refused or noted of a catalogue file is nowhere in the pages that makers' glasses come from."""
+    """The built-in makers' pages have no nd that would be noted or refused in a catalogue file."""
     import yaml
 
     from lensdesign.lens.catalogues.agf import LINE_D_UM, ND_NOTED

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from places import GOLDEN
 
 from lensdesign.errors import MaterialError
@@ -285,7 +284,8 @@ def test_a_glass_that_stands_twice_differently_is_refused_alone(again: str) -> N
 def test_two_entries_that_differ_by_rounding_are_alike() -> None:
     """As makers' catalogues have some glasses: once with seven digits, once with ten."""
     text = (
-        "NM E-F2 1 620363 1.620041 36.26\nCD 2.557393 -1.079512E-2 2.168073E-2 1.05166E-3 -5.363098E-5 7.746633E-6\n"
+        "NM E-F2 1 620363 1.620041 36.26\nCD 2.557393 -1.079512E-2 2.168073E-2 1.05166E-3 -5.363098E-5 "
+        "7.746633E-6\n"
         "TD 1.0E-6 0 0 0 0 0 20\nLD 0.365 1.014\n"
         "NM E-F2 1 620363 1.620041 36.26\nCD 2.55739282 -1.07951229E-2 2.16807328E-2 1.05165979E-3 "
         "-5.36309816E-5 7.7466328E-6\nLD 0.365 1.014\n"
