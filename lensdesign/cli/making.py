@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from contextlib import ExitStack
 from dataclasses import asdict, fields
@@ -318,8 +319,9 @@ def _moved(pose: Pose) -> str:
 def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
     dropped = [*found.dropped, *([f"pose: {moved}"] if moved else [])]
     first = found.first_order
+    lens = found.lens
     if as_json:
-        figures = None if first is None else asdict(first)
+        figures = first and {k: v if math.isfinite(v) else None for k, v in asdict(first).items()}
         print_json(
             {
                 "design": str(output),
@@ -335,10 +337,13 @@ def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
         typer.echo(f"note: {visible(remark)}", err=True)
     typer.echo(f"wrote {output}: {len(found.lens.surfaces)} surfaces")
     if first is not None:
+        marginal = (
+            f"is {first.stop_height_mm:.6g} mm high at the stop of {lens.stop_semi_diameter_mm:.6g} mm"
+            if math.isfinite(first.stop_height_mm)
+            else f"does not reach the stop of {lens.stop_semi_diameter_mm:.6g} mm"
+        )
         typer.echo(
             f"traced as the file's records imply: focal length {first.efl_mm:.6g} mm, back focal length "
             f"{first.bfl_mm:.6g} mm, magnification {first.magnification:.6g} at "
-            f"{first.image_distance_mm:.6g} mm, "
-            f"marginal ray of NA {first.object_na:.6g} {first.stop_height_mm:.6g} mm high at the stop of "
-            f"{found.lens.stop_semi_diameter_mm:.6g} mm"
+            f"{first.image_distance_mm:.6g} mm; the marginal ray of NA {first.object_na:.6g} {marginal}"
         )

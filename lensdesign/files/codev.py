@@ -3,10 +3,11 @@
 Read are DIM M; RDM with S lines of radius (or, after RDM N, curvature), thickness and glass, and the same as
 RDY, CUY, THI and GLA; the conic K and the asphere terms A to J (r^4 to r^20) of CON and ASP surfaces;
 circular apertures CIR; the stop STO; NAO, NA, EPD and FNO (working F-number); object heights XOB and YOB;
-wavelengths WL in nm, the reference REF first; glasses as NBK7_SCHOTT, and private ones (PRV) of one index;
-and XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, as the pose of the whole lens. Weights,
-coupling codes and labels say nothing of the lens and are passed over. Commands are those of the CODE V
-Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
+wavelengths WL in nm, the reference REF first; glasses as NBK7_SCHOTT, and the private ones (PRV) that
+surfaces have, by indices or formulas (:mod:`lensdesign.files.codev_glasses`); the present values of solves
+and pickups; and XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, as the pose of the whole lens.
+Weights, coupling codes and labels say nothing of the lens and are passed over. Commands are those of the CODE
+V Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Zemax OpticStudio's sequential lens files (.zmx), read and written.
 
 Read are surfaces of the types that the shapes of :mod:`lensdesign.lens.shapes` name, with their curvature,
-conic, parameters, thickness, glass, semi-diameter, circular aperture and stop; the apertures ENPD, FNUM, OBNA
-and FLOA; object heights; wavelengths, the primary one first; and a pair of coordinate breaks as the pose of
-the whole lens. Weights, the merit function and what only governs analyses or drawings says nothing of the
-lens and is passed over; so are fields at which there is nothing but the axis. The format has no public
+conic, parameters, thickness, glass, semi-diameter (where it is not automatic), circular aperture and stop;
+the apertures ENPD, FNUM, OBNA and FLOA, which decide how wide the stop is filled; object heights;
+wavelengths, the primary one first; and a pair of coordinate breaks as the pose of the whole lens. Weights,
+the merit function and what only governs analyses or drawings says nothing of the lens and is passed over; so
+are fields at which there is nothing but the axis. The format has no public
 specification: what the records mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files
 that lens makers publish.
 """
