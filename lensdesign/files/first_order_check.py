@@ -35,6 +35,9 @@ SMALLEST_POWER = 1e-3
 NEAR_AXIS = 1e-5
 """Height of the traced rays by the smallest radius; its square is the error of the comparison."""
 
+NEARER_AXIS = 1e-7
+"""The same for strong aspheres, whose terms in r^4 still count at `NEAR_AXIS`; rounding counts more here."""
+
 
 @dataclass(frozen=True)
 class _Train:
@@ -46,6 +49,11 @@ class _Train:
     indices: tuple[float, ...]
     behind_mm: float
     stop_z_mm: float | None
+
+    @property
+    def refracts(self) -> bool:
+        """Whether any two of the media differ."""
+        return len(set(self.indices)) > 1
 
     def matrix(self) -> np.ndarray:
         """Ray matrix from the first to the last vertex, of (height, slope) in media of their own."""
@@ -97,40 +105,40 @@ def check_first_order(
     InputError
         If focal lengths, distances of object and image, magnification or the marginal ray differ.
     """
-    traced, system, first = _traced(lens, draft.source)
-    if draft.recorded:
-        recorded = _recorded(draft, supplement.glass_catalogs)
-        despace = float(np.asarray(pose.despace_mm))
-        found = _lens_train(lens, system)
-        straight = _ends(system.indices) is None  # then only the way from object to image counts
-        despace = 0.0 if straight else despace
-        differences = (
-            []
-            if straight and not recorded.distances_mm and recorded.curvatures == (0.0,)
-            else _matrix_differences(traced, recorded)
+    _, system, first = _traced(lens, draft.source)
+    if not draft.recorded:
+        return first
+    recorded = _recorded(draft, supplement.glass_catalogs)
+    found = _lens_train(lens, system)
+    refracts = _ends(system.indices) is not None  # if not, only the way from object to image counts
+    differences: list[str] = []
+    if refracts or recorded.refracts:
+        for near in (NEAR_AXIS, NEARER_AXIS):
+            matrix, _, first = _traced(lens, draft.source, near)
+            differences = _matrix_differences(matrix, recorded)
+            if not differences:
+                break
+    despace = float(np.asarray(pose.despace_mm)) if refracts else 0.0
+    asked_distance = supplement.working_distance_mm is not None
+    asked_planes = supplement.plane_distances_mm is not None
+    if not (asked_distance or (asked_planes and not refracts)) and math.isfinite(recorded.before_mm):
+        differences += _difference(
+            "distance from the object (mm)", found.before_mm + despace, recorded.before_mm
         )
-        given = supplement.working_distance_mm is not None or (
-            straight and supplement.plane_distances_mm is not None
+    if refracts and not asked_planes:
+        differences += _difference(
+            "distance to the image (mm)", found.behind_mm - despace, recorded.behind_mm
         )
-        noted = draft.notes.get("aperture")
-        if not given and math.isfinite(recorded.before_mm):
-            differences += _difference(
-                "distance from the object (mm)", found.before_mm + despace, recorded.before_mm
-            )
-        if supplement.plane_distances_mm is None and not straight:
-            differences += _difference(
-                "distance to the image (mm)", found.behind_mm - despace, recorded.behind_mm
-            )
-        if supplement.numerical_aperture is None and noted is None:
-            differences += _aperture_difference(draft, lens, found, recorded)
-        if filled:
-            differences += _marginal_difference(lens, first)
-        if differences:
-            raise InputError(
-                f"{draft.source}: the lens as imported does not do what the file's records imply: "
-                + "; ".join(differences)
-                + ". The file has a record that is misread; no lens is given"
-            )
+    if supplement.numerical_aperture is None:
+        differences += _aperture_difference(draft, lens, found, recorded)
+    if filled:
+        differences += _marginal_difference(lens, first)
+    if differences:
+        raise InputError(
+            f"{draft.source}: the lens as imported does not do what the file's records imply: "
+            + "; ".join(differences)
+            + ". A record of the file is misread; no lens is given"
+        )
     return first
 
 
@@ -171,7 +179,9 @@ def _bfl(matrix: np.ndarray) -> float:
     return float(-matrix[0, 0] / matrix[1, 0]) if math.isfinite(_efl(matrix)) else math.inf
 
 
-def _traced(lens: Lens, source: str) -> tuple[np.ndarray, MeridionalSystem, ImportedFirstOrder]:
+def _traced(
+    lens: Lens, source: str, near: float = NEAR_AXIS
+) -> tuple[np.ndarray, MeridionalSystem, ImportedFirstOrder]:
     """Ray matrix of the trimmed lens by exact rays near the axis, and its first-order data."""
     system = meridional_system(lens)
     front, back = _ends(system.indices) or (0, len(system.shapes) - 1)
@@ -180,7 +190,7 @@ def _traced(lens: Lens, source: str) -> tuple[np.ndarray, MeridionalSystem, Impo
         system.distances_mm[front:back],
         system.indices[front : back + 2],
     )
-    matrix = _near_axis_matrix(part)
+    matrix = _near_axis_matrix(part, near)
     if matrix is None:
         raise InputError(f"{source}: no ray near the axis passes through the lens as imported")
     behind = sum(system.distances_mm[back:])
@@ -214,13 +224,13 @@ def meridional_system(lens: Lens, wavelength_um: float | None = None) -> Meridio
     )
 
 
-def _near_axis_matrix(system: MeridionalSystem) -> np.ndarray | None:
+def _near_axis_matrix(system: MeridionalSystem, near: float) -> np.ndarray | None:
     """Ray matrix by two exact rays, one parallel to the axis and one through the first vertex."""
     bent = [abs(1.0 / s.curvature) for s in system.shapes if s.curvature]
     radius = min([r for r in bent if math.isfinite(r)], default=1.0)
     length = sum(abs(d) for d in system.distances_mm)
     end = float(sum(system.distances_mm))
-    height = NEAR_AXIS * radius / max(system.indices)
+    height = near * radius / max(system.indices)
     sine = height / (radius + length)
     parallel = system.trace(height, -radius, 0.0)
     through = system.trace(-sine / math.sqrt(1.0 - sine * sine) * radius, -radius, sine)

@@ -5,9 +5,8 @@ conic, parameters, thickness, glass, semi-diameter (where it is not automatic), 
 the apertures ENPD, FNUM, OBNA and FLOA, which decide how wide the stop is filled; object heights;
 wavelengths, the primary one first; and a pair of coordinate breaks as the pose of the whole lens. Weights,
 the merit function and what only governs analyses or drawings says nothing of the lens and is passed over; so
-are fields at which there is nothing but the axis. The format has no public
-specification: what the records mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files
-that lens makers publish.
+are fields at which there is nothing but the axis. The format has no public specification: what the records
+mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
 """
 
 from __future__ import annotations

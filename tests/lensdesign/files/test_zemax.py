@@ -747,3 +747,14 @@ def test_the_lens_is_traced_and_compared_with_the_records(
     misread("glass", ("F2",))
     misread("radius_mm", 49.9)
     misread("thickness_mm", 5.0)
+
+
+def test_a_strong_asphere_near_the_axis_raises_no_alarm(tmp_path: Path) -> None:
+    asphere = "TYPE EVENASPH\n  PARM 2 30.0\n  CURV 0\n  DIAM 0.05 1 0 0 1\n  DISZ 5"
+    text = SINGLET.replace("TYPE STANDARD\n  CURV 0.02\n  DISZ 5", asphere).replace(
+        "  DIAM 10 1 0 0 1\n", "", 1
+    )
+    result = read_zmx(saved(tmp_path, text.replace("OBNA 0.1", "OBNA 0.0008")), SENSOR)
+    assert result.lens.surfaces[0].asphere == (30.0,)
+    assert result.first_order is not None
+    assert result.first_order.efl_mm == pytest.approx(50.0 / 0.5194726, rel=1e-6)
