@@ -171,10 +171,19 @@ def check_solves(reader: FileReader) -> None:
             reader.draft.remark(f"{surface.name}: {words.split()[0]} solve replaced by its present value")
 
 
-def _solved(surface: FileSurface, quantity: str, values: Sequence[str], where: str) -> bool:
-    """Whether a solve or a pickup stands where a value could; else the quantity counts as given."""
-    if values and values[0].upper() in _SOLVES:
+def _solved(
+    reader: FileReader, surface: FileSurface, quantity: str, values: Sequence[str], where: str
+) -> bool:
+    """Whether a solve or a pickup stands where a value could; else the quantity counts as given.
+
+    Another word than a solve's is a loss where the quantity has its value already.
+    """
+    word = values[0].upper() if values else ""
+    if word in _SOLVES:
         surface.solved[quantity] = (" ".join(values), where)
+        return True
+    if word.isalpha() and word not in _ENDLESS and quantity in surface.given:
+        reader.draft.lose(f"{surface.name}: {quantity} by {shown(' '.join(values))}; its value is kept")
         return True
     surface.given.add(quantity)
     return False
@@ -204,7 +213,7 @@ def _start_surface(reader: FileReader, word: str, values: list[str], where: str)
         raise InputError(f"{where}: more than {MOST_SURFACES} surfaces")
     surface = FileSurface(word if word in ("SO", "SI") else "S", f"surface {count}", where)
     reader.surfaces.append(surface)
-    if values and not _solved(surface, "radius", values, where):
+    if values and not _solved(reader, surface, "radius", values, where):
         value = _finite_or_plane(values[0], where)
         if value and reader.holds_radii is None:
             raise InputError(
@@ -238,7 +247,7 @@ def _value(values: Sequence[str], where: str) -> float:
 
 
 def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    if _solved(surface, "radius", values, where):
+    if _solved(reader, surface, "radius", values, where):
         return
     value = _finite_or_plane(values[0], where) if values else _value(values, where)
     surface.radius_mm = value or None
@@ -247,7 +256,7 @@ def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[st
 
 
 def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    if _solved(surface, "thickness", values, where):
+    if _solved(reader, surface, "thickness", values, where):
         return
     endless = bool(values) and values[0].upper() in _ENDLESS
     value = math.inf if endless else _value(values, where)
@@ -261,12 +270,12 @@ def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    if not _solved(surface, "conic constant", values, where):
+    if not _solved(reader, surface, "conic constant", values, where):
         surface.conic = _value(values, where)
 
 
 def _term(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    if not _solved(surface, f"asphere term {word}", values, where):
+    if not _solved(reader, surface, f"asphere term {word}", values, where):
         surface.terms[word] = _value(values, where)
 
 
@@ -291,7 +300,7 @@ def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str]
 
 
 def _move(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    if not _solved(surface, word, values, where):
+    if not _solved(reader, surface, word, values, where):
         surface.moves[word] = _value(values, where)
 
 

@@ -104,6 +104,7 @@ def test_an_asphere(tmp_path: Path) -> None:
     lens = read_seq(saved(tmp_path, ASPHERE), SENSOR).lens
     front = lens.surfaces[0]
     assert (front.conic, front.asphere) == (-0.6265, (1.5e-5, 0.0, -2e-10))
+    assert front.semi_diameter_mm == pytest.approx(3.0606, abs=1e-4)  # of NA 0.1, in a stop of 10 mm
     assert (front.material, lens.object.field_diameter_mm, lens.object.numerical_aperture) == (
         "N-BK7",
         8.0,
@@ -430,6 +431,15 @@ def test_solves_without_a_present_value_are_named(tmp_path: Path, new: str, mess
     for lossy in (False, True):
         with pytest.raises(InputError, match=message):
             read_seq(path, SENSOR, lossy)
+
+
+@pytest.mark.parametrize("command", ["THI EDG 0.5", "THI VAR", "CUY FOO 1", "RDY S2 ABC"])
+def test_an_unknown_word_in_place_of_a_value_that_is_known_is_a_loss(tmp_path: Path, command: str) -> None:
+    path = saved(tmp_path, PRIVATE.replace("S -50 50\n", f"S -50 50\n {command}\n"))
+    with pytest.raises(LossyImportError, match=r"surface 2: (thickness|radius) by '[A-Z .05]+1?'; its value"):
+        read_seq(path, SENSOR)
+    lens = read_seq(path, SENSOR, lossy=True).lens
+    assert (lens.surfaces[1].radius_mm, lens.sensor.plane_distances_mm) == (-50.0, (50.0,))
 
 
 def test_words_of_more_than_three_letters_and_infinity(tmp_path: Path) -> None:
