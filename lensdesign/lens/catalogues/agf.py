@@ -380,6 +380,12 @@ class _Draft:
 def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
     """The glass with a note or a fault where its NM record contradicts its coefficients."""
     nd = _stated(draft.nd)
+    if nd is None and any(c.isdigit() for c in draft.nd):
+        note = (
+            f"{draft.where}: the NM record of glass {draft.name} gives nd as {_shown(draft.nd)}, which is no "
+            "number; it was not compared with the coefficients"
+        )
+        return replace(glass, notes=(*glass.notes, note))
     shortest, longest = glass.wavelength_range_um
     if nd is None or nd <= 1.0 or not shortest <= LINE_D_UM <= longest:
         return glass

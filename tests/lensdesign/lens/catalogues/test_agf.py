@@ -320,6 +320,11 @@ def test_an_nd_that_contradicts_the_coefficients_refuses_the_glass(nd: str) -> N
     assert nm(nd, span="0.6 2.5").fault == ""
 
 
+def test_an_nd_that_is_no_number_is_noted() -> None:
+    assert "gives nd as '1,5168', which is no number" in nm("1,5168").notes[0]
+    assert nm("_").notes == ()
+
+
 def test_an_abbe_number_that_the_coefficients_do_not_give_is_noted() -> None:
     assert nm("1.5168", "64").notes == nm("1.5168", "64.2").notes == nm("1.5168", "0").notes == ()
     assert "an Abbe number of 50.0, and its coefficients give 64.17" in nm("1.5168", "50.0").notes[0]
