@@ -23,7 +23,7 @@ LINE_C_UM = 0.6562725
 
 ND_NOTED = 2e-4
 """Difference between a stated nd and the one by the coefficients, beyond rounding, from which a note says so.
-No glass of the makers' own catalogues differs by as much."""
+In makers' catalogues none does but a placeholder."""
 
 ND_REFUSED = 3e-3
 """The same difference, from which a glass is refused: no melt or temperature explains it."""
