@@ -307,6 +307,13 @@ def _limits(
     return width, tuple(limits)
 
 
+def chart_end(elements: Sequence[UsafElement], sample_um: float) -> Literal["sampling", "chart"]:
+    """Whether samples or the series of elements end a chart at its finest element."""
+    width = _next_finer_um(min(elements, key=lambda one: one.line_width_um))
+    too_fine = width is not None and width < SAMPLES_PER_FEATURE * sample_um * ROUNDING
+    return "sampling" if too_fine else "chart"
+
+
 def _next_finer_um(element: UsafElement) -> float | None:
     """Line width of the element after another in the series of the chart."""
     finer = (usaf_line_width_um(group, number) for group in GROUPS for number in ELEMENTS)
@@ -470,10 +477,10 @@ class _Seen:
         """The best place about another, and its correlation; `free`: the first so many numbers vary."""
         from scipy.optimize import minimize
 
-        def lacks(varied: Array) -> float:
+        def lacks(varied: Any) -> float:
             return 1.0 - self.correlation(np.concatenate([varied, start[free:]]))
 
         simplex = start[:free] + np.vstack([np.zeros(free), 0.6 * np.eye(free)])
-        options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 120 * free}
+        options: Any = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 120 * free}
         found = minimize(lacks, start[:free], method="Nelder-Mead", options=options)
         return np.concatenate([found.x, start[free:]]), 1.0 - float(found.fun)
