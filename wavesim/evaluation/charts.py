@@ -36,8 +36,9 @@ Limit = Literal["result", "aperture", "sampling", "chart", "region"]
 SEARCH_LINES, SEARCH_SAMPLES = 2.0, (16, 64)
 """Displacements that are tried: so many lines of the coarsest element, within these numbers of samples."""
 
-DETERMINED = 0.4
-"""Correlation of chart and intensity from which on the place of the chart is determined."""
+DETERMINED, CHANCE = 0.25, 6.0
+"""Correlation of chart and intensity from which on the place of the chart is determined, and how many times
+that of noise."""
 
 DEFORMED_SAMPLES, DEFORMED_GAIN, DEFORMED_ELEMENTS = 0.5, 0.1, 3
 """Scale and rotation count where they move the chart's corners by so many samples, and take away so much of
@@ -344,7 +345,7 @@ def register_chart(
     Returns
     -------
     Registration or None
-        None where the correlation stays below `DETERMINED`, or the intensity is reversed.
+        None where the correlation stays below what noise may give, or the intensity is reversed.
     """
     grid = transmission.grid
     pitch = grid.pitch_mm
@@ -362,18 +363,17 @@ def register_chart(
     by_shift = np.nan_to_num(by_shift, nan=-1.0)
     row, column = np.unravel_index(int(np.argmax(by_shift)), by_shift.shape)
     in_place = float(by_shift[reach, reach])
-    if by_shift[row, column] < DETERMINED or by_shift[row, column] < -np.min(by_shift[by_shift > -1.0]):
+    reversed_too = by_shift[row, column] < -np.min(by_shift[by_shift > -1.0])
+    if by_shift[row, column] < seen.least_correlation or reversed_too:
         return None
     start = np.array([column - reach, row - reach, 0.0, 0.0])
-    shifted, correlation = seen.best(start, free=2)
+    shifted, correlation = seen.displaced(start + _between(by_shift, int(row), int(column)))
     shown = sum(holds(window, one.outline) for one in elements)
-    deformed, better = (shifted, correlation)
-    if shown >= DEFORMED_ELEMENTS:
-        deformed, better = seen.best(shifted, free=4)
-    if np.hypot(*deformed[2:]) > DEFORMED_SAMPLES and better - correlation > DEFORMED_GAIN * (
-        1.0 - correlation
-    ):
-        shifted, correlation = deformed, better
+    if shown >= DEFORMED_ELEMENTS and seen.may_be_deformed(shifted, correlation):
+        deformed, better = seen.best(shifted)
+        gained = better - correlation > DEFORMED_GAIN * (1.0 - correlation)
+        if gained and np.hypot(*deformed[2:]) > DEFORMED_SAMPLES:
+            shifted, correlation = deformed, better
     if correlation <= in_place:
         shifted, correlation = np.zeros(4), in_place
     return seen.registration(shifted, correlation, in_place)
@@ -473,14 +473,52 @@ class _Seen:
         size = float(np.linalg.norm(chart)) * self.size
         return float(np.vdot(chart, self.intensity)) / size if size > 0.0 else -1.0
 
-    def best(self, start: Array, free: int) -> tuple[Array, float]:
-        """The best place about another, and its correlation; `free`: the first so many numbers vary."""
+    @property
+    def least_correlation(self) -> float:
+        """Correlation from which on the place is determined; chance gives more of it on few samples."""
+        return max(DETERMINED, CHANCE * math.sqrt(4.0 * math.pi * SMOOTHING**2 / self.count))
+
+    def displaced(self, start: Array) -> tuple[Array, float]:
+        """The place of the largest correlation about another, x and y alone, by a parabola along each."""
+        step = 0.5
+        middle, place = self.correlation(start), start.copy()
+        for axis in (0, 1):
+            aside = step * np.eye(4)[axis]
+            place[axis] += step * _vertex(
+                self.correlation(start - aside), middle, self.correlation(start + aside)
+            )
+        found = self.correlation(place)
+        return (place, found) if found > middle else (start, middle)
+
+    def may_be_deformed(self, place: Array, correlation: float) -> bool:
+        """Whether a little scale or rotation makes the correlation larger."""
+        asides = (sign * DEFORMED_SAMPLES * np.eye(4)[axis] for axis in (2, 3) for sign in (-1.0, 1.0))
+        return any(self.correlation(place + aside) > correlation for aside in asides)
+
+    def best(self, start: Array) -> tuple[Array, float]:
+        """The best place about another, scale and rotation included, and its correlation."""
         from scipy.optimize import minimize
 
-        def lacks(varied: Any) -> float:
-            return 1.0 - self.correlation(np.concatenate([varied, start[free:]]))
+        def lacks(place: Any) -> float:
+            return 1.0 - self.correlation(place)
 
-        simplex = start[:free] + np.vstack([np.zeros(free), 0.6 * np.eye(free)])
-        options: Any = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 120 * free}
-        found = minimize(lacks, start[:free], method="Nelder-Mead", options=options)
-        return np.concatenate([found.x, start[free:]]), 1.0 - float(found.fun)
+        simplex = start + np.vstack([np.zeros(4), 0.6 * np.eye(4)])
+        options: Any = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-7, "maxfev": 300}
+        found = minimize(lacks, start, method="Nelder-Mead", options=options)
+        return np.asarray(found.x), 1.0 - float(found.fun)
+
+
+def _between(values: Array, row: int, column: int) -> Array:
+    """How far the peak lies from the sample of the largest value, along x and y, by parabolas."""
+    found = np.zeros(4)
+    if 0 < column < values.shape[1] - 1:
+        found[0] = _vertex(*values[row, column - 1 : column + 2])
+    if 0 < row < values.shape[0] - 1:
+        found[1] = _vertex(*values[row - 1 : row + 2, column])
+    return found
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Vertex of the parabola through three points, in their distance, at most one from the middle."""
+    bend = left - 2.0 * middle + right
+    return float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0
