@@ -73,8 +73,8 @@ class Case:
 
 THREE = (1.0, 30.0, 1000.0)
 AMPLITUDE = Bench(1 / 48, "letters", patch_mm=0.03, exposures=THREE)
-WEAK_AMPLITUDE = Bench(1 / 48, "letters", patch_mm=0.03, exposures=(1.0,))
-WEAK_COMPLEX = Bench(1 / 48, "phantom", "complex", 0.03, (1.0,))
+ONE_LETTERS = Bench(1 / 48, "letters", patch_mm=0.03, exposures=(1.0,))
+ONE_PHANTOM = Bench(1 / 48, "phantom", "complex", 0.03, (1.0,))
 CHART = Bench(1 / 16, "usaf", patch_mm=0.08)
 COMPLEX = Bench(1 / 48, "tissue", "complex", 0.03, THREE, seed=1)
 DENSE = Bench(1 / 20, "dense", patch_mm=0.08)
@@ -183,6 +183,32 @@ WRONG = (
     ),
     Case("frames smoothed, 0.7 px", "wrong", AMPLITUDE, lambda b: smoothed(b.frames(), 0.7), NOISE),
     Case("frames smoothed, 2 px", "wrong", COMPLEX, lambda b: smoothed(b.frames(), 2.0), NOISE),
+    *(
+        Case(f"{name}, one exposure", "wrong", bench, take, NOISE)
+        for name, bench, take in (
+            ("read noise stated 50 times too high", ONE_LETTERS, stated_as(read_noise_electrons=times(50))),
+            (
+                "read noise stated 50 times too high, phantom",
+                ONE_PHANTOM,
+                stated_as(read_noise_electrons=times(50)),
+            ),
+            ("gain stated 30 times too low", ONE_LETTERS, stated_as(gain_electrons_per_count=times(1 / 30))),
+            (
+                "gain stated 30 times too low, phantom",
+                ONE_PHANTOM,
+                stated_as(gain_electrons_per_count=times(1 / 30)),
+            ),
+            ("frames smoothed, 0.7 px", ONE_LETTERS, lambda b: smoothed(b.frames(), 0.7)),
+            ("frames smoothed, 2 px", ONE_PHANTOM, lambda b: smoothed(b.frames(), 2.0)),
+        )
+    ),
+    Case(
+        "gain stated 30 times too low, text",
+        "wrong",
+        Bench(exposures=THREE),
+        stated_as(gain_electrons_per_count=times(1 / 30)),
+        NOISE,
+    ),
     Case("identical pictures", "wrong", AMPLITUDE, lambda b: first_plane_twice(b.frames(), b.frames()), SAME),
     Case(
         "same picture, other noise",
@@ -215,12 +241,12 @@ WRONG = (
             healthy=second_plane("as it is", WEAK),
         )
         for turn, where, bench in (
-            ("shifted by 3 px", "", WEAK_AMPLITUDE),
-            ("shifted by 20 px", "", WEAK_AMPLITUDE),
-            ("mirrored", ", phantom", WEAK_COMPLEX),
-            ("rotated by 90 deg", ", phantom", WEAK_COMPLEX),
-            ("rotated by 180 deg", "", WEAK_AMPLITUDE),
-            ("transposed", ", phantom", WEAK_COMPLEX),
+            ("shifted by 3 px", "", ONE_LETTERS),
+            ("shifted by 20 px", "", ONE_LETTERS),
+            ("mirrored", ", phantom", ONE_PHANTOM),
+            ("rotated by 90 deg", ", phantom", ONE_PHANTOM),
+            ("rotated by 180 deg", "", ONE_LETTERS),
+            ("transposed", ", phantom", ONE_PHANTOM),
         )
     ),
     Case(
