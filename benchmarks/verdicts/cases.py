@@ -82,8 +82,8 @@ ONE_EXPOSURE = Bench(1 / 16, "star", patch_mm=0.08, exposures=(1.0,))
 SEED = 11
 """Of noise that is another one than the bench's."""
 
-WEAK = 0.002
-"""Share of the exposure, with which the second plane's brightest pixel has some 16 electrons."""
+WEAK, FAINT = 0.002, 0.01
+"""Shares of the exposure, with which the second plane's brightest pixel has some 16 and 80 electrons."""
 
 STOP_UM = 14.0
 """Diameter of a field stop that stands beside the middle."""
@@ -226,11 +226,24 @@ WRONG = (
         )
     ),
     Case("planes 0.1 % apart", "wrong", AMPLITUDE, nearly_one_plane(1e-3), SAME),
+    Case("planes 0.1 % apart, phantom, one exposure", "wrong", ONE_PHANTOM, nearly_one_plane(1e-3), SAME),
     Case("planes 1 % apart, tissue", "wrong", COMPLEX, nearly_one_plane(1e-2), SAME),
     *(
         Case(f"second plane {turn}", "wrong", AMPLITUDE, second_plane(turn), GEOMETRY)
         for turn in TURNS
         if turn != "as it is"
+    ),
+    *(
+        Case(
+            f"second plane faint, {turn}, {where}",
+            "wrong",
+            bench,
+            second_plane(turn, FAINT),
+            GEOMETRY,
+            healthy=second_plane("as it is", FAINT),
+        )
+        for where, bench in (("letters", ONE_LETTERS), ("phantom", ONE_PHANTOM))
+        for turn in ("shifted by 3 px", "mirrored", "rotated by 90 deg")
     ),
     *(
         Case(
