@@ -130,6 +130,12 @@ def test_a_band_of_wavelengths_adds_their_intensities(nominal: Imaged) -> None:
     assert coloured.sum() == pytest.approx(single.sum(), rel=0.02)
 
 
+def test_an_engine_is_chosen_for_each_wavelength_of_a_band() -> None:
+    chosen, stated = seen(bandwidth_nm=20.0, engine="auto", error=0.3), seen(bandwidth_nm=20.0, error=0.3)
+    one, other = pictures(chosen)[1], pictures(stated)[1]
+    assert np.linalg.norm(one - other) < 0.1 * np.linalg.norm(other)
+
+
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
     with pytest.raises(InputError, match="sensor_tilt_deg: engine two-level"):
         seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="two-level")
