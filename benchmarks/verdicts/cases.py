@@ -291,7 +291,7 @@ WRONG = (
         ("source", "source size", "vibration", "coherence"),
     ),
     Case(
-        "bandwidth of 6 nm not stated", "wrong", CHART, imaged(bandwidth_nm=6.0), ("bandwidth", "coherence")
+        "bandwidth of 30 nm not stated", "wrong", CHART, imaged(bandwidth_nm=30.0), ("bandwidth", "coherence")
     ),
     Case(
         "field stop off centre",
