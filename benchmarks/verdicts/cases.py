@@ -318,6 +318,18 @@ WRONG = (
     ),
     Case("dark count of 64 stated as 0", "wrong", AMPLITUDE, stated_as(offset_counts=0.0), LINEARITY),
     Case("dark count of 64 stated as 54", "wrong", COMPLEX, stated_as(offset_counts=54.0), LINEARITY),
+    *(
+        Case(f"{name}, one exposure", "wrong", bench, take, causes)
+        for name, bench, take, causes in (
+            ("gamma of 2.2", ONE_LETTERS, lambda b: with_gamma(b.frames(), 2.2), LINEARITY),
+            ("gamma of 2.2, phantom", ONE_PHANTOM, lambda b: with_gamma(b.frames(), 2.2), LINEARITY),
+            ("quantised to 6 bits of 12", ONE_LETTERS, lambda b: quantised(b.frames(), 6), (*NOISE, "bits")),
+            ("dark count of 64 stated as 0", ONE_PHANTOM, stated_as(offset_counts=0.0), LINEARITY),
+            ("dark count of 64 stated as 54", ONE_LETTERS, stated_as(offset_counts=54.0), LINEARITY),
+            ("clipped at a tenth of the top count", ONE_PHANTOM, lambda b: clipped(b.frames(), 0.1), CLIPPED),
+            ("200 cosmic rays a frame", ONE_PHANTOM, lambda b: with_cosmic_rays(b.frames(), 200), PIXELS),
+        )
+    ),
     Case(
         "tissue stated as an amplitude object",
         "wrong",
