@@ -278,7 +278,7 @@ WRONG = (
         ("other object", "second plane", "several objects"),
     ),
     Case("clipped below the top count", "wrong", AMPLITUDE, lambda b: clipped(b.frames(), 0.4), CLIPPED),
-    Case("exposed 300 times too long", "wrong", AMPLITUDE, saturated, CLIPPED),
+    Case("exposed 300 times too long", "wrong", ONE_LETTERS, saturated, CLIPPED),
     Case("200 hot pixels", "wrong", AMPLITUDE, lambda b: with_hot_pixels(b.frames(), 200), PIXELS),
     Case("200 cosmic rays a frame", "wrong", AMPLITUDE, lambda b: with_cosmic_rays(b.frames(), 200), PIXELS),
     Case("long exposure stated 1.5 times too long", "wrong", AMPLITUDE, long_exposures(1.5), ("exposure",)),
