@@ -320,7 +320,7 @@ def verdict(
         against.append(Finding("several objects", said))
     cause, told = "", ""
     if not within:
-        cause, told = _likeliest(trials, curve, max(excess), against)
+        cause, told = _likeliest(trials, curve, max(excess))
     elif against:
         cause, told = against[0][:2]
     step = ADVICE.get(cause, "")
@@ -366,18 +366,11 @@ def wants_iterations(curve: Sequence[float], excess: float) -> bool:
     return bool(curve) and (len(curve) <= FEW or excess * (curve[-1] / curve[-2]) ** MORE < 1.0)
 
 
-def _likeliest(
-    trials: Sequence[Trial], curve: Sequence[float], excess: float, findings: Sequence[Finding]
-) -> tuple[str, str]:
+def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -> tuple[str, str]:
     """Cause, and how it was found; the excess is that over what counts as explained."""
-    for finding in findings:
-        if finding.cause == "orientation":
-            return finding[:2]
     best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
     if best is not None and best.gain > LEAST_GAIN:
         return best.cause, f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
-    if findings:
-        return findings[0][:2]
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
     return "lens or light", "nothing else that was tried explains it" if trials else "nothing was tried"

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wavesim.evaluation.verdicts import HELD_LIMIT, LIMIT, PlaneResidual, Trial, verdict
+from wavesim.evaluation.plane_residuals import PlaneResidual
+from wavesim.evaluation.verdicts import HELD_LIMIT, LIMIT, Finding, Trial, verdict
 
 SHAPE = (64, 80)
 
@@ -107,3 +108,43 @@ def test_it_goes_into_json() -> None:
     told: dict[str, Any] = json.loads(json.dumps(verdict([plane(3.0)], [Trial("light", "x", 0.5)]).as_dict()))
     assert told["explained"] is False
     assert told["trials"] == [{"cause": "light", "told": "x", "misfit_ratio": 0.5}]
+
+
+def test_overfitting_is_not_taken_for_a_wrong_bench() -> None:
+    """A fit of many unknowns leaves less than the noise where it was fitted, and as much more elsewhere."""
+    assert verdict([plane(0.8, 1.5), plane()]).explained
+    assert not verdict([plane(1.1, 1.9), plane()]).explained
+
+
+def test_a_finding_makes_a_result_untrusted_and_the_surest_names_the_cause() -> None:
+    against = [Finding("shift", "it fits better shifted", 200.0), Finding("mounting", "decentered", 900.0)]
+    found = verdict([plane()], findings=against)
+    assert (found.explained, found.within, found.cause) == (False, True, "mounting")
+    assert found.words.startswith("not to be trusted")
+    assert found.as_dict()["findings"][0]["chi_square"] == 900.0
+
+
+def test_residuals_far_below_the_noise_are_a_finding() -> None:
+    found = verdict([plane(0.15, 0.15), plane(0.15, 0.15)])
+    assert (found.explained, found.cause) == (False, "noise parameters")
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_calibration_is_no_advice_after_a_calibration() -> None:
+    assert "run `wavesim calibrate`" in verdict([plane(3.0)]).next_step
+    assert "run `wavesim calibrate`" not in verdict([plane(3.0)], calibrated=True).next_step
+
+
+def test_the_error_of_the_engine_counts_as_noise() -> None:
+    wrong = plane()._replace(error=np.full(SHAPE, 0.2))
+    assert not verdict([wrong]).explained
+    assert verdict([wrong._replace(engine_error=np.full(SHAPE, 0.2))]).explained
+
+
+def test_contributions_add_up_and_noise_contributes_little() -> None:
+    noisy = plane()._replace(sigma=np.full(SHAPE, 3.0), held=np.arange(0))
+    noisy = noisy._replace(held_sigma=np.zeros(0))
+    first, second = verdict([plane(), noisy]).planes
+    assert first.contribution + second.contribution == pytest.approx(1.0)
+    assert second.contribution < 0.15
+    assert second.signal_to_noise < 1.0
