@@ -25,13 +25,14 @@ from wavesim.reconstruction.doubts.held_out import maps_of_all
 from wavesim.reconstruction.doubts.starts import agreement_of_starts
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
-from wavesim.reconstruction.from_object import Progressed, reconstruct
+from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
 from wavesim.reconstruction.judging import (
     EngineOn,
     MethodResult,
     engine_errors,
     is_engine_limited,
     judge_result,
+    may_be_brighter,
     more_accurate_case,
     starts_needed,
 )
@@ -52,6 +53,9 @@ from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
+
+BETTER = 0.97
+"""Ratio of misfits from which on an amplitude object without an upper limit is the better one."""
 
 Take = Callable[[Engine], Engine]
 """Hands an engine's tiles to a cluster, if there is one, and returns it."""
@@ -284,23 +288,12 @@ def _object(
     errors: tuple[Array, ...] = ()
     while True:
         with _ready(case.engine, take, told) as engine:
-            found = reconstruct(
-                engine,
-                case.light,
-                case.given,
-                kind=settings.kind,
-                tv_weight=settings.tv_weight,
-                iterations=settings.most_iterations,
-                until_noise=True,
-                scale=settings.scale,
-                start=first,
-                active_width=settings.active_width,
-                progress=told.iteration,
-                resume=begun.pop() if begun else None,
-                keep=keeper(kept),
-                scratch=case.scratch,
-                modes=case.modes,
-            )
+            found = _solved(case, settings, engine, told, first, kept, begun.pop() if begun else None)
+            if not curve and may_be_brighter(case, settings, found):
+                brighter = _solved(case, settings, engine, told, first, bounded=False)
+                if brighter.misfit[-1] < BETTER * found.misfit[-1]:
+                    found = brighter
+                del brighter
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = maps_of_all(
@@ -337,6 +330,37 @@ def _object(
     whole = None if isinstance(case.engine, Tiled) else found.transmission
     transmission = part if behind is None else None
     return case, MethodResult(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
+
+
+def _solved(
+    case: FramesCase,
+    settings: ReconstructionSettings,
+    engine: Engine,
+    told: _Told,
+    start: Field | Literal["amplitude"] | None,
+    kept: Checkpoint | None = None,
+    resume: Progressed | None = None,
+    bounded: bool = True,
+) -> Reconstructed:
+    """The object that iterations with one engine come to."""
+    return reconstruct(
+        engine,
+        case.light,
+        case.given,
+        kind=settings.kind,
+        tv_weight=settings.tv_weight,
+        iterations=settings.most_iterations,
+        until_noise=True,
+        scale=settings.scale,
+        start=start,
+        active_width=settings.active_width,
+        progress=told.iteration,
+        resume=resume,
+        keep=keeper(kept),
+        scratch=case.scratch,
+        modes=case.modes,
+        bounded=bounded,
+    )
 
 
 def _paper(

@@ -166,6 +166,7 @@ def reconstruct(
     rows: Sequence[slice] = (),
     residuals: bool = True,
     rounds: int = ROUNDS,
+    bounded: bool = True,
 ) -> Reconstructed:
     """Find the object behind recorded amplitudes.
 
@@ -179,8 +180,7 @@ def reconstruct(
         One plane or more, with distances from the engine's exit grid. Pixels count by their `sigma`; where it
         is infinite, nothing is replaced.
     kind
-        "complex", or "amplitude" for a transmission that is real and not negative, and at most 1 where the
-        scale is known.
+        "complex", or "amplitude" for a transmission that is real and between 0 and 1.
     tv_weight
         Of the total variation, for transmissions of order 1; 0 leaves it out. "auto": `TV_PER_NOISE` times
         the noise of a step, which all planes' `sigma` tell, and as much more as the misfit is more than noise
@@ -217,6 +217,9 @@ def reconstruct(
         Whether residual maps are made, for which the result goes through the lens once more.
     rounds
         Of the field behind the lens in a step, while the misfit is far from the noise.
+    bounded
+        Whether amplitudes are at most 1. An unknown scale is fitted to an object that is bright everywhere:
+        the bright parts of an object on a dark ground may then have to exceed 1.
 
     Raises
     ------
@@ -258,6 +261,7 @@ def reconstruct(
         sizes,
         scratch,
         rounds,
+        bounded,
     )
     stages = [(kind, iterations)]
     if start == "amplitude":
@@ -300,6 +304,7 @@ class _Descent:
     sizes: Sizes
     scratch: Scratch
     rounds: int
+    bounded: bool
 
     def run(self, state: Progressed, stages: Sequence[tuple[Kind, int]]) -> Progressed:
         """Where it stands after all stages: kinds of object, and iterations at which they end."""
@@ -327,8 +332,7 @@ class _Descent:
         point, misfit = self._farther(state.ahead, kind, self.rounds if far else 1)
         point = prox_tv(point, STEP * (FARTHER if far else 1.0) * self._tv_weight(misfit))
         if kind == "amplitude":
-            # With a scale that is not known, bright parts on a dark ground may exceed the first one's unit.
-            np.clip(point, 0.0, None if self.fits_scale else 1.0, out=point)
+            np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
         step = step_array(self.sizes, kind)
         after = self.scratch.make(step)
         np.multiply(point, self.model.lit, out=after)

@@ -38,6 +38,9 @@ FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
 """A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
 `FINEST`, which pixels and free space have too."""
 
+NO_DIVERSITY = 1.0
+"""Diversity of the planes below which their pictures do not determine a complex object."""
+
 RAMP_WAVES = 0.35
 """Phase ramp over half of a patch from which on light or camera may have made it, and not the object."""
 
@@ -103,6 +106,12 @@ def judge_result(
         return first
     if settings.kind == "complex" and found.whole is not None:
         findings += _ramp(found.whole)
+        if len(given) > 1 and case.diversity < NO_DIVERSITY:
+            said = (
+                f"the planes are so near each other that they hold one picture (diversity {case.diversity:.2g}, "
+                f"which should be {LEAST_DIVERSITY:g} or more), and it does not determine a complex object"
+            )
+            findings.append(Finding("several objects", said))
     # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
     early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
     if early:
@@ -193,6 +202,16 @@ def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) ->
         return False
     excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
     return case.predicted_error > excess
+
+
+def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: Reconstructed) -> bool:
+    """Whether residuals exceed the noise of an amplitude object whose upper limit of 1 may be too low."""
+    if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
+        return False
+    if len(found.residual_maps) < len(case.recorded):
+        return False
+    planes = plane_verdicts(_residuals(case, found.residual_maps, ()))
+    return max(plane.excess for plane in planes) > 1.0
 
 
 def more_accurate_case(

@@ -5,15 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import pytest
-
 from lensdesign import load_design, scaled
 from wavesim.camera.imaging import image
 from wavesim.reconstruction.found import FoundObject
 from wavesim.reconstruction.from_frames import reconstruct_frames
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 32)
-SETTINGS = {"patch_mm": 0.04, "engine": "eikonal", "error": 0.1}
+SETTINGS = {"patch_mm": 0.05, "engine": "eikonal", "error": 0.1}
 
 
 @cache
@@ -38,8 +36,8 @@ def test_a_bench_as_stated_is_explained_with_what_cannot_be_excluded() -> None:
     assert "Not excluded" in verdict.words
 
 
-@pytest.mark.parametrize("errors", [{"decenter_x_mm": 0.003}, {"working_distance_error_mm": 0.004}])
-def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it(errors: dict[str, float]) -> None:
-    verdict = found(**errors).verdict
-    assert not verdict.explained, verdict.words
-    assert verdict.cause in ("mounting", "working distance"), verdict.words
+def test_a_bench_that_differs_is_not_trusted_although_the_noise_hides_it() -> None:
+    verdict = found(decenter_x_mm=0.001, tilt_x_deg=0.3).verdict
+    assert verdict.within, verdict.words
+    assert (verdict.explained, verdict.cause) == (False, "mounting"), verdict.words
+    assert "tilt x deg +0." in verdict.told
