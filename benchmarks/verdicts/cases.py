@@ -72,20 +72,20 @@ class Case:
 
 
 THREE = (1.0, 30.0, 1000.0)
-AMPLITUDE = Bench(exposures=THREE)
-WEAK_AMPLITUDE = Bench(exposures=(1.0,))
-WEAK_COMPLEX = Bench(thing="phantom", kind="complex", exposures=(1.0,))
+AMPLITUDE = Bench(1 / 48, "letters", patch_mm=0.03, exposures=THREE)
+ONE_LETTERS = Bench(1 / 48, "letters", patch_mm=0.03, exposures=(1.0,))
+ONE_PHANTOM = Bench(1 / 48, "phantom", "complex", 0.03, (1.0,))
 CHART = Bench(1 / 16, "usaf", patch_mm=0.08)
-COMPLEX = Bench(thing="tissue", kind="complex", exposures=THREE, seed=1)
+COMPLEX = Bench(1 / 48, "tissue", "complex", 0.03, THREE, seed=1)
 DENSE = Bench(1 / 20, "dense", patch_mm=0.08)
 ONE_EXPOSURE = Bench(1 / 16, "star", patch_mm=0.08, exposures=(1.0,))
 SEED = 11
 """Of noise that is another one than the bench's."""
 
-WEAK = 0.002
-"""Share of the exposure, with which the second plane's brightest pixel has some 16 electrons."""
+WEAK, FAINT = 0.002, 0.01
+"""Shares of the exposure, with which the second plane's brightest pixel has some 16 and 80 electrons."""
 
-STOP_UM = 24.0
+STOP_UM = 14.0
 """Diameter of a field stop that stands beside the middle."""
 
 
@@ -183,6 +183,32 @@ WRONG = (
     ),
     Case("frames smoothed, 0.7 px", "wrong", AMPLITUDE, lambda b: smoothed(b.frames(), 0.7), NOISE),
     Case("frames smoothed, 2 px", "wrong", COMPLEX, lambda b: smoothed(b.frames(), 2.0), NOISE),
+    *(
+        Case(f"{name}, one exposure", "wrong", bench, take, NOISE)
+        for name, bench, take in (
+            ("read noise stated 50 times too high", ONE_LETTERS, stated_as(read_noise_electrons=times(50))),
+            (
+                "read noise stated 50 times too high, phantom",
+                ONE_PHANTOM,
+                stated_as(read_noise_electrons=times(50)),
+            ),
+            ("gain stated 30 times too low", ONE_LETTERS, stated_as(gain_electrons_per_count=times(1 / 30))),
+            (
+                "gain stated 30 times too low, phantom",
+                ONE_PHANTOM,
+                stated_as(gain_electrons_per_count=times(1 / 30)),
+            ),
+            ("frames smoothed, 0.7 px", ONE_LETTERS, lambda b: smoothed(b.frames(), 0.7)),
+            ("frames smoothed, 2 px", ONE_PHANTOM, lambda b: smoothed(b.frames(), 2.0)),
+        )
+    ),
+    Case(
+        "gain stated 30 times too low, text",
+        "wrong",
+        Bench(exposures=THREE),
+        stated_as(gain_electrons_per_count=times(1 / 30)),
+        NOISE,
+    ),
     Case("identical pictures", "wrong", AMPLITUDE, lambda b: first_plane_twice(b.frames(), b.frames()), SAME),
     Case(
         "same picture, other noise",
@@ -191,19 +217,33 @@ WRONG = (
         lambda b: first_plane_twice(b.frames(), b.frames(seed=SEED)),
         SAME,
     ),
-    Case(
-        "same picture, other noise, tissue, one exposure",
-        "wrong",
-        Bench(thing="tissue", kind="complex", exposures=(1.0,)),
-        lambda b: first_plane_twice(b.frames(), b.frames(planes_mm=(b.planes_mm[0], 1.001 * b.planes_mm[0]))),
-        SAME,
+    *(
+        Case(f"{name}, {where}", "wrong", bench, take, SAME)
+        for where, bench in (("tissue", COMPLEX), ("phantom, one exposure", ONE_PHANTOM))
+        for name, take in (
+            ("identical pictures", lambda b: first_plane_twice(b.frames(), b.frames())),
+            ("same picture, other noise", lambda b: first_plane_twice(b.frames(), b.frames(seed=SEED))),
+        )
     ),
     Case("planes 0.1 % apart", "wrong", AMPLITUDE, nearly_one_plane(1e-3), SAME),
+    Case("planes 0.1 % apart, phantom, one exposure", "wrong", ONE_PHANTOM, nearly_one_plane(1e-3), SAME),
     Case("planes 1 % apart, tissue", "wrong", COMPLEX, nearly_one_plane(1e-2), SAME),
     *(
         Case(f"second plane {turn}", "wrong", AMPLITUDE, second_plane(turn), GEOMETRY)
         for turn in TURNS
         if turn != "as it is"
+    ),
+    *(
+        Case(
+            f"second plane faint, {turn}, {where}",
+            "wrong",
+            bench,
+            second_plane(turn, FAINT),
+            GEOMETRY,
+            healthy=second_plane("as it is", FAINT),
+        )
+        for where, bench in (("letters", ONE_LETTERS), ("phantom", ONE_PHANTOM))
+        for turn in ("shifted by 3 px", "mirrored", "rotated by 90 deg")
     ),
     *(
         Case(
@@ -215,12 +255,12 @@ WRONG = (
             healthy=second_plane("as it is", WEAK),
         )
         for turn, where, bench in (
-            ("shifted by 3 px", "", WEAK_AMPLITUDE),
-            ("shifted by 20 px", "", WEAK_AMPLITUDE),
-            ("mirrored", ", phantom", WEAK_COMPLEX),
-            ("rotated by 90 deg", ", phantom", WEAK_COMPLEX),
-            ("rotated by 180 deg", "", WEAK_AMPLITUDE),
-            ("transposed", ", phantom", WEAK_COMPLEX),
+            ("shifted by 3 px", "", ONE_LETTERS),
+            ("shifted by 20 px", "", ONE_LETTERS),
+            ("mirrored", ", phantom", ONE_PHANTOM),
+            ("rotated by 90 deg", ", phantom", ONE_PHANTOM),
+            ("rotated by 180 deg", "", ONE_LETTERS),
+            ("transposed", ", phantom", ONE_PHANTOM),
         )
     ),
     Case(
@@ -238,9 +278,9 @@ WRONG = (
         ("other object", "second plane", "several objects"),
     ),
     Case("clipped below the top count", "wrong", AMPLITUDE, lambda b: clipped(b.frames(), 0.4), CLIPPED),
-    Case("exposed 300 times too long", "wrong", AMPLITUDE, saturated, CLIPPED),
-    Case("400 hot pixels", "wrong", AMPLITUDE, lambda b: with_hot_pixels(b.frames(), 400), PIXELS),
-    Case("400 cosmic rays a frame", "wrong", AMPLITUDE, lambda b: with_cosmic_rays(b.frames(), 400), PIXELS),
+    Case("exposed 300 times too long", "wrong", ONE_LETTERS, saturated, CLIPPED),
+    Case("200 hot pixels", "wrong", AMPLITUDE, lambda b: with_hot_pixels(b.frames(), 200), PIXELS),
+    Case("200 cosmic rays a frame", "wrong", AMPLITUDE, lambda b: with_cosmic_rays(b.frames(), 200), PIXELS),
     Case("long exposure stated 1.5 times too long", "wrong", AMPLITUDE, long_exposures(1.5), ("exposure",)),
     Case("long exposure stated 8 % too long", "wrong", AMPLITUDE, long_exposures(1.08), ("exposure",)),
     Case(
@@ -251,13 +291,13 @@ WRONG = (
         ("source", "source size", "vibration", "coherence"),
     ),
     Case(
-        "bandwidth of 6 nm not stated", "wrong", CHART, imaged(bandwidth_nm=6.0), ("bandwidth", "coherence")
+        "bandwidth of 30 nm not stated", "wrong", CHART, imaged(bandwidth_nm=30.0), ("bandwidth", "coherence")
     ),
     Case(
         "field stop off centre",
         "wrong",
         AMPLITUDE,
-        imaged(stop_um=(9.0, -7.0, STOP_UM)),
+        imaged(stop_um=(6.0, -5.0, STOP_UM)),
         ("field stop",),
         healthy=imaged(stop_um=(0.0, 0.0, STOP_UM)),
         settings=(("field_stop_mm", 1e-3 * STOP_UM),),
@@ -278,10 +318,22 @@ WRONG = (
     ),
     Case("dark count of 64 stated as 0", "wrong", AMPLITUDE, stated_as(offset_counts=0.0), LINEARITY),
     Case("dark count of 64 stated as 54", "wrong", COMPLEX, stated_as(offset_counts=54.0), LINEARITY),
+    *(
+        Case(f"{name}, one exposure", "wrong", bench, take, causes)
+        for name, bench, take, causes in (
+            ("gamma of 2.2", ONE_LETTERS, lambda b: with_gamma(b.frames(), 2.2), LINEARITY),
+            ("gamma of 2.2, phantom", ONE_PHANTOM, lambda b: with_gamma(b.frames(), 2.2), LINEARITY),
+            ("quantised to 6 bits of 12", ONE_LETTERS, lambda b: quantised(b.frames(), 6), (*NOISE, "bits")),
+            ("dark count of 64 stated as 0", ONE_PHANTOM, stated_as(offset_counts=0.0), LINEARITY),
+            ("dark count of 64 stated as 54", ONE_LETTERS, stated_as(offset_counts=54.0), LINEARITY),
+            ("clipped at a tenth of the top count", ONE_PHANTOM, lambda b: clipped(b.frames(), 0.1), CLIPPED),
+            ("200 cosmic rays a frame", ONE_PHANTOM, lambda b: with_cosmic_rays(b.frames(), 200), PIXELS),
+        )
+    ),
     Case(
         "tissue stated as an amplitude object",
         "wrong",
-        Bench(thing="tissue", seed=1),
+        Bench(1 / 48, "tissue", patch_mm=0.03, seed=1),
         causes=("kind", "phase"),
     ),
 )
@@ -300,8 +352,10 @@ PERFECT = (
     ),
     Case("dense chart, 1/48", "perfect", Bench(1 / 48, "dense", patch_mm=0.03)),
     Case("text, 1/32", "perfect", Bench()),
-    Case("text, 1/32, three exposures", "perfect", AMPLITUDE),
-    Case("text, 1/32, three planes", "perfect", Bench(planes=3)),
+    Case("text, 1/32, three exposures", "perfect", Bench(exposures=THREE)),
+    Case("letters, 1/48, three exposures", "perfect", AMPLITUDE),
+    Case("letters, 1/32", "perfect", Bench(thing="letters")),
+    Case("letters, 1/32, three planes", "perfect", Bench(thing="letters", planes=3)),
     Case("sparse, 1/20", "perfect", Bench(1 / 20, "sparse", patch_mm=0.08)),
     Case(
         "sparse, 1/16, three exposures",
@@ -325,7 +379,7 @@ PERFECT = (
         Bench(1 / 20, "tissue", "complex", 0.128, THREE, seed=1),
     ),
     Case("tissue, 1/32, one exposure", "perfect", Bench(thing="tissue", kind="complex", exposures=(1.0,))),
-    Case("tissue, 1/32, three exposures", "perfect", COMPLEX),
+    Case("tissue, 1/48, three exposures", "perfect", COMPLEX),
     Case("tissue, 1/16, three planes", "perfect", Bench(1 / 16, "tissue", "complex", 0.08, planes=3)),
     Case(
         "phantom, 1/16, three exposures",
@@ -368,9 +422,15 @@ PERFECT = (
         ),
     ),
     Case(
-        "text, 1/32, source of 0.15 deg to be found",
+        "letters, 1/48, source of 0.15 deg to be found",
         "perfect",
-        Bench(imaged=(("source_deg", 0.15),), reconstructed=(("source_deg", "find"),)),
+        Bench(
+            1 / 48,
+            "letters",
+            patch_mm=0.03,
+            imaged=(("source_deg", 0.15),),
+            reconstructed=(("source_deg", "find"),),
+        ),
     ),
     Case(
         "tissue, 1/48, source of 0.1 deg stated",

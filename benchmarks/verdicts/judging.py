@@ -72,7 +72,10 @@ class Judge:
         """Run a case, and where there is an error the same case without it."""
         bench = self._bench(case.bench)
         place = self._folder / "cases" / re.sub(r"[^a-z0-9]+", "_", case.name.lower()).strip("_")
-        frames = case.take(bench)
+        try:
+            frames = case.take(bench)
+        except Exception:  # the other cases go on
+            return _not_made(case, traceback.format_exc())
         begun = perf_counter()
         found, status, message, told = self._reconstructed(case, frames, place, case.believed(bench.lens))
         seconds = perf_counter() - begun
@@ -136,6 +139,13 @@ class Judge:
             except Exception:  # a traceback is a finding, and no reason to leave out the other cases
                 message = traceback.format_exc()
         return found, status, message, tuple(dict.fromkeys(str(one.message) for one in caught))
+
+
+def _not_made(case: Case, message: str) -> Result:
+    """Return the result of a case whose frames cannot be made."""
+    made = str(case.bench)
+    none = (None, None, None, None)
+    return Result(case.name, case.group, made, *none, FAILED, "", message, (), "", None, 0.0, False, None)
 
 
 def rule_kept(case: Case, status: int, correlation: float | None, right: float | None) -> bool:

@@ -85,13 +85,23 @@ def _mean(values: Any) -> Array:
 
 
 def _text(grid: Grid, _rng: np.random.Generator) -> Array:
-    """Opaque letters in lines on a clear ground."""
-    x, y = _fine(grid)
-    column, row = (np.floor(at / STROKE_UM + 1000.0).astype(int) for at in (x, y))
+    """Opaque letters in lines on a clear ground, all over the patch."""
+    return 1.0 - _mean(_printed(*_fine(grid), STROKE_UM)[0])
+
+
+def _letters(grid: Grid, _rng: np.random.Generator) -> Array:
+    """Opaque letters in the middle line alone, with strokes of twice the width."""
+    printed, line = _printed(*_fine(grid), 2.0 * STROKE_UM)
+    return 1.0 - _mean(printed & (line == 0))
+
+
+def _printed(x: Array, y: Array, stroke_um: float) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return where letters are printed, and the number of the line, 0 in the middle."""
+    column, row = (np.floor(at / stroke_um + 0.5 * high).astype(int) for at, high in ((x, 6), (y, 7)))
     letter = (column // 6 + 5 * (row // 9)) % len(WORDS)
     shapes = np.array([[[dot == "#" for dot in f"{line}."] for line in LETTERS[one]] for one in WORDS])
     printed = (row % 9 < 7) & shapes[letter, np.minimum(row % 9, 6), column % 6]
-    return 1.0 - _mean(printed)
+    return printed, row // 9
 
 
 def _dense(grid: Grid, rng: np.random.Generator) -> Array:
@@ -131,6 +141,7 @@ def _phantom(grid: Grid, rng: np.random.Generator) -> Any:
 
 OBJECTS: Mapping[str, Callable[[Grid, np.random.Generator], Any]] = {
     "text": _text,
+    "letters": _letters,
     "dense": _dense,
     "sparse": _sparse,
     "phantom": _phantom,
