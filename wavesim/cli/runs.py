@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.console import progress_bar
+from lensdesign.common.console import print_whole, progress_bar
 from lensdesign.common.text import finite_or_none
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ def print_table(
     title: str = "",
 ) -> None:
     """Print a table of columns of words, flush left, and behind them of numbers, flush right."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
@@ -49,7 +48,7 @@ def print_table(
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False, markup=False).print(table)
+    print_whole(table)
 
 
 def memory_teller(folder: Path) -> Callable[[Memory], None]:
