@@ -36,8 +36,21 @@ def print_table(
     numbers: Sequence[str],
     rows: Iterable[Sequence[str]],
     title: str = "",
+    notes: str | None = None,
 ) -> None:
-    """Print a table of columns of words, flush left, and behind them of numbers, flush right."""
+    """Print a table of columns of words, flush left, behind them of numbers, flush right, and of notes.
+
+    Parameters
+    ----------
+    words, numbers
+        Headings of the columns.
+    rows
+        Cells.
+    title
+        Above the table.
+    notes
+        Heading of a last column of words; None where there is none.
+    """
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
@@ -46,6 +59,8 @@ def print_table(
         table.add_column(name, overflow="fold")
     for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
+    if notes is not None:
+        table.add_column(notes, overflow="fold")
     for row in rows:
         table.add_row(*row)
     print_whole(table)
