@@ -1,9 +1,9 @@
 """Stated standard deviations of calibrations against what was wrong: pulls on benches as designed.
 
 A pull is an estimate less the true value, over its stated standard deviation. On a bench that is as
-designed true differences are 0. Estimates of parameters of which the frames tell next to nothing are drawn to 0 by what
-is expected of them: their pulls are small, and both figures are given. The object before and after shows what
-calibrating costs where nothing is wrong.
+designed true differences are 0. Estimates of parameters of which the frames tell next to nothing are
+drawn to 0 by what is expected of them: their pulls are small, and both figures are given. The object
+before and after shows what calibrating costs where nothing is wrong.
 """
 
 from __future__ import annotations
@@ -76,9 +76,7 @@ def pulls(case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
 
 def main() -> None:
     """Print a line for each bench, or for those whose numbers are given."""
-    print(
-        "| bench | rms of all pulls | of parameters that frames tell | largest | object | calibrated | needed |"
-    )
+    print("| bench | rms of all pulls | determined parameters | largest | object | calibrated | needed |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for number in [int(word) for word in sys.argv[1:]] or range(len(CASES)):
         case = CASES[number]

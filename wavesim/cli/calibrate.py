@@ -111,7 +111,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
         notes += [f"goes with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
     heads = "estimate", "standard deviation"
-    print_table(("difference from the design",), heads, rows, notes="")
+    print_table(("bench as it is, from the design",), heads, rows, notes="")
     if found.undetermined:
         print(
             "undetermined, at nominal: " + ", ".join(found.undetermined) + ": a complex object takes on what "

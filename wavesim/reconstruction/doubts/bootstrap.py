@@ -49,7 +49,7 @@ START_SAMPLES = 4.0
 
 LEAVES_OUT = (
     "errors that all starts have in common are not in it: a wrong model of lens, light or camera, and edges "
-    "that the total variation rounds"
+    "that the total variation rounds, beyond what it rounds of the result once more"
 )
 
 
