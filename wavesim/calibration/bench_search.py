@@ -106,7 +106,8 @@ class Seen:
         try:
             chosen = chosen_parameters(asked, allowed)
         except InputError as error:
-            raise SettingError(f"{{parameters}} = {asked!r}: {error}") from None
+            hint = "; beside a complex object no light is sought: {kind} amplitude" * (not light_order)
+            raise SettingError(f"{{parameters}} = {asked!r}: {error}{hint}") from None
         return with_priors(chosen, self.priors, all_names(self.lens))
 
 

@@ -238,18 +238,21 @@ class JointSearch:
         if self._misled(end.here, checked) and len(end.stand.trail) < self.most_benches:
             here = self._tried(end.here.unknowns, checked.engine)
             stand = self._told(end.stand, here.unknowns, here.misfit)
-            end = self._descended(stand, here, self._near(here), self.parameters)
+            near = self._near(here)
+            end = self._descended(stand, here, near, self.parameters)
             checked = self._checked(end.here)
         here, stand, reason = end.here, end.stand, end.reason
         del end  # of whose columns the step may have made its own
-        return self._estimated(stand, here, checked, reason)
+        return self._estimated(stand, here, checked, near.slopes, reason)
 
-    def _estimated(self, stand: Stand, here: _Tried, checked: _Tried, reason: str) -> Told:
+    def _estimated(
+        self, stand: Stand, here: _Tried, checked: _Tried, slopes: RaySlopes | None, reason: str
+    ) -> Told:
         """Estimates about the object in the end, and the bench with the parameters that are needed."""
         names = [p.name for p in self.parameters]
         best = self._settled(here.unknowns, checked.transmission)
         for count in range(REFINED):
-            estimates, covariance = self._estimate(best)
+            estimates, covariance = self._estimate(best, slopes)
             if count == REFINED - 1:
                 break
             refined = self._or_none(best.unknowns.changed(names, estimates.tolist()), best.transmission)
@@ -283,10 +286,9 @@ class JointSearch:
         """The bench with the object whose misfit is that of the noise, or falls no more."""
         return self._tried(unknowns, start=start, iterations=SETTLED)
 
-    def _estimate(self, tried: _Tried) -> tuple[Array, Array]:
+    def _estimate(self, tried: _Tried, slopes: RaySlopes | None) -> tuple[Array, Array]:
         """Estimates of all parameters, and their covariance."""
         names, linear = [p.name for p in self.parameters], tried.linear
-        slopes = self.pixels.ray_slopes(tried.unknowns, linear.model.engine, self.parameters)
         columns = self.pixels.columns(tried.unknowns, linear, self.parameters, slopes)
         # A misfit beyond the noise is an error of the model, of which frames tell as little as of noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
