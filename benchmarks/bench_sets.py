@@ -37,7 +37,7 @@ def _rows(folder: Path) -> list[Row]:
     true = read_object(folder, lit_patch(lens, settings)[0])
     before = reconstruct_frames(lens, frames, settings, truth=true)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = calibrate_frames(lens, frames, patch_mm=about["patch_mm"])
+    found = calibrate_frames(lens, frames, kind="amplitude", patch_mm=about["patch_mm"])
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     after = reconstruct_frames(lens, frames, settings, truth=true, calibration=found.bench)
     for name, value, deviation in zip(found.parameters, found.values, found.deviations or (), strict=True):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.cli.making import Design, Json
-from lensdesign.common.console import print_json
+from lensdesign.common.console import print_json, print_whole
 
 if TYPE_CHECKING:
     from lensdesign.analysis.ghosts import GhostOnPlane
@@ -27,7 +27,6 @@ def ghost(
     The ghost is coherent with the light that goes straight through: what is recorded of it are fringes wider
     than two pixels.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from lensdesign.analysis.ghosts import ghost_report
@@ -46,7 +45,7 @@ def ghost(
         table.add_column(name, justify="right", no_wrap=True)
     for one in report.on_planes:
         table.add_row(*_cells(one))
-    Console(highlight=False, markup=False).print(table)
+    print_whole(table)
 
 
 def _cells(one: GhostOnPlane) -> list[str]:

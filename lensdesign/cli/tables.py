@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from lensdesign.common.console import print_whole
 from lensdesign.common.text import visible
 
 WIDEST_TITLE = 100
@@ -27,8 +28,4 @@ def table(title: str, *columns: str) -> Any:
 
 def print_tables(*tables: Any) -> None:
     """Print tables, one below the other."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    for table in tables:
-        console.print(table)
+    print_whole(*tables, markup=True)

@@ -22,8 +22,9 @@ from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions
     from rich.progress import Progress
+    from rich.table import Table
 
 
 class _Group(TyperGroup):
@@ -164,6 +165,52 @@ def message_console() -> Console:
     from rich.console import Console
 
     return Console(stderr=True)
+
+
+WIDEST = 100_000
+"""Columns of text that no table needs: a limit for measuring how wide a table is."""
+
+NARROWEST = 12
+"""Characters that a column of words keeps where a line is too short for whole words."""
+
+
+def print_whole(*tables: Table, markup: bool = False) -> None:
+    """Print rich tables on standard output so that no cell loses a character, one below the other.
+
+    Into a pipe or a file each table is as wide as it needs, so that each row is one line. In a terminal, or
+    where `COLUMNS` is set, lines keep to that width: words go on below. A table whose numbers alone need more
+    than that is as wide as they need.
+
+    Parameters
+    ----------
+    *tables
+        Rich tables.
+    markup
+        Whether cells hold rich's markup; else they are printed as they are.
+    """
+    from rich.console import Console
+
+    plain: dict[str, Any] = {"highlight": False, "markup": markup, "emoji": False}
+    console = Console(**plain)
+    has_width = console.is_terminal or os.environ.get("COLUMNS", "").isdecimal()
+    for table in tables:
+        for column in table.columns:
+            column.overflow = "fold"
+        options = console.options.update(max_width=WIDEST)
+        whole = console.measure(table, options=options).maximum
+        width = max(console.width, _least_width(table, console, options, whole) if has_width else whole)
+        Console(**plain, width=width).print(table, crop=False)
+
+
+def _least_width(table: Table, console: Console, options: ConsoleOptions, whole: int) -> int:
+    """Width of a table whose columns of words are narrow, and whose other columns are whole."""
+    spared = 0
+    for column in table.columns:
+        if not column.no_wrap:
+            cells = [column.header, *column.cells] if table.show_header else list(column.cells)
+            widest = max((console.measure(cell, options=options).maximum for cell in cells), default=0)
+            spared += max(widest - NARROWEST, 0)
+    return whole - spared
 
 
 def progress_bar(*extra_columns: Any) -> Progress:

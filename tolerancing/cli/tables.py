@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from lensdesign.common.console import print_whole
 from lensdesign.common.text import visible
 
 
@@ -26,11 +27,9 @@ def print_table(
         The cells; `last` below a line.
     """
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    heading = escape(visible(title)) or None
+    heading = visible(title) or None
     table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     # A name that were cut could look like another one, and a number be another: names go on below.
     for name in words:
@@ -42,4 +41,4 @@ def print_table(
     if last:
         table.add_section()
         table.add_row(*last)
-    Console().print(table)
+    print_whole(table)

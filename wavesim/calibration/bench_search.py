@@ -85,6 +85,15 @@ class Seen:
             )
         return self._made[key]
 
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters of the light, which an object that is complex itself takes on; none of an amplitude."""
+        if self.settings.kind == "amplitude":
+            return ()
+        sought = {p.name for p in self.parameters()}
+        light = self.parameters("all", light_order=LIGHT_ORDER)
+        return tuple(p.name for p in light if p.part == "light" and p.name not in sought)
+
     def parameters(self, text: str | None = None, light_order: int | None = None) -> tuple[Parameter, ...]:
         """Those that are asked for, of all that may be sought."""
         patch, asked = self.framed.patch, text or self.settings.parameters
@@ -97,7 +106,8 @@ class Seen:
         try:
             chosen = chosen_parameters(asked, allowed)
         except InputError as error:
-            raise SettingError(f"{{parameters}} = {asked!r}: {error}") from None
+            hint = "; beside a complex object no light is sought: {kind} amplitude" * (not light_order)
+            raise SettingError(f"{{parameters}} = {asked!r}: {error}{hint}") from None
         return with_priors(chosen, self.priors, all_names(self.lens))
 
 
@@ -167,7 +177,7 @@ def searched(
     return Calibrated(
         bench=found.unknowns.bench,
         parameters=run.names,
-        values=tuple(found.unknowns.of(run.names).tolist()),
+        values=tuple(found.estimates.tolist()),
         deviations=tuple(found.deviations.tolist()),
         typical=tuple(p.typical for p in parameters),
         misfit_before=found.trail[0][1],
@@ -177,6 +187,9 @@ def searched(
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
         traded=traded(run.names, found.covariance),
+        nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
+        undetermined=seen.undetermined if known is None else (),
+        applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),
     )
 
 

@@ -17,7 +17,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.parameters import Unknowns, all_names
 from wavesim.camera.mounting import mounting_of, mounting_table, read_table
-from wavesim.evaluation.verdicts import LIMIT, MODEL_ERROR
+from wavesim.evaluation.verdicts import Verdict
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
 
@@ -39,10 +39,10 @@ class Calibrated:
     parameters : tuple of str
         Those that were sought.
     values : tuple of float
-        What was found of each.
+        Estimate of each.
     deviations : tuple of float or None
-        Standard deviation of each as far as the linear model tells, with what is expected of it before; None
-        where the object was known.
+        Standard deviation of each estimate, with what is expected of it before; None where the object was
+        known.
     typical : tuple of float or None
         What is expected of each.
     misfit_before, misfit : float
@@ -58,6 +58,15 @@ class Calibrated:
         What the stated noise alone would leave (:func:`wavesim.camera.recorded.noise_misfit`).
     traded : mapping
         Of parameters that frames do not tell from others: names of the others.
+    nominal : tuple of str
+        Parameters that the frames do not need: the bench has their nominal values, and not the estimates.
+    undetermined : tuple of str
+        Parameters that were not sought, for an object that is complex itself takes on what they do.
+    applied : mapping or None
+        Values of the bench, by name; None where they are the estimates.
+    verdict : Verdict or None
+        How well the object found on this bench explains the frames, as :func:`wavesim.reconstruct_frames`
+        judges it; None where that was not asked for.
     """
 
     bench: Bench
@@ -72,6 +81,10 @@ class Calibrated:
     stopped_because: str
     misfit_of_noise: float | None
     traded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    nominal: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    applied: Mapping[str, float] | None = None
+    verdict: Verdict | None = None
 
     @property
     def mounting(self) -> Placement:
@@ -87,14 +100,14 @@ class Calibrated:
         return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
 
     @property
-    def over_noise(self) -> float:
-        """What is left, over the noise and what engine and pixels may err."""
-        return self.misfit / math.hypot(self.misfit_of_noise or 0.0, MODEL_ERROR)
+    def over_noise(self) -> float | None:
+        """Residuals over the expected ones, as the verdict states it; None where none was made."""
+        return None if self.verdict is None else self.verdict.over_noise
 
     @property
-    def explained(self) -> bool:
-        """Whether what is left is that noise."""
-        return self.over_noise <= LIMIT
+    def explained(self) -> bool | None:
+        """Whether the frames are explained, as the verdict states it; None where none was made."""
+        return None if self.verdict is None else self.verdict.explained
 
     def table(self) -> dict[str, Any]:
         """What :func:`read_calibration` reads, and all figures, ready for JSON."""
@@ -102,8 +115,11 @@ class Calibrated:
         return {
             "mounting": mounting_table(self.mounting),
             "values": dict(zip(self.parameters, self.values, strict=True)),
+            "applied": dict(self.applied or zip(self.parameters, self.values, strict=True)),
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
+            "kept_at_nominal": list(self.nominal),
+            "undetermined": list(self.undetermined),
             "not_told": list(self.not_told),
             "not_told_from": {name: list(others) for name, others in self.traded.items()},
             "parameters": list(self.parameters),
@@ -113,7 +129,9 @@ class Calibrated:
             "mountings_tried": len(self.trail),
             "at_reach": list(self.at_reach),
             "stopped_because": self.stopped_because,
+            "over_noise": self.over_noise,
             "explained": self.explained,
+            "verdict": None if self.verdict is None else self.verdict.as_dict(),
         }
 
     def __repr__(self) -> str:
@@ -157,7 +175,7 @@ def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:
         If the file cannot be read, holds no calibration, or one of another kind of lens.
     """
     table = read_table(path)
-    mounting, values = mounting_of(table["mounting"], path), table.get("values")
+    mounting, values = mounting_of(table["mounting"], path), table.get("applied", table.get("values"))
     if values is None:
         return Bench(mounting)
     if not isinstance(values, dict):

@@ -19,13 +19,23 @@ from wavesim.calibration.estimation import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
-from wavesim.camera.mounting import RIGID, parameter_names, refuse_parameters
+from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at, refuse_parameters
 from wavesim.camera.recording import Progress
+from wavesim.evaluation.verdicts import PlaneResidual, verdict
 from wavesim.fields.field import Field
 from wavesim.objects.patch import read_object
+from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.linear.linearised import Linearised
+from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors
-from wavesim.scene.settings import CalibrationSettings, SettingError
+from wavesim.scene.scene import placed_scene
+from wavesim.scene.settings import (
+    CalibrationSettings,
+    FramedSettings,
+    ReconstructionSettings,
+    SettingError,
+)
 
 SEEN_OVER_NOISE, SEEN = 4.0, 0.2
 """What a smooth light leaves of frames that saw an object: times the noise, or, where there is much of that,
@@ -46,6 +56,7 @@ def calibrate_frames(
     priors: Mapping[str, float] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
+    judges: bool = True,
     **changes: Any,
 ) -> Calibrated:
     """Find what the bench is like: light, lens, mounting and camera.
@@ -73,6 +84,9 @@ def calibrate_frames(
         Where what was tried is kept, so that a search which was cut off goes on with the same call.
     progress
         Told what is done, how many mountings are tried, and the most that will be.
+    judges
+        Whether the object is reconstructed on the bench found, as :func:`wavesim.reconstruct_frames` does it
+        with the same settings, and its verdict stated. A known object is judged by itself, without that.
     **changes
         Settings by name, in place of those of `settings`.
 
@@ -96,17 +110,19 @@ def calibrate_frames(
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give one of them")
         known = read_object(known, seen.framed.patch) if isinstance(known, Path) else known
-        return _mounting_alone(seen, known, tell)
+        return _of_known_object(seen, _mounting_alone(seen, known, tell), known)
     begin, kept_in = Unknowns(lens, Bench(seen.start)), None if folder is None else folder / CHECKPOINT
     if empty is None:
-        return searched(seen, seen.parameters(), begin, kept_in, tell)
+        found = searched(seen, seen.parameters(), begin, kept_in, tell)
+        return _judged(lens, frames, settings, found, progress) if judges else found
     refuse_other_frames(empty, frames)
     measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
     rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
     if not rest:
-        return measured
-    begin = begin.changed(measured.parameters, measured.values)
-    return _with_light_of(measured, searched(seen, rest, begin, kept_in, tell))
+        return _judged(lens, frames, settings, measured, progress) if judges else measured
+    begin = begin.changed(measured.parameters, list((measured.applied or {}).values()))
+    found = _with_light_of(measured, searched(seen, rest, begin, kept_in, tell))
+    return _judged(lens, frames, settings, found, progress) if judges else found
 
 
 def calibrate_empty(
@@ -153,8 +169,8 @@ def calibrate_empty(
     kept_in = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(seen.framed.light.grid.shape, np.float32)
     found = searched(seen, sought, begin, kept_in, tell, known)
-    noise = found.misfit_of_noise or 0.0
-    over = found.over_noise
+    found = _of_known_object(seen, found, seen.framed.light.with_values(known))
+    noise, over = found.misfit_of_noise or 0.0, found.over_noise or 0.0
     if over > SEEN_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > SEEN:
         if kept_in is not None:
             kept_in.unlink(missing_ok=True)
@@ -213,7 +229,42 @@ def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
         typical=measured.typical[:count] + found.typical,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
         traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
+        nominal=(*(n for n in names if n in measured.nominal), *found.nominal),
+        undetermined=(),
+        applied={n: (measured.applied or {})[n] for n in names} | dict(found.applied or {}),
     )
+
+
+def _judged(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings,
+    found: Calibrated,
+    progress: Progress | None,
+) -> Calibrated:
+    """The same with the verdict of a reconstruction, which alone says whether frames are explained."""
+    given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    judged = reconstruct_frames(
+        lens, frames, ReconstructionSettings(**given), calibration=found.bench, progress=progress
+    )
+    return replace(found, verdict=judged.verdict)
+
+
+def _of_known_object(seen: Seen, found: Calibrated, known: Field) -> Calibrated:
+    """The same with the verdict of what a known object leaves of the frames on the bench found."""
+    bench, settings = found.bench, seen.settings
+    engine = seen.make(placed_scene(seen.scene, bench.placement))
+    light, planes = light_on(seen.framed.light, bench), planes_at(seen.recorded, bench)
+    model = RecordingModel(engine, light, planes, settings.scale, settings.active_width)
+    if settings.scale is None:
+        model.scale = Linearised(model, np.asarray(known.values), True).scale
+    nothing = np.zeros(0, np.intp)
+    residuals = [
+        PlaneResidual(plane.distance_mm, plane.amplitude, sigma, own - plane.amplitude, nothing, np.zeros(0))
+        for plane, own in zip(planes, model.amplitudes(np.asarray(known.values)), strict=True)
+        if (sigma := plane.sigma) is not None
+    ]
+    return replace(found, verdict=verdict(residuals) if residuals else None)
 
 
 def _mounting_alone(seen: Seen, known: Field, tell: Progress) -> Calibrated:

@@ -23,6 +23,10 @@ APART = 1e9
 """Ratio of two planes' largest amplitudes that none of one light can have."""
 
 
+DARK = 0.25 * math.sqrt(2.0 * math.pi)
+"""Intensity over its standard deviation, below which an amplitude's stated deviation no longer grows."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """An amplitude recorded on one plane.
@@ -85,7 +89,7 @@ def recorded_intensity(distance_mm: float, intensity: Array, variance: Array) ->
         )
     known = np.isfinite(variance)
     deviation = np.sqrt(np.where(known, variance, 1.0))
-    lowest = 0.25 * math.sqrt(2.0 * math.pi) * deviation
+    lowest = DARK * deviation
     sigma = np.where(known, deviation / (2.0 * np.sqrt(np.maximum(intensity, lowest))), np.inf)
     return Recorded(distance_mm, np.sqrt(np.maximum(intensity, 0.0)), sigma)
 

@@ -38,9 +38,10 @@ def calibrate(
 ) -> None:
     """Find what the bench is like: light, lens, mounting and camera.
 
-    The bench is the one with which frames and reconstruction agree best. The file that is written serves
-    `wavesim reconstruct --calibration`. The exit status is 0 if the frames are explained within their noise,
-    and 1 if they are not. An interrupted run goes on with the same command.
+    The bench is the one with which frames and reconstruction agree best; parameters that the frames do not
+    need stay at their nominal values. The file that is written serves `wavesim reconstruct --calibration`.
+    The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
+    within their noise, and 1 if they are not. An interrupted run goes on with the same command.
     """
     from wavesim.calibration.from_frames import calibrate_frames
     from wavesim.camera.frame_sets import read_frames
@@ -74,7 +75,7 @@ def calibrate(
         print_json(summary)
     else:
         print_calibration(found, summary, output)
-    raise typer.Exit(0 if found.explained else 1)
+    raise typer.Exit(1 if found.explained is False else 0)
 
 
 def write_calibration(
@@ -100,25 +101,30 @@ def write_calibration(
 
 
 def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
-    """What was found, and how sure it is."""
+    """Print the estimates with their standard deviations, and the verdict."""
     rows = []
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
-        border = "  (at the border of the search)" if name in found.at_reach else ""
-        told = "" if deviation is None else f"{deviation:.2g}"
-        if name in found.not_told:
-            told += ", not told"
-        if name in found.traded:
-            told += f", goes with {', '.join(found.traded[name])}"
-        rows.append((name, f"{value:.5f}{border}", told))
-    print_table(("bench as it is, from the design",), ("found", "standard deviation"), rows)
+        notes = ["at the border of the search"] * (name in found.at_reach)
+        notes += ["undetermined"] * (name in found.not_told)
+        notes += ["not needed, nominal"] * (name in found.nominal)
+        notes += [f"goes with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
+        rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))
+    heads = "estimate", "standard deviation"
+    print_table(("bench as it is, from the design",), heads, rows, notes="")
+    if found.undetermined:
+        print(
+            "undetermined, at nominal: " + ", ".join(found.undetermined) + ": a complex object takes on what "
+            "smooth light does (an object that is an amplitude does not: --kind amplitude)"
+        )
     noise = summary["misfit_of_noise"]
     print(
-        f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as it is"
+        f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as calibrated"
         + ("" if noise is None else f"; {noise:.4f} would be noise alone")
-        + ("" if found.explained else ": NOT EXPLAINED, something else differs")
     )
     print(
         f"{summary['mountings_tried']} benches tried; {summary['stopped_because']}; wrote {FILE} and "
         f"calibration.png to {output}"
     )
+    if found.verdict is not None:
+        print(f"verdict: {found.verdict.words}")

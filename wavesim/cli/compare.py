@@ -108,7 +108,9 @@ def _on_planes(lens: Any, name: str) -> dict[str, Any]:
         twin = scaled(lens, PLANE_SEMI_DIAMETER_MM / lens.stop_semi_diameter_mm)
         case = axial_case(twin, PLANE_PATCH_MM, plane_distance_mm=distance_mm)
     except InputError as problem:
-        message_console().print(f"no plane of the lens: {problem}")
+        message_console().print(
+            f"no plane of the lens: {problem}", soft_wrap=True, markup=False, highlight=False
+        )
         return cases
     title = (
         f"plane: twin of {name} with a stop of {PLANE_SEMI_DIAMETER_MM:g} mm, patch of {PLANE_PATCH_MM:g} mm"

@@ -169,7 +169,14 @@ def _calibrated(
     with progress() as tell:
         if calibrates or empty is None:
             return calibrate_frames(
-                lens, frames, sought, empty=empty, priors=priors, folder=output, progress=tell
+                lens,
+                frames,
+                sought,
+                empty=empty,
+                priors=priors,
+                folder=output,
+                progress=tell,
+                judges=False,  # the reconstruction that follows is
             )
         refuse_other_frames(empty, frames)
         start = bench or Bench(Placement(settings.pose))

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensdesign.common.console import progress_bar
+from lensdesign.common.console import print_whole, progress_bar
 from lensdesign.common.text import finite_or_none
 
 if TYPE_CHECKING:
@@ -36,9 +36,21 @@ def print_table(
     numbers: Sequence[str],
     rows: Iterable[Sequence[str]],
     title: str = "",
+    notes: str | None = None,
 ) -> None:
-    """Print a table of columns of words, flush left, and behind them of numbers, flush right."""
-    from rich.console import Console
+    """Print a table of columns of words, flush left, behind them of numbers, flush right, and of notes.
+
+    Parameters
+    ----------
+    words, numbers
+        Headings of the columns.
+    rows
+        Cells.
+    title
+        Above the table.
+    notes
+        Heading of a last column of words; None where there is none.
+    """
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, title=title or None, title_justify="left")
@@ -47,9 +59,11 @@ def print_table(
         table.add_column(name, overflow="fold")
     for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
+    if notes is not None:
+        table.add_column(notes, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False, markup=False).print(table)
+    print_whole(table)
 
 
 def memory_teller(folder: Path) -> Callable[[Memory], None]:

@@ -377,7 +377,6 @@ class PlanSettings(Section):
 class CalibrationSettings(FramedSettings):
     """All settings of :func:`wavesim.calibrate_frames`."""
 
-    kind: Kind = Field("amplitude", description="Of an unknown object: complex or amplitude.")
     engine: str = Field("eikonal", description="Engine, or auto: the cheapest that holds.")
     iterations: int = Field(5, ge=1, description="Of each reconstruction on the way.")
     most_mountings: int = Field(80, ge=1, description="Benches that are tried.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import subprocess
 import sys
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import pytest
 from places import DESIGNS
+from rich.table import Table
 from stopping import heeding
 
 from lensdesign import load_specification, optimize
+from lensdesign.common.console import print_whole
 
 LENSDESIGN = Path(sys.executable).parent / "lensdesign"
 
@@ -75,3 +78,34 @@ def test_a_command_does_not_look_for_garbage_once_more_at_its_end() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "True\n"
+
+
+NAMES = ("surface_1_figure_3_um", "light_amplitude_10 [waves]", ":car:", "x" * 150)
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+@pytest.mark.parametrize("columns", [None, "20", "80"])
+def test_a_table_loses_no_character(
+    monkeypatch: pytest.MonkeyPatch, is_terminal: bool, columns: str | None
+) -> None:
+    written = io.StringIO()
+    monkeypatch.setattr(written, "isatty", lambda: is_terminal, raising=False)
+    monkeypatch.setattr("sys.stdout", written)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
+    table = Table("parameter", "found", "standard deviation", title="[bold] title", box=None)
+    for column in table.columns[1:]:
+        column.no_wrap = True
+    for name in NAMES:
+        table.add_row(name, "123456.78901", f"0.12, goes with {', '.join(NAMES)}")
+    print_whole(table)
+    text = written.getvalue()
+    assert "…" not in text
+    assert text.count("123456.78901") == len(NAMES)
+    assert sum(letter == "x" for letter in text) >= 5 * 150
+    if not is_terminal and columns is None:
+        assert "[bold] title" in text
+        for name in NAMES:
+            row = next(line for line in text.splitlines() if line.strip().startswith(name))
+            assert row.rstrip().endswith(", ".join(NAMES))

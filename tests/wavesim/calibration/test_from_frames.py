@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
@@ -17,9 +18,10 @@ from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibrat
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.joint.some_pixels import SomePixels
 from wavesim.camera.frames import Frame
+from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import Bench, LightErrors
-from wavesim.scene.settings import CalibrationSettings
+from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
 
 TRUE = {
     "light_tilt_x_deg": 0.5,
@@ -30,7 +32,7 @@ TRUE = {
     "light_amplitude_02": 0.04,
 }
 BENCH = Bench(light=LightErrors((0.5, -0.3), {(1, 0): -0.06, (0, 2): 0.04}, {(2, 0): 0.05, (1, 1): -0.03}))
-SETTINGS = CalibrationSettings(patch_mm=0.04, error=0.1, parameters="light")
+SETTINGS = CalibrationSettings(patch_mm=0.04, error=0.1, parameters="light", kind="amplitude")
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +127,36 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     assert set(taken) == {taken[0]}
     assert 1.9 < frames[0].counts.shape[0] / taken[0] < 4.5
     assert found.values == pytest.approx((4.0, -3.0), abs=0.3)
+
+
+@pytest.mark.parametrize("kind", ["amplitude", "complex"])
+def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruction(
+    lens: Lens, tmp_path: Path, kind: Literal["amplitude", "complex"]
+) -> None:
+    tiles: dict[str, Any] = {"patch_mm": 0.03, "engine": "eikonal", "error": 0.3}
+    frames = image(lens, "star", exposures=(1.0, 30.0), pixels=140, **tiles).frames
+    found = calibrate_frames(lens, frames, kind=kind, most_mountings=6, **tiles)
+    assert found.explained
+    assert found.nominal == found.parameters
+    assert set(found.undetermined) == (set() if kind == "amplitude" else LIGHT)
+    assert found.applied is not None
+    assert not any(found.applied.values())
+    assert found.deviations is not None
+    pulls = np.array(found.values) / np.array(found.deviations)
+    assert 0.4 < np.sqrt(np.mean(pulls**2)) < 1.6
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(found.table()))
+    bench = read_calibration(path, lens)
+    again = reconstruct_frames(lens, frames, kind=kind, calibration=bench, **tiles)
+    assert found.over_noise == again.verdict.over_noise
+
+
+LIGHT = {
+    *(f"light_tilt_{axis}_deg" for axis in "xy"),
+    *(f"light_phase_{orders}_waves" for orders in ("20", "11", "02")),
+    *(f"light_amplitude_{orders}" for orders in ("10", "01", "20", "11", "02")),
+}
+
+
+def test_calibration_and_reconstruction_take_one_kind_of_object_by_default() -> None:
+    assert CalibrationSettings().kind == ReconstructionSettings().kind

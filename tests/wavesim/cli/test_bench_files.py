@@ -156,7 +156,11 @@ def test_more_than_memory_holds_is_refused(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wavesim.calibration.bench_search.memory_limit", lambda _: 2e6)
-    code, _, err = run("calibrate", "--parameters", "light", "-o", tmp_path / "out")
+    light = "--parameters", "light"
+    code, _, err = run("calibrate", *light, "-o", tmp_path / "out")
+    assert code == 2
+    assert "beside a complex object no light is sought: --kind amplitude" in err
+    code, _, err = run("calibrate", *light, "--kind", "amplitude", "-o", tmp_path / "out")
     assert code == 2
     assert "to seek 10 parameters in 39200 pixels takes 0.00784 GB, and 0.002 GB are" in " ".join(err.split())
     assert not (tmp_path / "out").exists()

@@ -3,7 +3,10 @@
 A bench is judged by what a reconstruction from even light leaves after a few iterations, or by what a known
 object leaves. Each step of the search takes its direction from the normal equations of object and bench about
 that object, and its length from such reconstructions along it. Tiles are made where the search begins, and
-turned from there; what parameters do to their rays hardly changes on the way and is told once. Light's
+turned from there; what parameters do to their rays hardly changes on the way and is told once. In the end the
+object is reconstructed until its misfit is that of the noise, and the normal equations about it, with the
+variance of the noise, give the estimates and their covariance. Parameters that the frames do not need
+(:mod:`wavesim.calibration.joint.selection`) return to their nominal values. Light's
 unevenness comes last: until the rest is right, anything explains it; and so does the tilt of the sensor, of
 which frames tell least and which makes every reconstruction half as long again.
 """
@@ -21,9 +24,12 @@ from numpy.typing import NDArray
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
 from wavesim.calibration.joint.line import Line
-from wavesim.calibration.joint.pixels import Pixels, RaySlopes
+from wavesim.calibration.joint.pixels import Pixels, RaySlopes, plane_number
+from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import JointStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
+from wavesim.camera.recorded import DARK
+from wavesim.evaluation.verdicts import MODEL_ERROR
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.scene.engine import Operator
@@ -37,9 +43,6 @@ BEHIND = 2
 
 ADAPTED = 1
 """Iterations after which an object that was found through other tiles shows what a bench's own leave."""
-
-FOLLOWED = 1
-"""Rounds in which the object follows a parameter where it is asked what the frames tell of that."""
 
 LAST = "light_amplitude", "sensor_tilt"
 """Beginnings of the names of parameters that are sought when the rest is right."""
@@ -62,6 +65,28 @@ NEAR = 1.5
 
 ALIKE = 0.1
 """By a step that lowers the squared misfit by less than this share, what parameters do hardly changes."""
+
+SETTLED, ESTIMATED, FOLLOWS = 80, 30, 5
+"""Iterations of the object at the end, rounds of conjugate gradients for the estimates, and rounds in which
+the object follows for their covariance."""
+
+REFINED = 2
+"""Times that estimates are made, each about the object on the bench of the one before."""
+
+OBJECT_FACTOR = 1.4
+"""Standard deviations of estimates over those by the noise alone: objects are not quite at the minimum."""
+
+COHERENT = 250
+"""Independent parts of what engine and pixels err (`MODEL_ERROR` of the amplitude): unlike noise it is alike
+in many pixels, and of parameters it takes away more. So many fit the pulls on benches that are as designed
+(`benchmarks/calibration_pulls.py`)."""
+
+WORSE = 1.02
+"""Ratio of misfits up to which a bench with fewer parameters, or a refined one, explains frames as well."""
+
+CLIPPED = 0.17
+"""Square of the mean root of a dark pixel's noisy intensity, clipped at 0, over its standard deviation: noise
+looks like so much light there, and passes for a background."""
 
 RUNAWAY = 4.0
 """Stands for the misfit where the model fails."""
@@ -97,14 +122,21 @@ class Told:
     Attributes
     ----------
     unknowns : Unknowns
+        The bench: parameters that are not needed have their nominal values.
+    estimates : ndarray, shape (parameters,)
+        What the frames say of each parameter, needed or not.
+    needed : ndarray of bool, shape (parameters,)
+        Whether the frames need the parameter.
     covariance : ndarray, shape (parameters, parameters)
-        Of what was found, with what was expected before.
+        Of the estimates, with what was expected before.
     misfit : float
     trail : tuple of (Unknowns, float)
     stopped_because : str
     """
 
     unknowns: Unknowns
+    estimates: Array
+    needed: NDArray[np.bool_]
     covariance: Array
     misfit: float
     trail: tuple[tuple[Unknowns, float], ...]
@@ -206,19 +238,90 @@ class JointSearch:
         if self._misled(end.here, checked) and len(end.stand.trail) < self.most_benches:
             here = self._tried(end.here.unknowns, checked.engine)
             stand = self._told(end.stand, here.unknowns, here.misfit)
-            end = self._descended(stand, here, self._near(here), self.parameters)
+            near = self._near(here)
+            end = self._descended(stand, here, near, self.parameters)
             checked = self._checked(end.here)
-        names, here, stand, reason = [p.name for p in self.parameters], end.here, end.stand, end.reason
-        joint = self._joint(here, self.parameters, end.columns)
+        here, stand, reason = end.here, end.stand, end.reason
         del end  # of whose columns the step may have made its own
-        left = joint.told_curvature(FOLLOWED if self.known is None else 0)
-        return Told(
-            stand.unknowns.changed(names, stand.unknowns.of(names).tolist()),
-            np.asarray(np.linalg.inv(left) * _variance(here.misfit), float),
-            checked.misfit,
-            stand.trail,
-            reason,
+        return self._estimated(stand, here, checked, near.slopes, reason)
+
+    def _estimated(
+        self, stand: Stand, here: _Tried, checked: _Tried, slopes: RaySlopes | None, reason: str
+    ) -> Told:
+        """Estimates about the object in the end, and the bench with the parameters that are needed."""
+        names = [p.name for p in self.parameters]
+        best = self._settled(here.unknowns, checked.transmission)
+        for count in range(REFINED):
+            estimates, covariance = self._estimate(best, slopes)
+            if count == REFINED - 1:
+                break
+            refined = self._or_none(best.unknowns.changed(names, estimates.tolist()), best.transmission)
+            if refined is None or refined.misfit > WORSE * best.misfit:
+                break
+            best = refined
+        # First the bench as designed: where a stiff direction is a little off, a linear model asks for more.
+        selected = select_parameters(estimates, covariance, self._pixels)
+        none = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
+        needed = np.ones(len(names), bool)
+        for one in (none, selected):
+            fewer = self._or_none(best.unknowns.changed(names, one.values.tolist()), best.transmission)
+            if fewer is not None and fewer.misfit <= WORSE * max(best.misfit, self.noise_misfit or 0.0):
+                best, needed = fewer, one.needed
+                break
+        return Told(best.unknowns, estimates, needed, covariance, best.misfit, stand.trail, reason)
+
+    @property
+    def _pixels(self) -> int:
+        """Pixels of which something is known."""
+        planes = self.pixels.recorded
+        return sum(p.amplitude.size if p.known is None else int(p.known.sum()) for p in planes)
+
+    def _or_none(self, unknowns: Unknowns, start: NDArray[Any]) -> _Tried | None:
+        try:
+            return self._settled(unknowns, start)
+        except TransferLensError:
+            return None
+
+    def _settled(self, unknowns: Unknowns, start: NDArray[Any]) -> _Tried:
+        """The bench with the object whose misfit is that of the noise, or falls no more."""
+        return self._tried(unknowns, start=start, iterations=SETTLED)
+
+    def _estimate(self, tried: _Tried, slopes: RaySlopes | None) -> tuple[Array, Array]:
+        """Estimates of all parameters, and their covariance."""
+        names, linear = [p.name for p in self.parameters], tried.linear
+        columns = self.pixels.columns(tried.unknowns, linear, self.parameters, slopes)
+        # A misfit beyond the noise is an error of the model, of which frames tell as little as of noise.
+        misfit = max(linear.misfit, self.noise_misfit or 0.0)
+        variance = (OBJECT_FACTOR * misfit) ** 2 / self._pixels + MODEL_ERROR**2 / COHERENT
+        typical, values = np.array([p.typical for p in self.parameters]), tried.unknowns.of(names)
+        follows = self.known is None
+        joint = JointStep(
+            linear,
+            columns,
+            values,
+            typical,
+            variance,
+            tried.transmission,
+            follows,
+            self._undone(tried, self.parameters) if follows else {},
         )
+        joint.damping = np.zeros_like(joint.damping)
+        estimates = values + joint.solve(ESTIMATED)
+        covariance = np.linalg.inv(joint.told_curvature(FOLLOWS if follows else 0)) * variance
+        return estimates, np.asarray(covariance + np.diag(self._clipped() ** 2), float)
+
+    def _clipped(self) -> Array:
+        """How large a background, by the parameter's place, clipped noise of dark pixels may pass for."""
+        planes, found = self.pixels.recorded, np.zeros(len(self.parameters))
+        for place, parameter in enumerate(self.parameters):
+            if not parameter.name.endswith("_background"):
+                continue
+            plane = planes[plane_number(parameter)]
+            if plane.sigma is not None:
+                dark = np.min(plane.sigma[plane.amplitude == plane.amplitude.min()])
+                mean = float(np.mean(plane.amplitude.astype(float) ** 2))
+                found[place] = CLIPPED * 4.0 * DARK * float(dark) ** 2 / mean
+        return found
 
     def _checked(self, here: _Tried) -> _Tried:
         """The bench by tiles of its own, and with as many iterations more."""
@@ -307,7 +410,11 @@ class JointSearch:
         return stand
 
     def _tried(
-        self, unknowns: Unknowns, near: Operator | None = None, start: NDArray[Any] | None = None
+        self,
+        unknowns: Unknowns,
+        near: Operator | None = None,
+        start: NDArray[Any] | None = None,
+        iterations: int | None = None,
     ) -> _Tried:
         """By tiles of its own, or by those of a bench that is not far; from even light, or an object."""
         model = self.pixels.model(unknowns, near)
@@ -321,7 +428,8 @@ class JointSearch:
             model.recorded,
             kind=self.kind,
             tv_weight="auto" if self.noise_misfit is not None else 0.0,
-            iterations=self.iterations,
+            iterations=iterations or self.iterations,
+            until_noise=iterations is not None,
             scale=self.pixels.scale,
             start=None if start is None else model.illumination.with_values(start),
             active_width=self.pixels.active_width,

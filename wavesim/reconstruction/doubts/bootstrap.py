@@ -1,8 +1,9 @@
 """How far noise moves a reconstruction, sample by sample, where the frames tell the object: a bootstrap.
 
 The reconstruction is taken for the object and recorded again several times, each with other noise of the
-stated standard deviations; each record is reconstructed by the same settings. How much the results scatter is
-what noise does to them.
+stated standard deviations; each record is reconstructed by the same settings. How much the results scatter
+about the object that they were made of is what noise does to them, with what the total variation rounds: the
+mean of their differences is taken along, for it estimates how far the result itself is off.
 
 Repeats that begin at one result stay in its hollow of the misfit. So the frames themselves are reconstructed
 from other starts too: what fits them as well and differs adds to the scatter. Where it differs by much, or
@@ -48,7 +49,7 @@ START_SAMPLES = 4.0
 
 LEAVES_OUT = (
     "errors that all starts have in common are not in it: a wrong model of lens, light or camera, and edges "
-    "that the total variation rounds"
+    "that the total variation rounds, beyond what it rounds of the result once more"
 )
 
 
@@ -164,7 +165,8 @@ def uncertainty(
         results.append(repeat.transmission.values)
         if progress is not None:
             progress(len(starts) + number + 1, len(starts) + repeats)
-    by_noise, by_start = _variance(results), _variance([found.transmission.values, *others])
+    by_noise = _mean_square(results, found.transmission.values, lit)
+    by_start = _variance([found.transmission.values, *others])
     return Uncertainty(
         np.sqrt(by_noise + by_start),
         math.sqrt(float(by_noise[lit].mean())),
@@ -173,6 +175,16 @@ def uncertainty(
         held_out_over_noise,
         LEAVES_OUT if held_out is not None else f"{LEAVES_OUT}; no plane was held out",
     )
+
+
+def _mean_square(results: Sequence[NDArray[Any]], true: NDArray[Any], lit: NDArray[np.bool_]) -> Array:
+    """Of the differences of results from the object of which they were made, in its phase."""
+    total = np.zeros(true.shape)
+    for values in results:
+        overlap = np.vdot(values[lit], true[lit])
+        turned = values * (overlap / max(abs(overlap), np.finfo(float).tiny))
+        total += np.abs(turned - true) ** 2
+    return np.asarray(total / len(results), float)
 
 
 def _variance(results: Sequence[NDArray[Any]]) -> Array:
