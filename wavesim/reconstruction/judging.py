@@ -108,8 +108,9 @@ def judge_result(
         findings += _ramp(found.whole)
         if len(given) > 1 and case.diversity < NO_DIVERSITY:
             said = (
-                f"the planes are so near each other that they hold one picture (diversity {case.diversity:.2g}, "
-                f"which should be {LEAST_DIVERSITY:g} or more), and it does not determine a complex object"
+                "the planes are so near each other that they hold one picture (diversity "
+                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more), and it does not determine "
+                "a complex object"
             )
             findings.append(Finding("several objects", said))
     # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
