@@ -30,6 +30,7 @@ from wavesim.reconstruction.judging import (
     EngineOn,
     MethodResult,
     engine_errors,
+    excess_of,
     is_engine_limited,
     judge_result,
     may_be_brighter,
@@ -55,7 +56,7 @@ from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source
 
 BETTER = 0.97
-"""Ratio of misfits from which on an amplitude object without an upper limit is the better one."""
+"""Ratio of residuals from which on an amplitude object without an upper limit is the better one."""
 
 Take = Callable[[Engine], Engine]
 """Hands an engine's tiles to a cluster, if there is one, and returns it."""
@@ -291,7 +292,8 @@ def _object(
             found = _solved(case, settings, engine, told, first, kept, begun.pop() if begun else None)
             if not curve and may_be_brighter(case, settings, found):
                 brighter = _solved(case, settings, engine, told, first, bounded=False)
-                if brighter.misfit[-1] < BETTER * found.misfit[-1]:
+                excess = [excess_of(case, one.residual_maps) for one in (found, brighter)]
+                if excess[1] < BETTER * excess[0]:
                     found = brighter
                 del brighter
             maps = found.residual_maps

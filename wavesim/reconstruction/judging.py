@@ -108,8 +108,9 @@ def judge_result(
         findings += _ramp(found.whole)
         if len(given) > 1 and case.diversity < NO_DIVERSITY:
             said = (
-                f"the planes are so near each other that they hold one picture (diversity {case.diversity:.2g}, "
-                f"which should be {LEAST_DIVERSITY:g} or more), and it does not determine a complex object"
+                "the planes are so near each other that they hold one picture (diversity "
+                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more), and it does not "
+                "determine a complex object"
             )
             findings.append(Finding("several objects", said))
     # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
@@ -197,8 +198,7 @@ def _residuals(
 
 def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) -> bool:
     """Whether residuals exceed the noise, and by no more than the engine's predicted error."""
-    planes = plane_verdicts(_residuals(case, maps, ()))
-    if max(plane.excess for plane in planes) <= 1.0:
+    if excess_of(case, maps) <= 1.0:
         return False
     excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
     return case.predicted_error > excess
@@ -210,8 +210,12 @@ def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: R
         return False
     if len(found.residual_maps) < len(case.recorded):
         return False
-    planes = plane_verdicts(_residuals(case, found.residual_maps, ()))
-    return max(plane.excess for plane in planes) > 1.0
+    return excess_of(case, found.residual_maps) > 1.0
+
+
+def excess_of(case: FramesCase, maps: Sequence[Array]) -> float:
+    """Largest residuals of all planes, over those that count as explained."""
+    return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
 
 
 def more_accurate_case(
