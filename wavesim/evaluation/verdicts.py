@@ -50,6 +50,7 @@ ADVICE = {
     "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
     "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
     "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
+    "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
     "iterations": "give more --iterations: the misfit was still falling",
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",

@@ -22,6 +22,7 @@ from wavesim.objects.region import cut_field, soft_rim
 from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
 from wavesim.reconstruction.doubts.starts import agreement_of_starts
 from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
 from wavesim.reconstruction.from_object import Progressed, reconstruct
@@ -39,7 +40,7 @@ from wavesim.scene.bench import Bench
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
-from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 
 NEAR = 1.4
@@ -101,10 +102,13 @@ def reconstruct_frames(
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     case = frames_case(lens, frames, settings, truth, calibration, folder)
+    told = _Told(progress, settings, case.engine)
+    if settings.field_stop == "find":
+        stated = settings.with_stop(*_stop_found(case, settings, told))
+        case = frames_case(lens, frames, stated, truth, calibration, folder)
     del frames  # nobody else may hold them, and they take much
     if before is not None:
         before(case.memory)
-    told = _Told(progress, settings, case.engine)
     try:
         with tiles_in(settings.cluster) as take:
             return _run(case, settings, take, told)
@@ -114,6 +118,34 @@ def reconstruct_frames(
         raise KeyboardInterrupt(f"interrupted after {count} iterations; {where}") from None
     except ClusterError as error:
         raise ClusterError(f"{error}; {_goes_on(case) or 'no iteration was kept'}") from error
+
+
+def _stop_found(case: FramesCase, settings: ReconstructionSettings, told: _Told) -> FieldStop:
+    """Position and diameter of the field stop, as far as settings do not state them."""
+    if isinstance(case.engine, Tiled):
+        raise SettingError(
+            "{field_stop} find: takes many short reconstructions, too long for the engine of a whole field; "
+            "find it on a smaller patch ({patch_mm}), and state {field_stop_mm} and {field_stop_at_mm}"
+        )
+    search = _stop_search(case, settings, case.engine, told)
+    return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
+
+
+def _stop_search(
+    case: FramesCase, settings: ReconstructionSettings, engine: Engine, told: _Told
+) -> StopSearch:
+    grid = case.patch.grid
+    return StopSearch(
+        engine,
+        case.given,
+        lambda stop: case.light_behind(case.patch.with_stop(*stop)),
+        grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
+        settings.kind,
+        settings.scale,
+        settings.active_width,
+        case.modes,
+        told.step,
+    )
 
 
 class _Told:
@@ -270,6 +302,8 @@ def _verdict(
             settings.active_width,
             case.diversity,
             case.modes,
+            _stop_search(case, settings, engine, told),
+            FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
         )
         return verdict(planes, doubts.trials(), curve, agreement)
 
