@@ -4,6 +4,9 @@ The middle of the light on a plane moves with the place of the lit object and wi
 A small stop, moved and tilted in the model, gives these movements; the middles of the recorded light on all
 planes then give a first position by least squares.
 
+The Fourier transform of a plane's intensity is about the autocorrelation of the light on the object: where
+the spectrum ends tells the diameter, whatever the object is.
+
 From there a pattern search goes down the misfit of short reconstructions over position and diameter. The
 first stage takes the misfit of the object 1, which falls from far away. Later stages take some iterations,
 which tell the rim to a part of a sample. A stop that is too small lacks light, and one that is too large
@@ -12,12 +15,15 @@ leaves the object too free for so few iterations: both leave more.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.fields.field import Field
@@ -42,14 +48,49 @@ TILT_DEG, TRUST_DEG = 0.2, 0.5
 TRUST_PIXELS = 1.0
 """Standard deviation that is expected of the middle of the light on a plane."""
 
+PROBE_WIDTH, BINS, ABOVE_FLOOR = 0.3, 200, 0.3
+"""Of the spectra's ends: diameter of the first probe over the patch, samples of the radial spectrum for a
+cycle per pixel, and decades above what the noise leaves."""
+
+STEEP = 0.8
+"""Decades by which a spectrum falls over the last 15 % before its end."""
+
+SPECTRAL_ERROR, BESIDE = 0.2, (0.9, 1.0, 1.1)
+"""Relative error of the diameter that spectra tell, and diameters beside it that are tried."""
+
+ASTRAY = 3.0
+"""Misfit over that of the noise, from which on the position is sought first."""
+
 DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
 """Of the first stops that are tried, over the patch."""
 
-FIRST, STAGES = (1, 0.25), ((5, 0.15), (12, 0.06))
+FIRST, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
+"""Iterations of each stage, and its first step over the diameter."""
+
+PROBE_WIDTH, BINS, ABOVE_FLOOR = 0.3, 200, 0.3
+"""Of the spectra's ends: diameter of the first probe over the patch, samples of the radial spectrum for a
+cycle per pixel, and decades above what the noise leaves."""
+
+STEEP = 0.8
+"""Decades by which a spectrum falls over the last 15 % before its end."""
+
+SPECTRAL_ERROR, BESIDE = 0.2, (0.9, 1.0, 1.1)
+"""Relative error of the diameter that spectra tell, and diameters beside it that are tried."""
+
+ASTRAY = 3.0
+"""Misfit over that of the noise, from which on the position is sought first."""
+
+DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
+"""Of the first stops that are tried, over the patch."""
+
+FIRST, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
 """Iterations of each stage, and its first step over the diameter."""
 
 AT_NOISE = 1.1
 """Misfit over that of the noise, at which a stage is the last one."""
+
+BESIDE_SHARE = 0.1
+"""Of the diameter, by which the middles of the light must lie beside a stop for another one to be sought."""
 
 FALLS = 0.95
 """Ratio of misfits below which another stop explains frames better."""
@@ -60,9 +101,9 @@ LEAST_STEP = 0.3
 DIRECTIONS = np.array(
     [[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0, 1], [-0.5, 0, 1], [0, 0.5, 1], [0, -0.5, 1]]
 )
-"""Of steps in x, y and diameter: the whole stop, its diameter, and one side of its rim while the other stays."""
+"""Of steps in x, y and diameter: the whole stop, its diameter, or one side of its rim alone."""
 
-MOST_TRIALS = 90
+MOST_TRIALS = 60
 """In each stage."""
 
 
@@ -108,25 +149,72 @@ class StopSearch:
             Diameter or position where one of them is known; it stays as it is.
         """
         begin = self.start() if at_mm is None else at_mm
-        widths = [self.patch_mm * share for share in DIAMETERS] if width_mm is None else [width_mm]
-        free = (at_mm is None, at_mm is None, width_mm is None)
+        free = np.array((at_mm is None, at_mm is None, width_mm is None))
+        seen = self.width() if width_mm is None else width_mm
+        if width_mm is not None:
+            widths = [width_mm]
+        elif seen is not None:
+            widths = [seen * ratio for ratio in BESIDE]
+        else:
+            widths = [self.patch_mm * share for share in DIAMETERS]
         stops = [self._within(np.array([*begin, width])) for width in widths]
         iterations, step = FIRST
         best = min(stops, key=lambda stop: self.misfit(stop, iterations))
-        stops.append(self._pattern_search(best, iterations, step, free))
+        first = self._pattern_search(best, iterations, step, free)
+        if seen is None or abs(first.width_mm / seen - 1.0) < SPECTRAL_ERROR:
+            stops.append(first)
         # An object that is dark or bends much light is far from 1, and leads the first stage astray.
         best = min(stops, key=lambda stop: self.misfit(stop, STAGES[0][0]))
         noise = noise_misfit(self.recorded) or 0.0
-        for iterations, step in STAGES:
+        if self.misfit(best, STAGES[0][0]) > ASTRAY * noise and at_mm is None:
+            best = self._pattern_search(best, *STAGES[0], free & np.array((True, True, False)))
+        for iterations, step in STAGES[1:]:
             best = self._pattern_search(best, iterations, step, free)
-            if self.misfit(best, iterations) < AT_NOISE * noise:
+            if self.misfit(best, iterations) < ASTRAY * noise:
                 break
         return best
 
+    def width(self) -> float | None:
+        """Diameter by the spectra of the planes' intensities; None where pixels do not resolve their end.
+
+        The Fourier transform of an intensity far behind the object is the autocorrelation of the light on
+        the object, whatever that is: it ends at the stop's diameter. A stop of known diameter with grains of
+        random phase, recorded with the same noise, says where.
+        """
+        random, probe_mm = np.random.default_rng(0), PROBE_WIDTH * self.patch_mm
+        seen = [_spectrum_end(plane.amplitude, plane.known) for plane in self.recorded]
+        here = max((end for end in seen if end is not None), key=lambda end: end.height, default=None)
+        if here is None:
+            return None
+        number = seen.index(here)
+        for _ in range(2):
+            light = self.light_of(self._within(np.array([0.0, 0.0, probe_mm])))
+            grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
+            model = RecordingModel(self.engine, light, self.recorded, None, self.active_width)
+            plane = self.recorded[number]
+            made = model.amplitudes(grains.astype(light.values.dtype))[number].astype(float)
+            made *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (made**2).sum()))
+            if plane.sigma is not None:
+                noise = np.where(np.isfinite(plane.sigma), plane.sigma, 0.0)
+                made += noise * random.standard_normal(made.shape)
+            end = _spectrum_end(made, plane.known)
+            if end is None:
+                return None
+            # Once more with a probe of that size: the lens's map is not quite linear.
+            probe_mm *= here.cycles / end.cycles
+        return probe_mm if probe_mm < self.patch_mm else None
+
     def run_beside(self, stop: FieldStop) -> FieldStop | None:
-        """A stop that explains the frames better than one does, or None where the first stage finds none."""
-        here = self.misfit(stop, STAGES[0][0])
-        found = self.run()
+        """A stop that explains the frames better than one does, or None.
+
+        None is sought where the middles of the light and the ends of the spectra agree with the one given.
+        """
+        start, width = self.start(), self.width()
+        is_aside = math.dist(start, stop.at_mm) > BESIDE_SHARE * stop.width_mm
+        is_other = width is not None and abs(width / stop.width_mm - 1.0) > SPECTRAL_ERROR
+        if not (is_aside or is_other):
+            return None
+        here, found = self.misfit(stop, STAGES[0][0]), self.run()
         return found if self.misfit(found, STAGES[0][0]) < FALLS * here else None
 
     def start(self) -> tuple[float, float]:
@@ -182,7 +270,7 @@ class StopSearch:
         return FieldStop(width, (x, y))
 
     def _pattern_search(
-        self, start: FieldStop, iterations: int, first: float, free: tuple[bool, bool, bool]
+        self, start: FieldStop, iterations: int, first: float, free: NDArray[np.bool_]
     ) -> FieldStop:
         """Steps along x, y and the diameter, halved where none helps; between them, as a parabola says."""
         tried: dict[FieldStop, float] = {}
@@ -196,7 +284,7 @@ class StopSearch:
         best, step = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch)
         while step >= LEAST_STEP * pitch and len(tried) < MOST_TRIALS:
             before = best
-            for direction in DIRECTIONS[~np.any(DIRECTIONS[:, ~np.array(free)], axis=1)]:
+            for direction in DIRECTIONS[~np.any(DIRECTIONS[:, ~free], axis=1)]:
                 best = self._along(best, step * direction, value)
             if value(best) >= value(before):
                 step *= 0.5
@@ -214,6 +302,34 @@ class StopSearch:
             if abs(length) > 0.1:
                 tries.append(at(length))
         return min(tries, key=value)
+
+
+class _End(NamedTuple):
+    """Where a spectrum ends, in cycles per pixel, and its decades above what is beyond."""
+
+    cycles: float
+    height: float
+
+
+def _spectrum_end(amplitude: Array, known: Any = None) -> _End | None:
+    """Where the radial spectrum of a plane's intensity falls to that of its noise."""
+    light = amplitude.astype(float) ** 2
+    if known is not None:
+        light = np.where(known, light, 0.0)
+    light *= np.outer(*(np.hanning(count + 2)[1:-1] for count in light.shape))
+    power = np.abs(scipy.fft.fft2(light)) ** 2
+    cycles = np.hypot(*np.meshgrid(*(scipy.fft.fftfreq(count) for count in light.shape), indexing="ij"))
+    place = (cycles * BINS).astype(int)
+    count = np.maximum(np.bincount(place.ravel()), 1)
+    profile = np.log10(np.bincount(place.ravel(), power.ravel()) / count + 1e-300)[: BINS // 2]
+    floor = float(np.median(profile[-BINS // 20 :]))
+    above = np.flatnonzero(profile > floor + ABOVE_FLOOR)
+    if len(above) == 0 or above[-1] >= len(profile) - BINS // 20:
+        return None
+    last = int(above[-1])
+    height, near = (float(profile[int(share * last)] - floor) for share in (0.5, 0.85))
+    # Light that pixels alias falls off slowly towards their limit, and has no end there.
+    return _End((last + 1.0) / BINS, height) if near > STEEP else None
 
 
 def _middle(amplitude: Array, axes: tuple[Array, Array], known: Any = None) -> tuple[float, float]:
