@@ -36,6 +36,7 @@ SCRIPTS = (
     "refocusing",
     "uncertainty",
     "verdicts",
+    "plan_outcomes",
     "bench_sets",
     "patch_chain",
     "focus_rule",

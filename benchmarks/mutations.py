@@ -121,7 +121,7 @@ MUTATIONS = (
     # Glass, poses, figures
     Mutation(
         "the d line of sodium",
-        "lensdesign/lens/glass.py",
+        "lensdesign/lens/catalogues/agf.py",
         "LINE_D_UM = 0.5875618",
         "LINE_D_UM = 0.5892938",
     ),

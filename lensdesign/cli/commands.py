@@ -157,10 +157,11 @@ def glass(
     from lensdesign.lens.glass import get_material, glass_summary
 
     material = _name_or_index(name)
-    index = get_material(material, catalog).index(wavelength_um)
+    found = get_material(material, catalog)
+    index = found.index(wavelength_um)
     figures = glass_summary(material, catalog) | {"wavelength_um": wavelength_um, "index": index}
     if as_json:
-        print_json(figures)
+        print_json(figures | {"notes": list(found.notes)})
         return
     span = figures["wavelength_range_um"]
     typer.echo(visible(f"{figures['name']} ({figures['catalog']})"))
@@ -170,6 +171,8 @@ def glass(
     typer.echo(f"  wavelengths          {f'{span[0]:g} to {span[1]:g} um' if span else 'any'}")
     if figures["source"]:
         typer.echo(visible(f"  source               {figures['source']}"))
+    for note in found.notes:
+        typer.echo(visible(f"note: {note}"), err=True)
 
 
 def _name_or_index(text: str) -> str | float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -317,11 +318,32 @@ def _moved(pose: Pose) -> str:
 
 def _tell(found: Imported, output: Path, moved: str, as_json: bool) -> None:
     dropped = [*found.dropped, *([f"pose: {moved}"] if moved else [])]
+    first = found.first_order
+    lens = found.lens
     if as_json:
-        print_json({"design": str(output), "dropped": dropped, "remarks": list(found.remarks)})
+        figures = first and {k: v if math.isfinite(v) else None for k, v in asdict(first).items()}
+        print_json(
+            {
+                "design": str(output),
+                "dropped": dropped,
+                "remarks": list(found.remarks),
+                "first_order": figures,
+            }
+        )
         return
     for entry in dropped:
         typer.echo(f"left out: {visible(entry)}", err=True)
     for remark in found.remarks:
         typer.echo(f"note: {visible(remark)}", err=True)
     typer.echo(f"wrote {output}: {len(found.lens.surfaces)} surfaces")
+    if first is not None:
+        marginal = (
+            f"is {first.stop_height_mm:.6g} mm high at the stop of {lens.stop_semi_diameter_mm:.6g} mm"
+            if math.isfinite(first.stop_height_mm)
+            else f"does not reach the stop of {lens.stop_semi_diameter_mm:.6g} mm"
+        )
+        typer.echo(
+            f"traced as the file's records imply: focal length {first.efl_mm:.6g} mm, back focal length "
+            f"{first.bfl_mm:.6g} mm, magnification {first.magnification:.6g} at "
+            f"{first.image_distance_mm:.6g} mm; the marginal ray of NA {first.object_na:.6g} {marginal}"
+        )

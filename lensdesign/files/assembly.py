@@ -24,9 +24,12 @@ from lensdesign.files.draft import (
     Supplement,
     shown,
 )
+from lensdesign.files.first_order_check import MARGINAL_TOLERANCE, check_first_order
+from lensdesign.files.marginal_ray import MeridionalSystem
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from lensdesign.lens.surface import Surface
 
 
 def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
@@ -78,14 +81,18 @@ def assemble(draft: Draft, supplement: Supplement, lossy: bool) -> Imported:
         "pixels": _first(supplement.pixels, draft.notes.get("pixels")),
         "plane_distances_mm": planes,
     }
-    surfaces = _surfaces(_with_stop(rows, draft, values, catalogs))
+    asked = supplement.numerical_aperture is not None
+    rows, filled = _with_stop(rows, draft, values, catalogs, asked)
+    surfaces = _surfaces(rows)
     missing = [name for name, value in values.items() if value is None]
     if missing:
         raise InputError(
             f"{source}: the file does not tell {', '.join(missing)}; give it along with the file"
         )
+    _remark_automatic(rows, draft)
     lens = _lens(draft, values, surfaces, catalogs)
-    return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks))
+    first_order = check_first_order(draft, lens, pose, supplement, filled)
+    return Imported(lens, pose, tuple(draft.dropped), tuple(draft.remarks), first_order)
 
 
 def _first(*values: Any) -> Any:
@@ -248,28 +255,126 @@ def _surfaces(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _with_stop(
-    rows: Sequence[Row], draft: Draft, values: dict[str, Any], catalogs: Sequence[Path]
-) -> list[Row]:
-    """Rows whose stop has a semi-diameter: where the file has none, as high as the marginal ray is there."""
+    rows: Sequence[Row], draft: Draft, values: dict[str, Any], catalogs: Sequence[Path], asked: bool
+) -> tuple[list[Row], bool]:
+    """Rows whose stop is as wide as the file's rays fill it; and whether it is as high as the marginal ray.
+
+    The system aperture decides: the stop is as high as the exact marginal ray there, unless the file has a
+    smaller aperture at the stop, which clips. Where the user gave a numerical aperture (`asked`), that is
+    what the design has to reach, and a stop with an aperture stays as it is. A stop that floats gives the
+    numerical aperture.
+    """
     stop = _stop(rows)
     distance, na = values["working_distance_mm"], values["numerical_aperture"]
     row = rows[stop + 1]
-    numbers = isinstance(distance, int | float) and isinstance(na, int | float) and 0.0 < na < 1.0
-    if row.semi_diameter_mm is not None or not numbers:
-        return list(rows)
+    semi = row.semi_diameter_mm
+    floating = draft.aperture is not None and draft.aperture[0] == "stop"
+    if floating and semi is None:
+        semi = row.automatic_mm
+    if not _is_number(distance, 0.0, math.inf) or not _is_number(na, 0.0, 1.0):
+        return _resized(rows, semi), False
+    noted = draft.notes.get("aperture")
+    if semi is not None and (asked or noted == [na, semi]):
+        return _resized(rows, semi), False
+    system = _system(draft, rows, catalogs)
+    if floating and semi is not None:
+        through = None if system is None else system.sine_through_stop(distance, semi, stop)
+        values["numerical_aperture"] = na if through is None else through
+        return _resized(rows, semi), through is not None
+    paraxial = _paraxial_height(draft, rows, distance, na, catalogs)
+    exact = None if asked or system is None else system.height_at_stop(distance, na, stop)
+    height = paraxial if exact is None else exact
+    if not 0.0 < height < math.inf:
+        return list(rows), False
+    if semi is None:
+        draft.remark(
+            f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's "
+            "height"
+        )
+        return _resized(rows, height), exact is not None
+    if any(abs(semi - h) <= MARGINAL_TOLERANCE * h for h in (height, paraxial)):
+        return list(rows), abs(semi - height) <= MARGINAL_TOLERANCE * height
+    if semi > height:
+        draft.remark(
+            f"{row.name}: a stop of {semi:.6g} mm lets through more than the system aperture "
+            f"({_said(draft)}); "
+            f"{height:.6g} mm taken, its marginal ray's height"
+        )
+        return _resized(rows, height), exact is not None
+    draft.remark(
+        f"{row.name}: the system aperture ({_said(draft)}) needs {height:.6g} mm at the stop, whose "
+        f"aperture of {semi:.6g} mm clips it"
+    )
+    return list(rows), False
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low < value < high
+
+
+def _said(draft: Draft) -> str:
+    """The file's system aperture in words."""
+    names = {
+        "object_na": "object NA",
+        "image_na": "image NA",
+        "pupil_diameter_mm": "entrance pupil diameter, mm:",
+        "image_f_number": "image F-number",
+        "working_f_number": "working F-number",
+    }
+    kind, value = draft.aperture or ("", 0.0)
+    return f"{names.get(kind, 'aperture')} {value:g}"
+
+
+def _resized(rows: Sequence[Row], semi_diameter_mm: float | None) -> list[Row]:
+    """Rows with another semi-diameter of the stop."""
+    at = 1 + _stop(rows)
+    return [*rows[:at], replace(rows[at], semi_diameter_mm=semi_diameter_mm), *rows[at + 1 :]]
+
+
+def _system(draft: Draft, rows: Sequence[Row], catalogs: Sequence[Path]) -> MeridionalSystem | None:
+    """The surfaces for exact rays; None where one of them is none."""
+    inner = rows[1:-1]
+    try:
+        shapes = tuple(
+            Surface.model_validate({"radius_mm": row.radius_mm, "conic": row.conic, **row.shape}).shape
+            for row in inner
+        )
+    except ValueError:  # said when the lens is validated
+        return None
+    indices = [1.0, *(_index(draft, row, catalogs) for row in inner)]
+    return MeridionalSystem(shapes, tuple(row.thickness_mm for row in inner[:-1]), tuple(indices))
+
+
+def _index(draft: Draft, row: Row, catalogs: Sequence[Path]) -> float:
+    """Index behind a surface at the first wavelength."""
+    if row.material is None:
+        return 1.0
+    try:
+        return refractive_index(row.material, draft.wavelengths_um[0], catalogs)
+    except MaterialError as error:
+        raise MaterialError(f"{row.where}: {error}") from error
+
+
+def _paraxial_height(
+    draft: Draft, rows: Sequence[Row], distance: float, na: float, catalogs: Sequence[Path]
+) -> float:
+    """Height of the paraxial marginal ray at the stop."""
     kind, value = draft.aperture or ("", 0.0)
     at_stop, _ = _two_rays(draft, rows, distance, catalogs)
-    height = abs(
-        0.5 * value * at_stop[1]
-        if kind == "pupil_diameter_mm"
-        else na / math.sqrt(1.0 - na * na) * at_stop[0]
-    )
-    if not 0.0 < height < math.inf:
-        return list(rows)
-    draft.remarks.append(
-        f"{row.name}: the stop has no aperture in the file; {height:.6g} mm taken, its marginal ray's height"
-    )
-    return [*rows[: stop + 1], replace(row, semi_diameter_mm=float(height)), *rows[stop + 2 :]]
+    if kind == "pupil_diameter_mm":
+        return abs(float(0.5 * value * at_stop[1]))
+    return abs(float(na / math.sqrt(1.0 - na * na) * at_stop[0]))
+
+
+def _remark_automatic(rows: Sequence[Row], draft: Draft) -> None:
+    """Say which semi-diameters the other program only computed; they are no apertures of the design."""
+    found = [
+        f"{row.name} {row.automatic_mm:.6g} mm"
+        for row in rows[1:-1]
+        if row.automatic_mm is not None and row.semi_diameter_mm is None
+    ]
+    if found:
+        draft.remark(f"automatic semi-diameters clip nothing and were left out: {', '.join(found)}")
 
 
 def _stop(rows: Sequence[Row]) -> int:
@@ -287,7 +392,8 @@ def _numerical_aperture(
     kind, value = draft.aperture or ("", 0.0)
     if kind == "object_na":
         return value
-    semi = rows[1 + _stop(rows)].semi_diameter_mm
+    stop = rows[1 + _stop(rows)]
+    semi = stop.automatic_mm if stop.semi_diameter_mm is None else stop.semi_diameter_mm
     at_stop, slope = _two_rays(draft, rows, working_distance_mm, catalogs)
     with np.errstate(all="ignore"):
         tangents = {
@@ -315,14 +421,7 @@ def _two_rays(
         for i, row in enumerate(inner):
             if i == stop:
                 at_stop = height.copy()
-            try:
-                behind = (
-                    1.0
-                    if row.material is None
-                    else refractive_index(row.material, draft.wavelengths_um[0], catalogs)
-                )
-            except MaterialError as error:
-                raise MaterialError(f"{row.where}: {error}") from error
+            behind = _index(draft, row, catalogs)
             curvature = 0.0 if row.radius_mm is None else 1.0 / row.radius_mm
             slope = (index * slope - (behind - index) * curvature * height) / behind
             index = behind

@@ -3,10 +3,11 @@
 Read are DIM M; RDM with S lines of radius (or, after RDM N, curvature), thickness and glass, and the same as
 RDY, CUY, THI and GLA; the conic K and the asphere terms A to J (r^4 to r^20) of CON and ASP surfaces;
 circular apertures CIR; the stop STO; NAO, NA, EPD and FNO (working F-number); object heights XOB and YOB;
-wavelengths WL in nm, the reference REF first; glasses as NBK7_SCHOTT, and private ones (PRV) of one index;
-and XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, as the pose of the whole lens. Weights,
-coupling codes and labels say nothing of the lens and are passed over. Commands are those of the CODE V
-Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
+wavelengths WL in nm, the reference REF first; glasses as NBK7_SCHOTT, and the private ones (PRV) that
+surfaces have, by indices or formulas (:mod:`lensdesign.files.codev_glasses`); the present values of solves
+and pickups; and XDE, YDE, ADE and BDE of a pair of surfaces, plain and REV, as the pose of the whole lens.
+Weights, coupling codes and labels say nothing of the lens and are passed over. Commands are those of the CODE
+V Reference Manual (Synopsys); there, ADE and BDE turn left-handed.
 """
 
 from __future__ import annotations
@@ -23,14 +24,17 @@ from lensdesign.files.codev_commands import (
     PRIVATE,
     FileReader,
     FileSurface,
+    check_solves,
     commands,
     take_command,
 )
+from lensdesign.files.codev_glasses import PrivateGlass
 from lensdesign.files.draft import (
     NOTE,
     Break,
     Draft,
     Imported,
+    RecordedSurface,
     Row,
     Supplement,
     find_glass,
@@ -41,7 +45,6 @@ from lensdesign.files.draft import (
     read_lines,
     read_note,
     same_name,
-    shown,
     writable,
 )
 from lensdesign.lens.glass import get_material, refractive_index
@@ -85,6 +88,7 @@ def read_seq(
             read_note(text, reader.draft, f"{path}, line {count}")
     for count, words in commands(lines, str(path)):
         take_command(reader, words, f"{path}, line {count}")
+    check_solves(reader)
     if reader.in_private:
         raise InputError(f"{path}: private glasses (PRV) without END")
     if reader.surfaces and reader.surfaces[-1].kind != "SI":
@@ -113,6 +117,14 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         noted = None if edge or dummy or not named else named.pop(0)
         material = _material(reader, surface, noted, supplement)
         draft.rows += _rows(reader, surface, material, dummy)
+        draft.recorded.append(
+            RecordedSurface(
+                0.0 if surface.radius_mm is None else 1.0 / surface.radius_mm,
+                surface.thickness_mm,
+                material,
+                surface.stop,
+            )
+        )
         glass_before = surface.glass
     if reader.surfaces:
         draft.lose_ends()
@@ -175,14 +187,7 @@ def _material(
     if token.upper() in reader.private:
         if isinstance(noted, str) and token.startswith(PRIVATE):
             return noted
-        indices = reader.private[token.upper()]
-        if not indices:
-            raise InputError(f"{surface.glass_where}: private glass {shown(token)} has no index")
-        if len(set(indices)) > 1:
-            reader.draft.lose(f"{surface.name}: dispersion of the private glass {token}")
-        primary_nm = 1000.0 * reader.draft.wavelengths_um[0] if reader.draft.wavelengths_um else 0.0
-        pairs = zip(reader.private_nm, indices, strict=False)
-        return min(pairs, key=lambda pair: abs(pair[0] - primary_nm), default=(0.0, indices[0]))[1]
+        return _private_index(reader, surface, reader.private[token.upper()])
     model = _model_glass(token, surface.glass_where)
     if model is not None:
         reader.draft.lose(f"{surface.name}: dispersion of the fictitious glass {token}")
@@ -190,7 +195,26 @@ def _material(
     if isinstance(noted, str) and same_name(noted.rpartition(":")[2]) == same_name(name):
         return noted
     makers = [maker] if maker else []
-    return find_glass(name, makers or list(MAKERS), supplement.glass_catalogs, surface.glass_where)
+
+    def remark(what: str) -> None:
+        reader.draft.remark(f"{surface.name}: {what}")
+
+    return find_glass(name, makers or list(MAKERS), supplement.glass_catalogs, surface.glass_where, remark)
+
+
+def _private_index(reader: FileReader, surface: FileSurface, glass: PrivateGlass) -> float:
+    """Index of a private glass at the first wavelength; its dispersion is lost."""
+    waves = reader.draft.wavelengths_um
+    if not waves:
+        raise InputError(f"{reader.draft.source}: no wavelength found")
+    index, remark, loss = glass.index(waves[0])
+    if remark:
+        reader.draft.remark(f"{surface.name}: {remark}")
+    if loss:
+        reader.draft.lose(f"{surface.name}: {loss}")
+    if glass.disperses(waves):
+        reader.draft.lose(f"{surface.name}: dispersion of the private glass {glass.name}")
+    return index
 
 
 def _model_glass(token: str, where: str) -> float | None:

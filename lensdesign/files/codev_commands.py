@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 
 from lensdesign.errors import InputError
+from lensdesign.files.codev_glasses import PrivateGlass
 from lensdesign.files.draft import MOST_SURFACES, Draft, heights_of, lose_vignetting, number, shown
 from lensdesign.lens.shapes.even_asphere import CODEV_LETTERS
 
 PRIVATE = "TRANSFERLENS_"
 """Start of the names of private glasses in files that the toolkit writes."""
+
+_ENDLESS = ("INF", "INFINITY")
 
 INFINITE_MM = 1e10
 """From here on CODE V takes a distance for infinite."""
@@ -27,13 +30,20 @@ AC BC CC DC EC FC GC HC JC CUC COM XAN YAN XIM YIM XRI YRI LCM BIN
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
 
-# The value that a solve last had stands in the file.
-_SOLVES = ("PIM", "PIY", "UMY", "UCY", "HMY", "HCY", "PIK")
+# The value that a solve or a pickup last had stands in the file.
+_SOLVE_WORDS = """
+PIM PIY PIX UMY UMX UCY UCX HMY HMX HCY HCX IMY IMX ICY ICX AMY ACY CMY EFY PIK SOL
+"""
+_SOLVES = frozenset(_SOLVE_WORDS.split())
 
 
 @dataclass
 class FileSurface:
-    """A surface while its commands are being read; `kind` is SO, S or SI."""
+    """A surface while its commands are being read; `kind` is SO, S or SI.
+
+    `given` names the quantities that have a value; `solved` those for which a solve stands, with its words
+    and line.
+    """
 
     kind: str
     name: str
@@ -48,6 +58,8 @@ class FileSurface:
     stop: bool = False
     moves: dict[str, float] = field(default_factory=dict)
     moved_how: str = ""
+    given: set[str] = field(default_factory=set)
+    solved: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
     def is_moved(self) -> bool:
@@ -67,8 +79,8 @@ class FileReader:
     heights: dict[str, list[float]] = field(default_factory=dict)
     holds_radii: bool | None = None
     in_private: bool = False
-    private: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    private_nm: tuple[float, ...] = ()
+    private: dict[str, PrivateGlass] = field(default_factory=dict)
+    private_nm: tuple[str, ...] = ()
 
 
 def commands(lines: Sequence[str], source: str) -> Iterator[tuple[int, list[str]]]:
@@ -107,6 +119,8 @@ def take_command(reader: FileReader, words: list[str], where: str) -> None:
         If it does not hold what it must.
     """
     word, values = words[0].upper(), words[1:]
+    if not _known(word) and _known(word[:3]) and word.isalpha():
+        word = word[:3]  # CODE V reads three letters
     if reader.in_private:
         _take_private(reader, words, where)
     elif word in ("SO", "S", "SI") or re.fullmatch(r"S\d+", word):
@@ -118,19 +132,61 @@ def take_command(reader: FileReader, words: list[str], where: str) -> None:
         _OF_SURFACE[word](reader, surface, word, rest, where)
     elif word in _SOLVES:
         name = reader.surfaces[-1].name if reader.surfaces else where
-        reader.draft.remarks.append(f"{name}: {word} solve replaced by its present value")
+        reader.draft.remark(f"{name}: {word} solve replaced by its present value")
     elif word not in _IDLE:
         place = reader.surfaces[-1].name if reader.surfaces else where.rpartition(", ")[2]
         reader.draft.lose(f"{place}: {shown(' '.join(words))}")
+
+
+def _known(word: str) -> bool:
+    return word in _OF_FILE or word in _OF_SURFACE or word in _SOLVES or word in _IDLE
 
 
 def _take_private(reader: FileReader, words: list[str], where: str) -> None:
     if words[0].upper() == "END":
         reader.in_private = False
     elif words[0].upper() == "PWL":
-        reader.private_nm = tuple(number(v, where) for v in words[1:])
+        reader.private_nm = tuple(words[1:])
     else:
-        reader.private[words[0].strip("'\"").upper()] = tuple(number(v, where) for v in words[1:])
+        name = words[0].strip("'\"")
+        reader.private[name.upper()] = PrivateGlass(name, tuple(words[1:]), reader.private_nm, where)
+
+
+def check_solves(reader: FileReader) -> None:
+    """Say which solves were replaced by their present values.
+
+    Raises
+    ------
+    InputError
+        If the file has no present value of one.
+    """
+    for surface in reader.surfaces:
+        for quantity, (words, where) in surface.solved.items():
+            if quantity not in surface.given:
+                raise InputError(
+                    f"{where}: the {quantity} of {surface.name} is left to a solve or pickup "
+                    f"({shown(words)}), and the "
+                    "file does not give its present value; give the value instead"
+                )
+            reader.draft.remark(f"{surface.name}: {words.split()[0]} solve replaced by its present value")
+
+
+def _solved(
+    reader: FileReader, surface: FileSurface, quantity: str, values: Sequence[str], where: str
+) -> bool:
+    """Whether a solve or a pickup stands where a value could; else the quantity counts as given.
+
+    Another word than a solve's is a loss where the quantity has its value already.
+    """
+    word = values[0].upper() if values else ""
+    if word in _SOLVES:
+        surface.solved[quantity] = (" ".join(values), where)
+        return True
+    if word.isalpha() and word not in _ENDLESS and quantity in surface.given:
+        reader.draft.lose(f"{surface.name}: {quantity} by {shown(' '.join(values))}; its value is kept")
+        return True
+    surface.given.add(quantity)
+    return False
 
 
 def _addressed(reader: FileReader, values: list[str], where: str) -> tuple[FileSurface, list[str]]:
@@ -157,8 +213,8 @@ def _start_surface(reader: FileReader, word: str, values: list[str], where: str)
         raise InputError(f"{where}: more than {MOST_SURFACES} surfaces")
     surface = FileSurface(word if word in ("SO", "SI") else "S", f"surface {count}", where)
     reader.surfaces.append(surface)
-    if values:
-        value = number(values[0], where)
+    if values and not _solved(reader, surface, "radius", values, where):
+        value = _finite_or_plane(values[0], where)
         if value and reader.holds_radii is None:
             raise InputError(
                 f"{where}: {shown(values[0])} may be a radius or a curvature; RDM or RDM N must come before"
@@ -170,6 +226,11 @@ def _start_surface(reader: FileReader, word: str, values: list[str], where: str)
         _thickness(reader, surface, "THI", values[1:], where)
     if len(values) > 2:
         _glass(reader, surface, "GLA", values[2:], where)
+
+
+def _finite_or_plane(text: str, where: str) -> float:
+    """A radius or curvature; an infinite radius is a plane, as 0 is."""
+    return 0.0 if text.upper() in _ENDLESS else number(text, where)
 
 
 def _inverse(curvature: float, where: str) -> float:
@@ -186,14 +247,19 @@ def _value(values: Sequence[str], where: str) -> float:
 
 
 def _radius(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    value = _value(values, where)
+    if _solved(reader, surface, "radius", values, where):
+        return
+    value = _finite_or_plane(values[0], where) if values else _value(values, where)
     surface.radius_mm = value or None
     if value and word == "CUY":
         surface.radius_mm = _inverse(value, where)
 
 
 def _thickness(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    value = _value(values, where)
+    if _solved(reader, surface, "thickness", values, where):
+        return
+    endless = bool(values) and values[0].upper() in _ENDLESS
+    value = math.inf if endless else _value(values, where)
     surface.thickness_mm = math.inf if value >= INFINITE_MM else value
 
 
@@ -204,11 +270,13 @@ def _glass(reader: FileReader, surface: FileSurface, word: str, values: list[str
 
 
 def _conic(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    surface.conic = _value(values, where)
+    if not _solved(reader, surface, "conic constant", values, where):
+        surface.conic = _value(values, where)
 
 
 def _term(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    surface.terms[word] = _value(values, where)
+    if not _solved(reader, surface, f"asphere term {word}", values, where):
+        surface.terms[word] = _value(values, where)
 
 
 def _aperture(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
@@ -232,7 +300,8 @@ def _stop(reader: FileReader, surface: FileSurface, word: str, values: list[str]
 
 
 def _move(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:
-    surface.moves[word] = _value(values, where)
+    if not _solved(reader, surface, word, values, where):
+        surface.moves[word] = _value(values, where)
 
 
 def _move_kind(reader: FileReader, surface: FileSurface, word: str, values: list[str], where: str) -> None:

@@ -58,13 +58,54 @@ class Imported:
         What the file holds and the lens cannot, with the file's surface numbers; empty unless a lossy import
         was asked for.
     remarks
-        What was replaced by its present value, and loses nothing of the lens as it stands: solves, pickups.
+        What was replaced by its present value, and loses nothing of the lens as it stands: solves, pickups;
+        and where glasses and the size of the stop were taken from.
+    first_order
+        First-order data of the lens as traced, which agree with those by the file's records.
     """
 
     lens: Lens
     pose: Pose = Pose()
     dropped: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    first_order: ImportedFirstOrder | None = None
+
+
+@dataclass(frozen=True)
+class ImportedFirstOrder:
+    """What an imported lens does to paraxial rays, and its marginal ray, at its first wavelength.
+
+    Attributes
+    ----------
+    efl_mm, bfl_mm
+        Effective and back focal length; inf for an afocal lens.
+    magnification
+        Transverse, of the object at the working distance into its paraxial image; inf where that is at
+        infinity.
+    image_distance_mm
+        From the last vertex to the paraxial image of the object.
+    object_na
+        Sine of the marginal ray's angle at the object.
+    stop_height_mm
+        Height of that ray at the stop.
+    """
+
+    efl_mm: float
+    bfl_mm: float
+    magnification: float
+    image_distance_mm: float
+    object_na: float
+    stop_height_mm: float
+
+
+@dataclass(frozen=True)
+class RecordedSurface:
+    """A surface as the records of a file have it, before anything was made of them."""
+
+    curvature_per_mm: float
+    distance_mm: float
+    material: str | float | None
+    stop: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,7 +162,8 @@ class Break:
 class Row:
     """One surface of a file, the object first and the image last; `axes` makes it a coordinate break.
 
-    `shape` holds what a design file says of its shape beside radius and conic constant.
+    `shape` holds what a design file says of its shape beside radius and conic constant. `automatic_mm` is a
+    semi-diameter that the other program computed from its rays: it clips nothing.
     """
 
     name: str
@@ -134,6 +176,7 @@ class Row:
     semi_diameter_mm: float | None = None
     stop: bool = False
     axes: Break | None = None
+    automatic_mm: float | None = None
 
 
 @dataclass
@@ -142,12 +185,15 @@ class Draft:
 
     `aperture` is a kind and its value: object_na, image_na, pupil_diameter_mm, image_f_number (focal length
     over entrance pupil), working_f_number, or stop (whose semi-diameter counts then, not the value).
+    `recorded` holds the same surfaces once more, read independently of `rows`: the lens that comes of the
+    rows is compared with them.
     """
 
     source: str
     title: str = ""
     wavelengths_um: list[float] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
+    recorded: list[RecordedSurface] = field(default_factory=list)
     aperture: tuple[str, float] | None = None
     half_field_mm: float | None = None
     notes: dict[str, Any] = field(default_factory=dict)
@@ -158,6 +204,11 @@ class Draft:
         """List something that a design cannot hold, once."""
         if what not in self.dropped:
             self.dropped.append(what)
+
+    def remark(self, what: str) -> None:
+        """Say something of the import that loses nothing, once."""
+        if what not in self.remarks:
+            self.remarks.append(what)
 
     def lose_ends(self) -> None:
         """List what object and image are beyond planes in air."""
@@ -248,6 +299,7 @@ def note_lines(lens: Lens, pose: Pose, folder: Path) -> list[str]:
         "plane_distances_mm": lens.sensor.plane_distances_mm,
         "working_distance_mm": lens.object.working_distance_mm,
         "materials": [s.material if isinstance(s.material, str) else None for s in lens.surfaces],
+        "aperture": [lens.object.numerical_aperture, lens.stop_semi_diameter_mm],
     }
     if lens.glass_catalogs:
         notes["glass_catalogs"] = [os.path.relpath(c, folder.resolve()) for c in lens.glass_catalogs]
@@ -319,29 +371,49 @@ def same_name(name: str) -> str:
     return "".join(c for c in name.casefold() if c.isalnum())
 
 
-def find_glass(name: str, makers: Iterable[str], catalogs: Sequence[Path], where: str) -> str:
-    """The design file's name of a glass: as the makers named first have it, else as any has it.
+def find_glass(
+    name: str,
+    makers: Iterable[str],
+    catalogs: Sequence[Path],
+    where: str,
+    remark: Callable[[str], None] = lambda _: None,
+) -> str:
+    """The design file's name of a glass: as a user's own catalogue has it, else as the makers have it.
 
     Parameters
     ----------
     name
         As the file spells it; where no glass has that very name, one with the same letters and digits, if the
-        makers have only one such.
+        catalogue has only one such.
     makers
         Catalogues that the file names, in their order.
+    catalogs
+        The user's own catalogue files. They are sought before all makers, those that the file names first.
+    remark
+        Called with a sentence where the user should know which glass was taken.
 
     Raises
     ------
     MaterialError
         If no such glass is known; glasses are never guessed.
     """
-    known = {catalog.casefold().removesuffix(".agf"): catalog for _, catalog in list_glasses(catalogs)}
-    listed = [known[m.casefold()] for m in makers if m.casefold() in known]
-    for maker in listed:
-        alike = [n for n, c in list_glasses(catalogs) if c == maker and same_name(n) == same_name(name)]
+    listed = list_glasses(catalogs)
+    own = list(dict.fromkeys(path.name for path in catalogs))
+    known: dict[str, str] = {}
+    for _, catalog in listed:
+        known.setdefault(catalog.casefold().removesuffix(".agf"), catalog)
+    named = [known[key] for maker in makers if (key := maker.casefold().removesuffix(".agf")) in known]
+    for catalog in dict.fromkeys([*(c for c in named if c in own), *own, *named]):
+        alike = [n for n, c in listed if c == catalog and same_name(n) == same_name(name)]
         exact = [n for n in alike if n.casefold() == name.casefold()] or alike
         if len(exact) == 1:
-            return _shortest_name(exact[0], maker, catalogs)
+            found = _shortest_name(exact[0], catalog, catalogs)
+            if catalog in own:
+                others = {c for n, c in listed if c not in own and same_name(n) == same_name(name)}
+                if others:
+                    remark(f"glass {name} is that of {catalog}, not of {' or '.join(sorted(others))}")
+            _remark_notes(found, catalogs, remark)
+            return found
     try:
         get_material(name, catalogs)
     except MaterialError as error:
@@ -349,10 +421,18 @@ def find_glass(name: str, makers: Iterable[str], catalogs: Sequence[Path], where
     return name
 
 
+def _remark_notes(name: str, catalogs: Sequence[Path], remark: Callable[[str], None]) -> None:
+    try:
+        for note in get_material(name, catalogs).notes:
+            remark(note)
+    except MaterialError:  # said where its index is needed
+        pass
+
+
 def _shortest_name(name: str, maker: str, catalogs: Sequence[Path]) -> str:
     try:
         if get_material(name, catalogs).catalog == maker:
             return name
-    except MaterialError:  # one name, two materials
+    except MaterialError:  # one name, two materials; or a glass with a fault
         pass
     return f"{maker}:{name}"

@@ -1,32 +1,35 @@
 """Zemax OpticStudio's sequential lens files (.zmx), read and written.
 
 Read are surfaces of the types that the shapes of :mod:`lensdesign.lens.shapes` name, with their curvature,
-conic, parameters, thickness, glass, semi-diameter, circular aperture and stop; the apertures ENPD, FNUM, OBNA
-and FLOA; object heights; wavelengths, the primary one first; and a pair of coordinate breaks as the pose of
-the whole lens. Weights, the merit function and what only governs analyses or drawings says nothing of the
-lens and is passed over; so are fields at which there is nothing but the axis. The format has no public
-specification: what the records mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files
-that lens makers publish.
+conic, parameters, thickness, glass, semi-diameter (where it is not automatic), circular aperture and stop;
+the apertures ENPD, FNUM, OBNA and FLOA, which decide how wide the stop is filled; object heights;
+wavelengths, the primary one first; and a pair of coordinate breaks as the pose of the whole lens. Weights,
+the merit function and what only governs analyses or drawings says nothing of the lens and is passed over; so
+are fields at which there is nothing but the axis. The format has no public specification: what the records
+mean is taken from the OpticStudio user's manual (Ansys Zemax) and from files that lens makers publish.
 """
 
 from __future__ import annotations
 
 import codecs
+import math
 import os
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from lensdesign.errors import atomic_path
+from lensdesign.errors import MaterialError, atomic_path
 from lensdesign.files.assembly import assemble
 from lensdesign.files.draft import (
     Break,
     Draft,
     Imported,
+    RecordedSurface,
     Row,
     Supplement,
     find_glass,
     note_lines,
+    number,
     pose_break,
     pose_distances,
     read_lines,
@@ -37,6 +40,7 @@ from lensdesign.files.zemax_records import (
     EXACT,
     FileReader,
     FileSurface,
+    finish_records,
     integer_at,
     shape_of_type,
     take_record,
@@ -73,19 +77,22 @@ def read_zmx(
     """
     supplement = supplement or Supplement()
     reader = FileReader(Draft(source=str(path)))
-    for count, line in enumerate(read_lines(path), start=1):
+    lines = read_lines(path)
+    for count, line in enumerate(lines, start=1):
         where = f"{path}, line {count}"
         word, *values = line.split() or [""]
-        if word == "NOTE" and len(values) > 1:
-            read_note(line.split(maxsplit=2)[2], reader.draft, where)
-        elif word == "NAME":
+        if word.upper() == "NOTE":
+            if len(values) > 1:
+                read_note(line.split(maxsplit=2)[2], reader.draft, where)
+        elif word.upper() == "NAME":
             reader.name = line.strip()[4:].strip()
         elif word:
-            take_record(reader, word, values, where, line[:1].isspace())
-    return assemble(_finished(reader, supplement), supplement, lossy)
+            take_record(reader, word.upper(), values, where, line[:1].isspace())
+    finish_records(reader)
+    return assemble(_finished(reader, lines, supplement), supplement, lossy)
 
 
-def _finished(reader: FileReader, supplement: Supplement) -> Draft:
+def _finished(reader: FileReader, lines: list[str], supplement: Supplement) -> Draft:
     """The draft with what only the whole file tells."""
     draft = reader.draft
     noted = draft.notes.get("title")
@@ -103,7 +110,43 @@ def _finished(reader: FileReader, supplement: Supplement) -> Draft:
         draft.rows.append(_row(reader, surface, next(named, None) if inner else None, supplement))
     if reader.surfaces:
         draft.lose_ends()
+    draft.recorded = _recorded(lines, reader, supplement)
     return draft
+
+
+def _recorded(lines: list[str], reader: FileReader, supplement: Supplement) -> list[RecordedSurface]:
+    """The surfaces by a second, plain look at the file: of each block the first record of a kind counts."""
+    blocks: list[dict[str, list[str]]] = []
+    for line in lines:
+        word, *values = line.split() or [""]
+        word = word.upper()
+        if word == "SURF":
+            blocks.append({})
+        elif blocks and word in ("TYPE", "CURV", "DISZ", "GLAS", "STOP"):
+            blocks[-1].setdefault(word, values)
+    recorded: list[RecordedSurface] = []
+    for block, row, surface in zip(blocks, reader.draft.rows, reader.surfaces, strict=True):
+        glass = tuple(block.get("GLAS", ()))
+        material = (
+            row.material
+            if glass == surface.glass
+            else _material(reader, FileSurface(surface.name, surface.where, glass=glass), None, supplement)
+        )
+        if block.get("TYPE", [""])[:1] == ["COORDBRK"]:
+            material = recorded[-1].material if recorded else None
+        recorded.append(
+            RecordedSurface(
+                number(block.get("CURV", ["0"])[0], surface.where),
+                _distance(block.get("DISZ", ["0"])[0], surface.where),
+                material,
+                "STOP" in block,
+            )
+        )
+    return recorded
+
+
+def _distance(text: str, where: str) -> float:
+    return math.inf if text.upper() == "INFINITY" else number(text, where)
 
 
 def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Supplement) -> Row:
@@ -126,6 +169,7 @@ def _row(reader: FileReader, surface: FileSurface, noted: Any, supplement: Suppl
         _material(reader, surface, noted, supplement),
         surface.aperture_mm or surface.semi_diameter_mm,
         surface.stop,
+        automatic_mm=None if surface.aperture_mm else surface.automatic_mm,
     )
 
 
@@ -147,12 +191,45 @@ def _material(
             reader.draft.lose(f"{surface.name}: dispersion of the model glass (Abbe number {abbe:g})")
         return index
     if kind > 1:
-        reader.draft.remarks.append(
-            f"{surface.name}: solve or pickup of the glass replaced by its present value"
-        )
+        reader.draft.remark(f"{surface.name}: solve or pickup of the glass replaced by its present value")
     if isinstance(noted, str) and _token(noted) == name:
         return noted
-    return find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_where)
+
+    def remark(what: str) -> None:
+        reader.draft.remark(f"{surface.name}: {what}")
+
+    found = find_glass(name, reader.makers, supplement.glass_catalogs, surface.glass_where, remark)
+    _remark_catalogues(reader, surface.name, found, supplement)
+    return found
+
+
+# Catalogues that come with OpticStudio, by their names in GCAT.
+_STANDARD_CATALOGUES = """
+ANGSTROMLINK APEL ARCHER ARTON AUER BIREFRINGENT CDGM CORNING HERAEUS HIKARI HOYA INFRARED ISUZU LIEBETRAUT
+LIGHTPATH LZOS MISC NHG NIKON NIKON-HIKARI OHARA OSAKAGASCHEMICAL PILKINGTON RAD_HARD RPO SCHOTT SCHOTT_IRG
+SUMITA TOPAS UMICORE VITRON ZEON
+"""
+_STANDARD = frozenset(_STANDARD_CATALOGUES.split())
+
+
+def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: Supplement) -> None:
+    """Say where a glass was taken from although the file names a catalogue that is not at hand."""
+    own = {path.name for path in supplement.glass_catalogs}
+    stems = {name.casefold().removesuffix(".agf") for name in own}
+    missing = [
+        c
+        for c in reader.catalogues
+        if c.upper() not in _STANDARD and c.casefold().removesuffix(".agf") not in stems
+    ]
+    try:
+        catalog = get_material(found, supplement.glass_catalogs).catalog
+    except MaterialError:  # said where its index is needed
+        return
+    if missing and catalog not in own:
+        reader.draft.remark(
+            f"{place}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, which "
+            "may have another of this name (give it as a glass catalogue)"
+        )
 
 
 def write_zmx(lens: Lens, path: str | os.PathLike[str], pose: Pose = Pose()) -> None:

@@ -19,13 +19,17 @@ EXACT = Context(prec=25)
 ROUNDING = 2e-14
 """Relative; other programs round more than once on the way from a radius to its curvature."""
 
-# What governs analyses, drawings, weights and polarization, and says nothing of the lens.
+# What governs analyses, drawings, weights and polarization, and what names authors, files and surfaces: it
+# says nothing of the lens.
 _IDLE_WORDS = """
 VERS PFIL LANG DBDT GFAC GLRS GSTD NSCD COFN RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS LUID FWGN FWGT WWGT WWGN
 MNCA MNEA MNCG MNEG MXCA MXCG RWRE ROTA BLNK TOL TOLE MOFF FCOM COMM HIDE MIRR SLAB POPS MEMA OEMA FIMP CONF
-SCBD TBTP RSCE RWCE VDSZ VPAR
+SCBD TBTP RSCE RWCE VDSZ VPAR AUTH IWDP EERA SSID STUD
 """
 _IDLE = frozenset(_IDLE_WORDS.split())
+
+# With these begins what follows the last surface: tolerances, configurations, the merit function.
+_TAIL_STARTS = frozenset(("TOL", "TOLE", "MNUM", "MOFF"))
 
 # Solves and pickups: the value that they last had stands in the file.
 _SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
@@ -33,7 +37,11 @@ _SOLVES = ("MAZH", "CHZH", "PZUP", "PPAR", "MRAY", "PRAM")
 
 @dataclass
 class FileSurface:
-    """A surface while its records are being read; `terms` are its parameters by number."""
+    """A surface while its records are being read.
+
+    `terms` are its parameters by number; `automatic_mm` is a semi-diameter that follows the rays, and no
+    aperture; `seen` holds the values and the line of each record that a surface has once.
+    """
 
     name: str
     where: str
@@ -44,18 +52,25 @@ class FileSurface:
     glass: tuple[str, ...] = ()
     glass_where: str = ""
     semi_diameter_mm: float | None = None
+    automatic_mm: float | None = None
     aperture_mm: float | None = None
     stop: bool = False
     terms: dict[int, float] = field(default_factory=dict)
+    seen: dict[str, tuple[list[str], str]] = field(default_factory=dict)
 
 
 @dataclass
 class FileReader:
-    """A file while it is being read; `waves` are (number, um)."""
+    """A file while it is being read; `waves` are (number, um).
+
+    `behind` holds records behind the surfaces that have no meaning here; they are lost if another surface
+    follows.
+    """
 
     draft: Draft
     surfaces: list[FileSurface] = field(default_factory=list)
     makers: list[str] = field(default_factory=list)
+    catalogues: list[str] = field(default_factory=list)
     waves: dict[int, float] = field(default_factory=dict)
     wave_count: int | None = None
     primary: int = 1
@@ -63,12 +78,17 @@ class FileReader:
     field_count: int | None = None
     heights: dict[str, list[float]] = field(default_factory=dict)
     name: str = ""
-    indents: bool = False
     in_tail: bool = False
+    behind: list[str] = field(default_factory=list)
+    aperture_where: str = ""
 
 
 def take_record(reader: FileReader, word: str, values: list[str], where: str, indented: bool) -> None:
     """Take one record: of the header, of a surface, or behind the last one.
+
+    The keyword says to what a record belongs: one that a surface can have belongs to the surface before it,
+    with or without indent. One that is not known is a loss, unless it stands behind the surfaces, where the
+    merit function, tolerances and configurations follow (:func:`finish_records`).
 
     Raises
     ------
@@ -79,21 +99,55 @@ def take_record(reader: FileReader, word: str, values: list[str], where: str, in
         _start_surface(reader, values, where)
         return
     surface = reader.surfaces[-1] if reader.surfaces else None
-    if surface is not None:
-        reader.indents |= indented
-        reader.in_tail |= reader.indents and not indented  # tolerances, configurations and merit function
+    line = where.rpartition(", ")[2]
     if word in _OF_FILE:
         _OF_FILE[word](reader, values, where)
-    elif word in _IDLE or reader.in_tail:
+    elif surface is not None and word in _OF_SURFACE:
+        _leave_tail(reader)
+        _refuse_second(surface, word, values, where)
+        _OF_SURFACE[word](reader, surface, values, where)
+    elif surface is not None and word in _TAIL_STARTS:
+        reader.in_tail = True
+    elif word in _IDLE:
         return
     elif surface is None:
-        reader.draft.lose(f"{word} {shown(' '.join(values))} ({where.rpartition(', ')[2]})")
-    elif word in _OF_SURFACE:
-        _OF_SURFACE[word](reader, surface, values, where)
-    elif word in _SOLVES:
-        reader.draft.remarks.append(f"{surface.name}: {word} solve or pickup replaced by its present value")
+        reader.draft.lose(f"{word} {shown(' '.join(values))} ({line})")
+    elif word in _SOLVES and not reader.in_tail:
+        reader.draft.remark(f"{surface.name}: {word} solve or pickup replaced by its present value")
+    elif reader.in_tail or not indented:
+        reader.behind.append(f"{surface.name}: {word} {shown(' '.join(values))}")
     else:
         reader.draft.lose(f"{surface.name}: {word} {shown(' '.join(values))}")
+
+
+def finish_records(reader: FileReader) -> None:
+    """Decide about the unknown records behind the last surface.
+
+    Operands of the merit function stand there, before the tolerances and configurations that every whole file
+    has; in a file without these they are a loss.
+    """
+    if not reader.in_tail:
+        _leave_tail(reader)
+
+
+def _leave_tail(reader: FileReader) -> None:
+    """List as lost what may have stood behind the surfaces, as a surface or a record of one follows."""
+    for record in reader.behind:
+        reader.draft.lose(record)
+    reader.behind.clear()
+    reader.in_tail = False
+
+
+def _refuse_second(surface: FileSurface, word: str, values: list[str], where: str) -> None:
+    """Refuse a second record of one kind that says something else than the first."""
+    if word not in _ONCE:
+        return
+    first, first_where = surface.seen.setdefault(word, (values, where))
+    if first != values:
+        raise InputError(
+            f"{where}: {word} {shown(' '.join(values))} is a second {word} record of {surface.name}; "
+            f"{first_where.rpartition(', ')[2]} has {shown(' '.join(first))}, and a surface has one"
+        )
 
 
 def _start_surface(reader: FileReader, values: list[str], where: str) -> None:
@@ -102,7 +156,7 @@ def _start_surface(reader: FileReader, values: list[str], where: str) -> None:
         raise InputError(f"{where}: SURF {shown(' '.join(values))} where surface {expected} must follow")
     if expected > MOST_SURFACES:
         raise InputError(f"{where}: more than {MOST_SURFACES} surfaces")
-    reader.in_tail = False
+    _leave_tail(reader)
     reader.surfaces.append(FileSurface(f"surface {expected}", where))
 
 
@@ -137,7 +191,7 @@ def shape_of_type(kind: str, parameters: Mapping[int, float]) -> tuple[type[Shap
 def _curvature(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
     surface.radius_mm = radius_mm(values[0], where) if value_at(values, 0, where) else None
     if len(values) > 1 and number(values[1], where) > 1.0:  # 1 marks a variable
-        reader.draft.remarks.append(f"{surface.name}: curvature solve replaced by its present value")
+        reader.draft.remark(f"{surface.name}: curvature solve replaced by its present value")
 
 
 def _conic(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
@@ -156,8 +210,21 @@ def _glass(reader: FileReader, surface: FileSurface, values: list[str], where: s
 
 
 def _diameter(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
+    """A semi-diameter and how it is had: 0 automatic, 1 fixed, 2 picked up, 3 the maximum of configurations.
+
+    Automatic ones and maxima follow the rays and stop none. A file that does not say means a fixed one.
+    """
     value = value_at(values, 0, where)
-    surface.semi_diameter_mm = value if value > 0.0 else None
+    solve = integer_at(values, 1, where) if len(values) > 1 else 1
+    surface.semi_diameter_mm = surface.automatic_mm = None
+    if value <= 0.0:
+        return
+    if solve in (0, 3):
+        surface.automatic_mm = value
+        return
+    surface.semi_diameter_mm = value
+    if solve != 1:
+        reader.draft.remark(f"{surface.name}: semi-diameter solve replaced by its present value")
 
 
 def _aperture(reader: FileReader, surface: FileSurface, values: list[str], where: str) -> None:
@@ -194,6 +261,8 @@ _OF_SURFACE: dict[str, Callable[[FileReader, FileSurface, list[str], str], None]
     "PARM": _parameter,
 }
 
+_ONCE = frozenset(("TYPE", "CURV", "CONI", "DISZ", "GLAS", "DIAM"))
+
 
 def _mode(reader: FileReader, values: list[str], where: str) -> None:
     if values != ["SEQ"]:
@@ -205,23 +274,34 @@ def _unit(reader: FileReader, values: list[str], where: str) -> None:
         raise InputError(f"{where}: UNIT {shown(' '.join(values[:1]))}; only lengths in MM can be read")
 
 
+def _set_aperture(reader: FileReader, kind: str, value: float, where: str) -> None:
+    """Take the system aperture, of which a file has one."""
+    if reader.draft.aperture not in (None, (kind, value)):
+        raise InputError(
+            f"{where}: a second system aperture; {reader.aperture_where} gives another one, and a lens has "
+            "one"
+        )
+    reader.draft.aperture, reader.aperture_where = (kind, value), where.rpartition(", ")[2]
+
+
 def _pupil(reader: FileReader, values: list[str], where: str) -> None:
-    reader.draft.aperture = ("pupil_diameter_mm", value_at(values, 0, where))
+    _set_aperture(reader, "pupil_diameter_mm", value_at(values, 0, where), where)
 
 
 def _f_number(reader: FileReader, values: list[str], where: str) -> None:
     working = len(values) > 1 and number(values[1], where) == 1.0
-    reader.draft.aperture = ("working_f_number" if working else "image_f_number", value_at(values, 0, where))
+    kind = "working_f_number" if working else "image_f_number"
+    _set_aperture(reader, kind, value_at(values, 0, where), where)
 
 
 def _object_aperture(reader: FileReader, values: list[str], where: str) -> None:
     value = value_at(values, 0, where)
     in_degrees = len(values) > 1 and number(values[1], where) == 1.0
-    reader.draft.aperture = ("object_na", math.sin(math.radians(value)) if in_degrees else value)
+    _set_aperture(reader, "object_na", math.sin(math.radians(value)) if in_degrees else value, where)
 
 
 def _floating(reader: FileReader, values: list[str], where: str) -> None:
-    reader.draft.aperture = ("stop", 0.0)
+    _set_aperture(reader, "stop", 0.0, where)
 
 
 def _field_type(reader: FileReader, values: list[str], where: str) -> None:
@@ -245,7 +325,8 @@ def _primary(reader: FileReader, values: list[str], where: str) -> None:
 
 
 def _catalogues(reader: FileReader, values: list[str], where: str) -> None:
-    reader.makers = [maker.split("_")[0] for maker in values]
+    reader.makers = list(dict.fromkeys(name for maker in values for name in (maker, maker.split("_")[0])))
+    reader.catalogues = values
 
 
 def _environment(reader: FileReader, values: list[str], where: str) -> None:
@@ -257,6 +338,7 @@ def _environment(reader: FileReader, values: list[str], where: str) -> None:
 
 
 def _configurations(reader: FileReader, values: list[str], where: str) -> None:
+    reader.in_tail |= bool(reader.surfaces)
     if integer_at(values, 0, where) > 1:
         reader.draft.lose(f"{values[0]} configurations; the one whose values the surfaces hold is read")
 
@@ -273,7 +355,9 @@ _OF_FILE: dict[str, Callable[[FileReader, list[str], str], None]] = {
     "YFLN": heights_of("y"),
     "XFLD": heights_of("x"),
     "YFLD": heights_of("y"),
-    **dict.fromkeys(("VDXN", "VDYN", "VCXN", "VCYN", "VANN"), lose_vignetting),
+    **dict.fromkeys(
+        ("VDXN", "VDYN", "VCXN", "VCYN", "VANN", "ZVDX", "ZVDY", "ZVCX", "ZVCY"), lose_vignetting
+    ),
     "WAVM": _wave,
     "WAVL": _waves,
     "PWAV": _primary,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.catalogues.agf import AgfGlass, read_agf
+from lensdesign.lens.catalogues.agf import LINE_C_UM, LINE_D_UM, LINE_F_UM, AgfGlass, read_agf
 from lensdesign.lens.catalogues.database import Page, database_pages, database_version, read_page
 from lensdesign.lens.catalogues.thermal import (
     REFERENCE_C,
@@ -24,10 +24,6 @@ from lensdesign.lens.catalogues.thermal import (
     at_temperature,
     split_temperature,
 )
-
-LINE_F_UM = 0.4861327
-LINE_D_UM = 0.5875618
-LINE_C_UM = 0.6562725
 
 _AIR_NAMES = ("AIR", "VACUUM")
 
@@ -90,6 +86,8 @@ class Material:
         The index at a wavelength in um, without a check of the range.
     thermal
         What is known of it in heat.
+    notes
+        What a user of the material should know of its entry in the catalogue.
     """
 
     name: str
@@ -98,6 +96,7 @@ class Material:
     source: str = field(repr=False)
     dispersion: Callable[[float], float] = field(repr=False)
     thermal: Thermal = field(default=Thermal(), repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
 
     def index(self, wavelength_um: float) -> float:
         """Refractive index relative to air.
@@ -156,8 +155,8 @@ def get_material(material: str | float, catalogs: Iterable[Path] = ()) -> Materi
     Raises
     ------
     MaterialError
-        If the name is unknown or could be two materials, the index is below 1 or not finite, or a
-        catalogue file cannot be read.
+        If the name is unknown or could be two materials, the index is below 1 or not finite, a
+        catalogue file cannot be read, or its entry of this glass contradicts itself or another entry.
 
     Notes
     -----
@@ -314,8 +313,16 @@ def _file_entries(path: Path) -> tuple[_Entry, ...]:
         source = "; ".join(part for part in parts if part)
         reference_c = REFERENCE_C if temperature is None else temperature
         thermal = Thermal(glass.schott, None, reference_c, glass.expansion_per_k)
-        material = Material(glass.name, glass.wavelength_range_um, path.name, source, glass, thermal)
-        return _Entry(glass.name, path.name, lambda: material)
+        material = Material(
+            glass.name, glass.wavelength_range_um, path.name, source, glass, thermal, glass.notes
+        )
+
+        def load() -> Material:
+            if glass.fault:
+                raise MaterialError(glass.fault)
+            return material
+
+        return _Entry(glass.name, path.name, load)
 
     return tuple(entry(glass) for glass in read_agf(path))
 

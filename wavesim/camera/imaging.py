@@ -158,7 +158,9 @@ def image(
     with tiles_in(settings.cluster) as take:
 
         def make(scene: Scene) -> Engine:
-            engine = imaging_engine(scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind))
+            engine = imaging_engine(
+                scene, settings, runs=1, memory_gb=1e-9 * limit, light=Light(behind).on(scene)
+            )
             return take(WithGhost(engine, settings.ghost) if settings.ghost else engine)
 
         engine = make(recorded_scene(lens, patch, windows[0], recording))

@@ -100,6 +100,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             "field_stop_at_mm": list(patch.field_stop_at_mm),
             "pitch_um": 1e3 * patch.grid.pitch_mm,
             "samples": patch.grid.shape[0],
+            **_finest(imaged),
         },
         "illumination": settings.illumination,
         "wavelength_um": patch.wavelength_um,
@@ -130,6 +131,21 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
         "pixel_limit_per_mm": 500.0 / imaged.sensor.pixel_pitch_um,
         "memory": imaged.memory.as_dict(),
         "versions": versions(),
+    }
+
+
+def _finest(imaged: Imaged) -> dict[str, Any]:
+    """The finest element of a chart, and what keeps finer ones out of it."""
+    from wavesim.evaluation.charts import chart_end
+
+    elements = imaged.target.elements
+    if not elements:
+        return {}
+    passed_um = 0.5 * imaged.patch.wavelength_um / imaged.engine.scene.lens.object.numerical_aperture
+    return {
+        "finest_line_um": min(one.line_width_um for one in elements),
+        "finest_limited_by": chart_end(elements, 1e3 * imaged.patch.grid.pitch_mm),
+        "aperture_passes_um": passed_um,
     }
 
 
@@ -186,6 +202,15 @@ def _print(summary: dict[str, Any], output: Path) -> None:
         f"object {thing['name']}, {stop_words(thing['field_stop_mm'], thing['field_stop_at_mm'])}, "
         f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um"
     )
+    if "finest_line_um" in thing:
+        ends = {
+            "sampling": "the samples show no finer ones, a smaller --object-pitch-um does",
+            "chart": "the chart ends there",
+        }[thing["finest_limited_by"]]
+        print(
+            f"finest lines {thing['finest_line_um']:.3g} um: {ends}; "
+            f"the aperture passes {thing['aperture_passes_um']:.3g} um (wavelength / 2 NA)"
+        )
     print(f"engine {engine['name']}, error {said}")
     print(f"  {settings_text(engine['settings'])}")
     print(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
-from lensdesign.common.text import visible
+from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, print_warnings, refuse_no_picture
 from wavesim.cli.runs import print_table, progress
@@ -27,10 +27,11 @@ def plan(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say how many planes to record, where, and with which exposures, and what error to expect.
+    """Recommend the number, positions and exposures of the recording planes, and predict the correlation.
 
-    A random object of the kind is imaged with noise and reconstructed, for each plan, on a small twin of the
-    lens. The plan of the fewest frames that reach --correlation is recommended.
+    For each plan several random objects of the kind are imaged with noise and reconstructed on a small twin
+    of the lens. The prediction is the range of their correlations. The plan of the fewest frames with which
+    all objects reach --correlation is recommended. What the prediction assumes is listed.
     """
     from wavesim.calibration.planning import plan_frames
     from wavesim.pictures.frames import save
@@ -56,6 +57,8 @@ def plan(
 
 
 def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
+    from wavesim.calibration.planning import TRIAL_OBJECTS
+
     return {
         "design": title,
         "kind": found.settings.kind,
@@ -63,6 +66,12 @@ def _summary(found: Plans, title: str, messages: list[str]) -> dict[str, Any]:
         "enough": found.enough,
         "diversity": found.diversity,
         "twin": found.twin._asdict(),
+        "engine_error": finite_or_none(found.engine_error),
+        "objects": [
+            {"name": name, "description": TRIAL_OBJECTS[name].description, "changes_of_amplitude": strength}
+            for name, strength in found.strengths.items()
+        ],
+        "assumptions": list(found.assumptions),
         "plans": [_figures(plan) | {"recommended": plan is found.recommended} for plan in found.plans],
         "warnings": messages,
     }
@@ -74,6 +83,9 @@ def _figures(plan: Plan) -> dict[str, Any]:
         "exposures": list(plan.exposures),
         "frames": plan.frames,
         "correlation": plan.correlation,
+        "highest_correlation": plan.highest_correlation,
+        "correlation_by_object": dict(plan.by_object),
+        "smooth_fraction": finite_or_none(plan.smooth_fraction),
         "error": plan.error,
         "misfit_over_noise": plan.misfit_over_noise,
         "iterations": plan.iterations,
@@ -94,18 +106,23 @@ def _print(found: Plans) -> None:
             ", ".join(f"{z:.4g}" for z in plan.planes_mm),
             ", ".join(f"{e:g}" for e in plan.exposures),
             f"{plan.frames}",
-            f"{plan.correlation:.4f}",
-            f"{plan.error:.3f}",
+            *(f"{plan.by_object[name]:.4f}" for name in found.strengths),
             f"{plan.misfit_over_noise:.2f}",
         )
         for plan in found.plans
     ]
-    columns = ("frames", "correlation", "error", "misfit\nover noise")
-    print_table(("", "planes (mm)", "exposures"), columns, rows)
+    objects = (name.replace(" ", "\n") for name in found.strengths)
+    columns = ("frames", *objects, "misfit\nover noise")
+    print_table(("", "planes (mm)", "exposures"), columns, rows, "correlation expected, by object")
     print(f"diversity of the planes {found.diversity:.3g}, of those tried {found.twin.diversity:.3g}")
+    best = found.recommended
     asked = f"a correlation of {found.settings.correlation:g}"
+    expected = f"expected {best.correlation:.4f} to {best.highest_correlation:.4f}, depending on the object"
     if found.enough:
-        print(f"* the fewest frames that reach {asked}")
+        print(f"* the fewest frames that reach {asked} for all objects; {expected}")
     else:
         more = "more light" if found.at_noise else "more planes, a wider range of them, or a smaller patch"
-        print(f"* the best; none reaches {asked}: take {more}")
+        print(f"* the best; none reaches {asked} for all objects: take {more}; {expected}")
+    print("The prediction assumes:")
+    for line in found.assumptions:
+        print(f"- {line}")

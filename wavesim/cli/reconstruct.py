@@ -34,6 +34,9 @@ from wavesim.scene.settings import (
 CALIBRATED = "calibration"
 """Folder within the results' of what --calibrate finds."""
 
+SHOWN_DISPLACEMENT = 0.2
+"""Displacement in samples from which on it is printed; JSON has smaller ones, too."""
+
 if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
@@ -342,25 +345,60 @@ def _figures(summary: dict[str, Any]) -> list[str]:
             f"against the true object as the lens passes it: correlation {shown['object_correlation']}, "
             f"PSNR {shown['psnr_db']} dB, SSIM {shown['ssim']}"
         )
+        lines += _displacement(summary["truth"], summary["object_pitch_um"])
     if summary["usaf"]:
-        lines.append(_resolved(summary["usaf"]))
+        lines += _resolved(summary["usaf"])
         for chart in summary["usaf"]["beside"]:
             x, y = chart["at_mm"]
-            lines.append(f"at {x:g}, {y:g} mm {_resolved(chart)}")
+            first, *others = _resolved(chart)
+            lines += [f"at {x:g}, {y:g} mm {first}", *others]
     return lines
 
 
-def _resolved(chart: dict[str, Any]) -> str:
-    if not chart["elements"]:
-        return "no element of the chart lies within the region"
+def _displacement(truth: dict[str, float | None], pitch_um: float) -> list[str]:
+    """Displacement of the result from the true object, if it is worth a line."""
+    x, y = truth["displacement_x_um"], truth["displacement_y_um"]
+    if x is None or y is None or max(abs(x), abs(y)) < SHOWN_DISPLACEMENT * pitch_um:
+        return []
+    return [
+        f"displaced by {x:.3g}, {y:.3g} um from the true object (x, y); without this displacement the "
+        f"correlation is {truth['correlation_registered']:.4g}"
+    ]
+
+
+def _resolved(chart: dict[str, Any]) -> list[str]:
+    """The finest element that is resolved, both directions, what limits it, and where the chart lies."""
+    if not chart["elements"] and "region" in chart["limited_by"]:
+        return ["no element of the chart lies within the region"]
     finest = chart["smallest_resolved"]
     if finest is None:
-        return "no element of the chart is resolved"
+        return ["no element of the chart is resolved", f"  limit: {chart['limit']}", *_place_of(chart)]
     beyond = (
         f", finer than the {chart['aperture_passes_um']:.3g} um that the lens passes (wavelength / 2 NA): by "
         "what the method assumes of the object"
     )
-    return (
+    x, y = (chart[f"smallest_resolved_{way}"]["line_width_um"] for way in "xy")
+    return [
         f"resolved down to group {finest['group']}, element {finest['element']}: lines of "
-        f"{finest['line_width_um']:.3g} um{beyond if finest['beyond_aperture'] else ''}"
-    )
+        f"{finest['line_width_um']:.3g} um{beyond if finest['beyond_aperture'] else ''}",
+        f"  bars that follow each other along x: {x:.3g} um; along y: {y:.3g} um",
+        f"  limit: {chart['limit']}",
+        *_place_of(chart),
+    ]
+
+
+def _place_of(chart: dict[str, Any]) -> list[str]:
+    """Where the chart lies in the result, if not where it should, or if that is not known."""
+    found = chart["displacement"]
+    if found is None:
+        return ["  the place of the chart is not determined: contrast is measured where it should be"]
+    lines = []
+    if max(abs(found["x_samples"]), abs(found["y_samples"])) >= SHOWN_DISPLACEMENT:
+        lines.append(
+            f"  chart displaced by {found['x_um']:.3g}, {found['y_um']:.3g} um (x, y): no loss of resolution"
+        )
+    if found["scale"] != 1.0 or found["rotation_deg"] != 0.0:
+        lines.append(
+            f"  chart {found['scale']:.4f} times its size, rotated by {found['rotation_deg']:.3f} deg"
+        )
+    return lines

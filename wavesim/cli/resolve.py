@@ -154,6 +154,10 @@ def _resolve_summary(results: list[Any], widths: list[float], title: str) -> dic
         "contrast_as_is": table("contrast_as_is"),
         "contrast_of_reference": table("contrast_of_reference"),
         "smallest_resolved_um": [result.smallest_resolved_um() for result in results],
+        "limited_by": [result.limit() for result in results],
+        "orientation": "y",
+        "aperture_passes_um": results[0].passed_um,
+        "sample_um": results[0].sample_um,
         "refocus_um": table("refocus_um"),
         "shift_um": table("shift_um"),
         "exit_correlation": table("exit_correlation"),
@@ -190,6 +194,8 @@ def _print_resolved(results: list[Any]) -> None:
     for result in results:
         limits = (_down_to(result, contrast) for contrast in (0.5, RESOLVED_CONTRAST))
         print(f"field {result.field_mm:g} mm: {', '.join(limits)}")
+        print(f"  limit: {_limit(result)}")
+    print("bars follow each other along y; displacements (shift) are taken out before contrast is measured")
     print()
 
 
@@ -199,3 +205,31 @@ def _down_to(result: Any, contrast: float) -> str:
     if smallest is None:
         return f"no line has a contrast of {contrast:g}"
     return f"contrast of {contrast:g} or more down to {smallest:g} um"
+
+
+def _limit(result: Any) -> str:
+    """What ends the resolution at the usual contrast, in words."""
+    says = {
+        "engine": f"the engine {result.engine} does not bring finer lines back",
+        "reference": f"{result.reference}, which carried the lines, does not bring finer ones back either",
+        "aperture": f"the aperture passes none finer than {result.passed_um:.3g} um (wavelength / 2 NA)",
+        "widths": "no finer lines were tried: this is no limit of the engine",
+    }
+    smallest = result.smallest_resolved_um()
+    beyond = (
+        f"; {smallest:g} um is finer than the {result.passed_um:.3g} um that the aperture passes evenly"
+        if smallest is not None and smallest < result.passed_um * (1.0 - 1e-9)
+        else ""
+    )
+    return says[result.limit()] + beyond + _at_end(result)
+
+
+def _at_end(result: Any) -> str:
+    """Widths of lines whose refocusing ended where the search does: they may lie farther, or not be found."""
+    from wavesim.evaluation.resolving import REFOCUS_RANGE_MM, REFOCUS_STEP_MM
+
+    most_um = 1e3 * (REFOCUS_RANGE_MM - 2.0 * REFOCUS_STEP_MM)
+    widths = [f"{one.line_width_um:g}" for one in result.lines if abs(one.refocus_um) > most_um]
+    if not widths:
+        return ""
+    return f"; of {', '.join(widths)} um the focus was found at the end of the search (±{most_um:.0f} um)"

@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.text import finite_or_none
-from wavesim.evaluation.metrics import bar_contrast, object_correlation, smallest_resolved_element
+from wavesim.evaluation.charts import chart_resolution
+from wavesim.evaluation.displacement import displaced_back, displacement_samples, inside_both
+from wavesim.evaluation.metrics import object_correlation
 from wavesim.evaluation.passed import as_passed, open_directions
 from wavesim.evaluation.similarity import psnr_db, ssim
 from wavesim.fields.field import Field
-from wavesim.objects.region import around, cut_field, holds
 from wavesim.objects.targets import Ground
 from wavesim.objects.usaf import UsafElement
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import row_blocks
 from wavesim.scene.scene import Scene
+
+SAME_PLACE = 0.05
+"""Displacement in samples up to which a result lies where the object does."""
 
 
 def truth_metrics(
@@ -33,7 +37,10 @@ def truth_metrics(
     """Correlation, PSNR and SSIM with the true object, both as the lens passes them.
 
     The correlation is that of object fields from which the illumination has been taken out; for PSNR and SSIM
-    of the amplitudes the result is multiplied by the complex factor that fits best.
+    of the amplitudes the result is multiplied by the complex factor that fits best. A displaced result is not
+    a blurred one: its displacement from the true object is stated beside them (`displacement_x_um`,
+    `displacement_y_um`), and the correlation after it has been taken back (`correlation_registered`). These
+    are None where result and object have too little in common.
 
     Parameters
     ----------
@@ -55,8 +62,25 @@ def truth_metrics(
         there = as_passed(own, directions)
         return there.with_values(scratch.held(there.values, "a field that the lens passes"))
 
-    one, other = passed(found.values), passed(true.values)
-    figures = {"object_correlation": object_correlation(one, other, passed(np.float32(1.0)), inside)}
+    displacement = displacement_samples(found.values, true.values, inside)
+    other = passed(true.values)
+    figures: dict[str, float | None] = dict.fromkeys(
+        ("object_correlation", "psnr_db", "ssim", "displacement_x_um", "displacement_y_um")
+    )
+    registered = None
+    if displacement is not None and max(map(abs, displacement)) > SAME_PLACE:
+        there = passed(_displaced_back(found.values, inside, displacement))
+        both = inside_both(inside, displacement)
+        registered = object_correlation(there, other, passed(np.float32(1.0)), both)
+        del there, both
+    one = passed(found.values)
+    correlation = object_correlation(one, other, passed(np.float32(1.0)), inside)
+    figures["object_correlation"] = correlation
+    if displacement is not None:
+        for axis, samples in zip("xy", displacement, strict=True):
+            figures[f"displacement_{axis}_um"] = 1e3 * found.grid.pitch_mm * samples
+        registered = correlation if registered is None else registered
+    figures["correlation_registered"] = registered
     energy = _product(one.values, one.values, inside).real
     factor = _product(one.values, other.values, inside) / energy if energy > 0.0 else 0.0
     pair = _moduli(one.values, abs(factor)), _moduli(other.values)
@@ -66,7 +90,17 @@ def truth_metrics(
         "psnr_db": psnr_db(*pair, full_scale=brightest, support=inside),
         "ssim": ssim(*pair, full_scale=brightest, support=inside),
     }
-    return {name: finite_or_none(value) for name, value in figures.items()}
+    return {name: None if value is None else finite_or_none(value) for name, value in figures.items()}
+
+
+def _displaced_back(
+    values: Any, inside: NDArray[np.bool_], displacement: tuple[float, float]
+) -> NDArray[np.complex64]:
+    """A transmission without its displacement; outside the stop it is even, so that no edge is moved."""
+    factor = np.mean(values, where=inside, dtype=complex)
+    moved = np.where(inside, values, factor).astype(np.complex64, copy=False)
+    displaced_back(moved, displacement)
+    return moved
 
 
 def _product(a: Any, b: Any, inside: Any) -> complex:
@@ -84,43 +118,20 @@ def _moduli(values: Any, factor: float = 1.0) -> Any:
 
 
 def chart_metrics(
-    transmission: Field, elements: Sequence[UsafElement], ground: Ground, passed_um: float
+    transmission: Field,
+    elements: Sequence[UsafElement],
+    ground: Ground,
+    passed_um: float,
+    inside: NDArray[np.bool_] | None = None,
 ) -> dict[str, Any]:
     """Contrast of every element of a chart that lies in a part of the object, and the finest resolved.
 
-    Lines finer than `passed_um`, wavelength over twice the numerical aperture, the lens does not pass: what
-    resolves them is what the method takes for granted of the object, and that is told.
+    The chart is registered first, and its displacement stated. Lines finer than `passed_um`, wavelength over
+    twice the numerical aperture, the lens does not pass: what resolves them is what the method takes for
+    granted of the object. What limits the finest element is stated, too
+    (:class:`wavesim.evaluation.charts.ChartResolution`).
     """
-    contrasts = [
-        # From the samples about it alone.
-        bar_contrast(own.values, own.grid, one, ground)
-        for one in elements
-        if holds(transmission.grid, one.outline)
-        for own in [cut_field(transmission, around(one.outline, transmission.grid))]
-    ]
-    finest = smallest_resolved_element(contrasts)
-    return {
-        "smallest_resolved": None
-        if finest is None
-        else {
-            "group": finest.group,
-            "element": finest.element,
-            "line_width_um": finest.line_width_um,
-            "beyond_aperture": finest.line_width_um < passed_um,
-        },
-        "aperture_passes_um": passed_um,
-        "elements": [
-            {
-                "group": one.element.group,
-                "element": one.element.element,
-                "line_width_um": one.element.line_width_um,
-                "contrast_x": finite_or_none(one.x.contrast),
-                "contrast_y": finite_or_none(one.y.contrast),
-                "resolved": one.resolved(),
-            }
-            for one in sorted(contrasts, key=lambda one: -one.element.line_width_um)
-        ],
-    }
+    return chart_resolution(transmission, elements, ground, passed_um, inside).as_dict()
 
 
 def plane_metrics(amplitude: Any, sigma: Any, error: Any) -> dict[str, float | None]:

@@ -70,7 +70,8 @@ def bar_contrast(
 
     Intensity is averaged over the middle of each bar and gap: half a line width across, three along, cells
     weighted by the part of them that lies within. Nothing is searched for: lines that are displaced by half a
-    period are reversed, and count as such.
+    period are reversed, and count as such. :func:`wavesim.evaluation.charts.chart_resolution` finds a
+    displaced chart first.
 
     Parameters
     ----------

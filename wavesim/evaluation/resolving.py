@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.fft
@@ -38,6 +38,8 @@ MARGIN_MM = 0.06
 REFOCUS_RANGE_MM, REFOCUS_STEP_MM = 0.15, 0.0005
 
 PROFILE_POINTS = 201
+
+LineLimit = Literal["engine", "reference", "aperture", "widths"]
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,12 @@ class Resolved:
     settings : dict
         Of the engine under test.
     lines : tuple of LineContrast
-        One for each line width.
+        One for each line width. Bars follow each other along y, the only direction that a meridional line
+        has.
+    passed_um : float
+        Width of the finest lines that the aperture passes, wavelength / 2 NA.
+    sample_um : float
+        Pitch of the object's samples.
     """
 
     field_mm: float
@@ -102,6 +109,8 @@ class Resolved:
     reference: str
     settings: dict[str, Any]
     lines: tuple[LineContrast, ...]
+    passed_um: float = 0.0
+    sample_um: float = 0.0
 
     def smallest_resolved_um(self, threshold: float = RESOLVED_CONTRAST) -> float | None:
         """Width of the finest lines down to which all are resolved; None if even the widest are not.
@@ -114,6 +123,23 @@ class Resolved:
                 break
             found = line.line_width_um
         return found
+
+    def limit(self, threshold: float = RESOLVED_CONTRAST) -> LineLimit:
+        """Why no finer lines are resolved.
+
+        "engine": finer ones were tried, and what this engine brought back does not resolve them, while the
+        reference resolves them. "reference": the reference does not resolve them either, although the
+        aperture passes them. "aperture": they are finer than wavelength / 2 NA. "widths": no finer ones were
+        tried, which is no limit of the engine.
+        """
+        smallest = self.smallest_resolved_um(threshold)
+        finer = [one for one in self.lines if smallest is None or one.line_width_um < smallest]
+        if not finer:
+            return "widths"
+        tried = max(finer, key=lambda one: one.line_width_um)
+        if tried.line_width_um < self.passed_um * (1.0 - 1e-9):
+            return "aperture"
+        return "engine" if tried.contrast_of_reference >= threshold else "reference"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON, without profiles."""
@@ -167,7 +193,9 @@ def resolve(
     scene = meridional_scene(lens, max(line_widths_um), field_mm, bars, wavelength_um, plane_distance_mm)
     truth, tested = engine_for(scene, reference), engine_for(scene, engine, **settings)
     lines = tuple(_line_contrast(truth, tested, width, bars) for width in line_widths_um)
-    return Resolved(field_mm, engine, reference, tested.settings(), lines)
+    passed_um = 0.5 * scene.wavelength_um / lens.object.numerical_aperture
+    sample_um = 1e3 * scene.object_grid.pitch_mm
+    return Resolved(field_mm, engine, reference, tested.settings(), lines, passed_um, sample_um)
 
 
 def resolving_seconds(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from wavesim.calibration.planning import EXPLAINED, Plans
@@ -17,6 +18,7 @@ BEST = "#b3202c"
 def plans_figure(found: Plans, title: str = "") -> Figure:
     """Relative error of the object against the number of planes, a line for each set of exposures.
 
+    The error is that of the trial object that is found worst; a bar reaches down to the best.
     Filled dots are of plans whose frames are explained to within a fifth of their noise; a ring marks the
     plan that is recommended.
 
@@ -39,6 +41,8 @@ def plans_figure(found: Plans, title: str = "") -> Figure:
         axes.plot(counts, errors, "-", color=colour, lw=1.0, label=label)
         for plan, count, error in zip(plans, counts, errors, strict=True):
             face = colour if plan.misfit_over_noise <= EXPLAINED else "white"
+            least = math.sqrt(max(1.0 - plan.highest_correlation**2, 0.0))
+            axes.plot([count, count], [max(least, 1e-4), error], "-", color=colour, lw=2.5, alpha=0.35)
             axes.plot(count, error, "o", color=colour, markerfacecolor=face)
     best = found.recommended
     axes.plot(len(best.planes_mm), best.error, "o", ms=14, mfc="none", color=BEST, label="recommended")

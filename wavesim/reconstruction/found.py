@@ -132,7 +132,9 @@ class FoundObject:
             return {}
         passed_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
         ground = self.settings.usaf
-        middle, *others = (chart_metrics(self.transmission, c, ground, passed_um) for c in self.charts)
+        middle, *others = (
+            chart_metrics(self.transmission, chart, ground, passed_um, self.inside) for chart in self.charts
+        )
         beside = zip(self.settings.chart_at_mm, others, strict=True)
         return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in beside]}
 

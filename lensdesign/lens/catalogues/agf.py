@@ -6,7 +6,7 @@ import codecs
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,6 +16,23 @@ from lensdesign.errors import MaterialError
 Coefficients = Sequence[float]
 
 LONGEST_NAME = 100
+
+LINE_F_UM = 0.4861327
+LINE_D_UM = 0.5875618
+LINE_C_UM = 0.6562725
+
+ND_NOTED = 2e-4
+"""Difference between a stated nd and the one by the coefficients, beyond rounding, from which a note says so.
+In makers' catalogues none does but a placeholder."""
+
+ND_REFUSED = 3e-3
+"""The same difference, from which a glass is refused: no melt or temperature explains it."""
+
+VD_NOTED = 0.02
+"""Relative difference between the stated Abbe number and the one by the coefficients that is noted."""
+
+ALIKE = 1e-6
+"""Two entries of one name are the same glass if their indices differ by no more than this."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +57,11 @@ class AgfGlass:
         First six values of the TD record: the constants of Schott's formula; None if they are not given.
     expansion_per_k
         First value of the ED record; None if not given.
+    notes
+        What a user of the glass should know: an entry that stands twice, an nd that differs slightly.
+    fault
+        Why the glass cannot be used, in a sentence with file and line; empty for a usable glass. The other
+        glasses of the catalogue are not affected.
     """
 
     name: str
@@ -50,6 +72,8 @@ class AgfGlass:
     reference_temperature_c: float | None = None
     schott: tuple[float, float, float, float, float, float] | None = None
     expansion_per_k: float | None = None
+    notes: tuple[str, ...] = ()
+    fault: str = ""
 
     def __call__(self, wavelength_um: float) -> float:
         """Refractive index relative to air by the glass's formula; NaN where that has no real value.
@@ -182,11 +206,17 @@ def _decode(data: bytes, where: str) -> str:
 def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
     """Glasses of an AGF text.
 
-    The records NM (name, formula), CD (coefficients), LD (wavelength range), GC (comment), TD (Schott's
-    formula for the index in heat, and the reference temperature) and ED (whose first value is the expansion
-    about room temperature, in 1e-6/K) are read; the others say nothing about index or size and are passed
-    over. Coefficients left out at the end of a CD record are zero; constants that are all zero in a TD
-    record, or an expansion of zero, are not given.
+    The records NM (name, formula, nd, Abbe number), CD (coefficients), LD (wavelength range), GC (comment),
+    TD (Schott's formula for the index in heat, and the reference temperature) and ED (whose first value is
+    the expansion about room temperature, in 1e-6/K) are read; the others say nothing about index or size and
+    are passed over. A line that starts with a number continues the CD or TD record before it. Coefficients
+    left out at the end of a CD record are zero; constants that are all zero in a TD record, or an expansion
+    of zero, are not given.
+
+    A name that stands twice is one glass with a note if both entries have the same index (within `ALIKE`),
+    and otherwise a glass with a `fault`. So is a glass whose nd contradicts its coefficients by more than
+    `ND_REFUSED`; from `ND_NOTED` on it has a note. Half a unit of the last decimal that nd is given with
+    counts as rounding, and an nd of 1 or less, or a d line outside the wavelength range, is not compared.
 
     Parameters
     ----------
@@ -198,33 +228,98 @@ def parse_agf(text: str, where: str) -> tuple[AgfGlass, ...]:
     Raises
     ------
     MaterialError
-        For a record that does not parse, an unknown formula, a glass without CD or LD, a name that
-        occurs twice, or a text without any glass. The message names `where` and the line.
+        For a record that does not parse, an unknown formula, a glass without CD or LD, or a text without any
+        glass. The message names `where` and the line.
     """
-    glasses: list[AgfGlass] = []
-    first_lines: dict[str, int] = {}
-    draft: _Draft | None = None
+    drafts: list[_Draft] = []
+    first_lines: dict[str, str] = {}
+    last_record = ""
     for number, line in enumerate(text.splitlines(), start=1):
         record, rest = (*line.split(maxsplit=1), "", "")[:2]
         here = f"{where}, line {number}"
+        if last_record in _CONTINUED and _is_number(record):
+            drafts[-1].continued += f" {line}"
+            continue
+        if drafts and drafts[-1].continued:
+            drafts[-1].take_continued()
+        last_record = record
         if record == "NM":
-            if draft is not None:
-                glasses.append(draft.finish())
-            draft = _start(rest.split(), here)
-            key = draft.name.casefold()
-            if key in first_lines:
-                raise MaterialError(
-                    f"{here}: glass {draft.name} stands already on line {first_lines[key]}; "
-                    "a name may occur once in a catalogue"
-                )
-            first_lines[key] = number
+            if drafts:
+                drafts[-1].check_complete(first_lines)
+            drafts.append(_start(rest.split(), here))
+            first_lines.setdefault(drafts[-1].name.casefold(), drafts[-1].line)
         elif record in _READERS:
-            if draft is None:
+            if not drafts:
                 raise MaterialError(f"{here}: {record} record before the first NM record")
-            _READERS[record](draft, rest, here)
-    if draft is None:
+            if record in _CONTINUED:
+                drafts[-1].continued, drafts[-1].continued_at = f"{record} {rest}", here
+            else:
+                _READERS[record](drafts[-1], rest, here)
+    if not drafts:
         raise MaterialError(f"{where}: no glass found; an AGF catalogue has an NM record for each glass")
-    return (*glasses, draft.finish())
+    drafts[-1].take_continued()
+    drafts[-1].check_complete(first_lines)
+    return _without_doubles([(draft, draft.finish()) for draft in drafts])
+
+
+_CONTINUED = ("CD", "TD")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return word.isascii() and math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _without_doubles(entries: Sequence[tuple[_Draft, AgfGlass]]) -> tuple[AgfGlass, ...]:
+    """One glass for each name: the first entry, with a note or a fault where there are more."""
+    found: dict[str, tuple[_Draft, AgfGlass]] = {}
+    for draft, glass in entries:
+        key = glass.name.casefold()
+        if key not in found:
+            found[key] = (draft, glass)
+            continue
+        first_draft, first = found[key]
+        difference = _largest_difference(first, glass)
+        if difference <= ALIKE:
+            heat = "" if _heat(first) == _heat(glass) else "; their data of heat (TD, ED) differ"
+            note = (
+                f"glass {glass.name} stands twice with the same index ({first_draft.where} and line "
+                f"{draft.line}); the first entry is taken{heat}"
+            )
+            found[key] = (first_draft, replace(first, notes=(*first.notes, note)))
+        else:
+            fault = (
+                f"{draft.where}: glass {glass.name} stands already on line {first_draft.line} with another "
+                "index "
+                f"({_spread(difference)}); a glass of this name can be used when one of the two is removed "
+                "or renamed"
+            )
+            found[key] = (first_draft, replace(first, fault=first.fault or fault))
+    return tuple(glass for _, glass in found.values())
+
+
+def _heat(glass: AgfGlass) -> tuple[object, ...]:
+    return (glass.schott, glass.reference_temperature_c, glass.expansion_per_k)
+
+
+def _largest_difference(one: AgfGlass, other: AgfGlass) -> float:
+    """Largest difference of the indices over the wavelengths that both have; inf where one has none."""
+    shortest = max(one.wavelength_range_um[0], other.wavelength_range_um[0])
+    longest = min(one.wavelength_range_um[1], other.wavelength_range_um[1])
+    if shortest > longest:
+        return math.inf
+    waves = [shortest + (longest - shortest) * i / 16 for i in range(17)]
+    pairs = [(one(w), other(w)) for w in waves]
+    differences = [abs(a - b) for a, b in pairs if not (math.isnan(a) and math.isnan(b))]
+    return max((math.inf if math.isnan(d) else d for d in differences), default=0.0)
+
+
+def _spread(difference: float) -> str:
+    return (
+        "their ranges do not overlap" if math.isinf(difference) else f"they differ by up to {difference:.2g}"
+    )
 
 
 @dataclass
@@ -234,19 +329,42 @@ class _Draft:
     name: str
     formula: int
     where: str
+    nd: str = ""
+    vd: str = ""
     coefficients: tuple[float, ...] | None = None
     wavelength_range_um: tuple[float, float] | None = None
     comment: str = ""
     reference_temperature_c: float | None = None
     schott: tuple[float, float, float, float, float, float] | None = None
     expansion_per_k: float | None = None
+    continued: str = ""
+    continued_at: str = ""
+
+    @property
+    def line(self) -> str:
+        """Number of the line of the NM record."""
+        return self.where.rpartition("line ")[2]
+
+    def take_continued(self) -> None:
+        """Read the record that may have gone on over several lines."""
+        if self.continued:
+            record, _, rest = self.continued.partition(" ")
+            self.continued = ""
+            _READERS[record](self, rest, self.continued_at)
+
+    def check_complete(self, first_lines: dict[str, str]) -> None:
+        """Refuse a glass without coefficients or without a range."""
+        first = first_lines[self.name.casefold()]
+        again = "" if first == self.line else f" stands already on line {first}, and here it"
+        if self.coefficients is None:
+            raise MaterialError(f"{self.where}: glass {self.name}{again} has no CD record (coefficients)")
+        if self.wavelength_range_um is None:
+            raise MaterialError(f"{self.where}: glass {self.name}{again} has no LD record (wavelength range)")
 
     def finish(self) -> AgfGlass:
-        if self.coefficients is None:
-            raise MaterialError(f"{self.where}: glass {self.name} has no CD record (coefficients)")
-        if self.wavelength_range_um is None:
-            raise MaterialError(f"{self.where}: glass {self.name} has no LD record (wavelength range)")
-        return AgfGlass(
+        assert self.coefficients is not None  # check_complete looked
+        assert self.wavelength_range_um is not None
+        glass = AgfGlass(
             self.name,
             self.formula,
             self.coefficients,
@@ -256,6 +374,59 @@ class _Draft:
             self.schott,
             self.expansion_per_k,
         )
+        return _compared(self, glass)
+
+
+def _compared(draft: _Draft, glass: AgfGlass) -> AgfGlass:
+    """The glass with a note or a fault where its NM record contradicts its coefficients."""
+    nd = _stated(draft.nd)
+    if nd is None and any(c.isdigit() for c in draft.nd):
+        note = (
+            f"{draft.where}: the NM record of glass {draft.name} gives nd as {_shown(draft.nd)}, which is no "
+            "number; it was not compared with the coefficients"
+        )
+        return replace(glass, notes=(*glass.notes, note))
+    shortest, longest = glass.wavelength_range_um
+    if nd is None or nd <= 1.0 or not shortest <= LINE_D_UM <= longest:
+        return glass
+    found = glass(LINE_D_UM)
+    difference = abs(found - nd) - _rounding(draft.nd)
+    if math.isnan(found) or difference > ND_REFUSED:
+        fault = (
+            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its coefficients "
+            f"(CD) give {found:.6g}; allowed is a difference of {ND_REFUSED:g}. Correct the record that is "
+            "wrong: the order of the coefficients, the number of the formula, or nd"
+        )
+        return replace(glass, fault=fault)
+    if difference > ND_NOTED:
+        note = (
+            f"{draft.where}: the NM record of glass {draft.name} gives nd = {draft.nd}, and its "
+            f"coefficients give {found:.6g}; the coefficients are taken"
+        )
+        return replace(glass, notes=(*glass.notes, note))
+    vd = _stated(draft.vd)
+    if vd is None or vd <= 0.0 or not shortest <= LINE_F_UM < LINE_C_UM <= longest:
+        return glass
+    dispersion = glass(LINE_F_UM) - glass(LINE_C_UM)
+    abbe = (found - 1.0) / dispersion if dispersion else math.inf
+    if abs(abbe - vd) - _rounding(draft.vd) > VD_NOTED * vd:
+        note = (
+            f"{draft.where}: the NM record of glass {draft.name} gives an Abbe number of {draft.vd}, and its "
+            f"coefficients give {abbe:.4g}; the coefficients are taken"
+        )
+        return replace(glass, notes=(*glass.notes, note))
+    return glass
+
+
+def _stated(word: str) -> float | None:
+    return float(word) if _is_number(word) else None
+
+
+def _rounding(word: str) -> float:
+    """Half a unit of the last decimal that a number is written with."""
+    mantissa, _, exponent = word.lower().partition("e")
+    decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
+    return float(0.5 * 10.0 ** -min(max(decimals, 0), 17))
 
 
 def _start(words: list[str], where: str) -> _Draft:
@@ -270,7 +441,8 @@ def _start(words: list[str], where: str) -> _Draft:
             f"{where}: glass {words[0]} has dispersion formula {_short(words[1])}; "
             f"known are 1 to {max(DISPERSION_FORMULAS)}"
         )
-    return _Draft(words[0], int(formula), where)
+    nd, vd = (*words[3:5], "", "")[:2]
+    return _Draft(words[0], int(formula), where, nd, vd)
 
 
 def _shown(text: str) -> str:

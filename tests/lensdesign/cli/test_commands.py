@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 from small_pictures import draw_few_dots
 
 from lensdesign import Pose, load_design
@@ -499,3 +499,29 @@ def test_scale_refuses(command: Command, paper_design: Path, tmp_path: Path) -> 
     same = tmp_path / "same.toml"
     same.write_text(paper_design.read_text(encoding="utf-8"), encoding="utf-8")
     refused(command("scale", same, 2, "-o", same), "it is the design itself")
+
+
+def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
+    doubled, contradicts = (GOLDEN / "imports" / name for name in ("doubled_glass.agf", "nd_contradicts.agf"))
+    code, out, err = command("glass", "B-TWO", "--catalog", doubled)
+    assert code == 0
+    assert "an Abbe number of 40, and its coefficients give 62.09" in err
+    assert out.startswith("B-TWO (doubled_glass.agf)")
+    code, _, err = command("glass", "A-ONE", "--catalog", doubled)
+    assert code == 0
+    assert f"note: glass A-ONE stands twice with the same index ({doubled}, line 2 and line 8)" in err
+    assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
+    refused(command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)")
+
+
+def test_an_import_says_what_the_lens_does_when_traced(command: Command, tmp_path: Path) -> None:
+    file, design = GOLDEN / "imports" / "aperture_smaller_than_stop.zmx", tmp_path / "o.toml"
+    asked = ("import", file, "-o", design, "--pixel-pitch-um", 3.2, "--pixels", 1000, 1000)
+    code, out, err = command(*asked)
+    assert code == 0
+    assert "focal length 48.9627 mm, back focal length 47.2888 mm, magnification -3.85193" in out
+    assert "the marginal ray of NA 0.1 is 6.06736 mm high at the stop of 6.06736 mm" in out
+    assert "lets through more than the system aperture (object NA 0.1); 6.06736 mm taken" in err
+    figures = json.loads(command(*asked, "--json")[1])["first_order"]
+    assert figures["efl_mm"] == pytest.approx(48.9627, abs=1e-4)
+    assert load_design(design).stop_semi_diameter_mm == pytest.approx(figures["stop_height_mm"], rel=1e-12)

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lens_files import bare, mutilated
+from places import GOLDEN
 from random_lenses import lenses, poses
 
 from lensdesign import InputError, Lens, Pose
+from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.files.codev import read_seq, write_seq
 from lensdesign.files.draft import LossyImportError, Supplement
@@ -101,7 +103,8 @@ def test_a_textbook_triplet(tmp_path: Path) -> None:
 def test_an_asphere(tmp_path: Path) -> None:
     lens = read_seq(saved(tmp_path, ASPHERE), SENSOR).lens
     front = lens.surfaces[0]
-    assert (front.conic, front.asphere, front.semi_diameter_mm) == (-0.6265, (1.5e-5, 0.0, -2e-10), 10.0)
+    assert (front.conic, front.asphere) == (-0.6265, (1.5e-5, 0.0, -2e-10))
+    assert front.semi_diameter_mm == pytest.approx(3.0606, abs=1e-4)  # of NA 0.1, in a stop of 10 mm
     assert (front.material, lens.object.field_diameter_mm, lens.object.numerical_aperture) == (
         "N-BK7",
         8.0,
@@ -305,3 +308,163 @@ def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens
             messages.append(str(error))
     assert 20 < sum(outcomes) < 480
     assert all(str(path) in message for message in messages)
+
+
+PRIVATE = (GOLDEN / "imports" / "unused_private_glass.seq").read_text()
+NOA61 = "'GLUE1' LAU 2.36390625 0.0 0.025493134 -0.000580235 -0.349933e-5 0.445404e-7"
+
+
+def test_an_unused_private_glass_is_passed_over() -> None:
+    result = read_seq(GOLDEN / "imports" / "unused_private_glass.seq", SENSOR)
+    assert [(s.radius_mm, s.material) for s in result.lens.surfaces] == [(50.0, "N-BK7"), (-50.0, None)]
+    assert result.dropped == ()
+
+
+@pytest.mark.parametrize(
+    "glass",
+    ["'GLUE1' HAR 1.5 0.004 0.12", "'GLUE1' XYZ 1 2", "'GLUE1'", "'GLUE1' 1.5 1.6", "GLUE1 nonsense , ;;"],
+)
+def test_what_cannot_be_read_of_a_private_glass_matters_where_it_is_used(tmp_path: Path, glass: str) -> None:
+    line = next(x for x in PRIVATE.splitlines() if "GLUE1" in x)
+    unused = PRIVATE.replace(line, f"  {glass}")
+    assert len(read_seq(saved(tmp_path, unused), SENSOR).lens.surfaces) == 2
+    with pytest.raises(InputError, match=r"line 10: private glass 'GLUE1' (has|is given by)"):
+        read_seq(saved(tmp_path, unused.replace("NBK7_SCHOTT", "'GLUE1'")), SENSOR)
+
+
+def index_of(
+    tmp_path: Path, glass: str, pwl: str = "550.0", wl: str = "587.5618", lossy: bool = False
+) -> float:
+    line = next(x for x in PRIVATE.splitlines() if "GLUE1" in x)
+    text = PRIVATE.replace(line, f"  {glass}").replace("NBK7_SCHOTT", "'GLUE1'")
+    text = text.replace("PWL 550.0", f"PWL {pwl}").replace("WL 587.6", f"WL {wl}", 1)
+    return float(read_seq(saved(tmp_path, text), SENSOR, lossy).lens.indices(float(wl.split()[0]) / 1000)[1])
+
+
+BK7 = "1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653"
+
+
+@pytest.mark.parametrize(
+    ("glass", "index"),
+    [
+        (NOA61, 1.5597),  # Norland Optical Adhesive 61, n = 1.56 after curing
+        (f"'GLUE1' GMS {BK7}", 1.5168),
+        (f"glue1 gms {BK7}", 1.5168),
+        ("'GLUE1' LAU 2.2718929 -0.010108077 0.010592509 0.00020816965 -7.6472538E-06 4.9240991E-07", 1.5168),
+        ("'GLUE1' GML 2.2718929 -0.010108077 0.010592509 0.00020816965 -7.6472538E-06 4.9240991E-07", 1.5168),
+        ("'GLUE1' CAU 1.5046 0.0042", 1.516766),
+    ],
+)
+def test_private_glasses_by_formulas(tmp_path: Path, glass: str, index: float) -> None:
+    assert index_of(tmp_path, glass) == pytest.approx(index, abs=5e-5)
+    with pytest.raises(LossyImportError, match="surface 1: dispersion of the private glass"):
+        index_of(tmp_path, glass, wl="587.5618 486.1 656.3")
+    assert index_of(tmp_path, glass, wl="587.5618 486.1 656.3", lossy=True) == pytest.approx(index, abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("glass", "message"),
+    [
+        ("'GLUE1' LAU -2.0", "the Laurent coefficients of private glass 'GLUE1' give an index of nan"),
+        ("'GLUE1' GMS 1.0 0.3452288", "give an index of"),
+        ("'GLUE1' CAU 0.5", "give an index of 0.5 at 0.587562 um"),
+        ("'GLUE1' CAU 1.5 0.1 0.1 0.1", "has 4 Cauchy coefficients; allowed are 1 to 3"),
+        ("'GLUE1' LAU", "has 0 Laurent coefficients"),
+        ("'GLUE1' LAU 2.3 X", "'X' stands where a finite number must"),
+    ],
+)
+def test_private_glasses_without_an_index_are_named(tmp_path: Path, glass: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        index_of(tmp_path, glass)
+
+
+def test_private_glasses_by_tables(tmp_path: Path) -> None:
+    """At a wavelength of the table, between, and outside, where the nearest index is a loss."""
+    table, pwl = "'GLUE1' 1.51432 1.51680 1.52238 1.52668", "656.2725 587.5618 486.1327 435.8343"
+    assert index_of(tmp_path, table, pwl, lossy=True) == 1.5168
+    assert index_of(tmp_path, table, pwl, "532.0", lossy=True) == pytest.approx(1.51947, abs=2e-5)
+    with pytest.raises(
+        LossyImportError, match=r"index of the private glass GLUE1 at 700 nm; that at 656\.273 nm"
+    ):
+        index_of(tmp_path, table, pwl, "700.0")
+    with pytest.raises(LossyImportError, match="index of the private glass GLUE1 at 700 nm; that at 550 nm"):
+        index_of(tmp_path, "'GLUE1' 1.5", "550.0", "700.0")
+    assert index_of(tmp_path, "'GLUE1' 1.5", "587.6") == 1.5
+
+
+SOLVES = [
+    ("S -50 50\n", "S -50 50\n THI HMY 0.0\n", "surface 2: HMY solve replaced by its present value"),
+    ("S -50 50\n", "S -50 50\n THI S2 HMY 0.0\n", "surface 2: HMY solve replaced by its present value"),
+    ("S -50 50\n", "S -50 50\n PIM\n", "surface 2: PIM solve replaced by its present value"),
+    ("S -50 50\n", "S -50 50\n CUY UMY -0.1\n", "surface 2: UMY solve replaced by its present value"),
+    ("S -50 50\n", "S -50 50\n CUY SOL UMY -0.1\n", "surface 2: SOL solve replaced by its present value"),
+    ("S -50 50\n", "S -50 50\n RDY PIK S1 -1\n", "surface 2: PIK solve replaced by its present value"),
+    ("S -50 50\n", "S -50 HMY\n THI 50\n", "surface 2: HMY solve replaced by its present value"),
+    ("S -50 50\n", "S UMY -0.1\n RDY -50\n THI 50\n", None),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "remark"), SOLVES)
+def test_solves_leave_the_present_value(tmp_path: Path, old: str, new: str, remark: str | None) -> None:
+    assert old in PRIVATE
+    path = saved(tmp_path, PRIVATE.replace(old, new))
+    if remark is None:  # UMY's own value stands where the thickness does; the thickness that follows counts
+        assert read_seq(path, SENSOR).lens.sensor.plane_distances_mm == (50.0,)
+        return
+    result = read_seq(path, SENSOR)
+    assert remark in result.remarks
+    assert [s.radius_mm for s in result.lens.surfaces] == [50.0, -50.0]
+    assert result.lens.sensor.plane_distances_mm == (50.0,)
+
+
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [
+        ("S -50 HMY 0\n", r"line 16: the thickness of surface 2 is left to a solve or pickup \('HMY 0'\)"),
+        ("S -50\n THI HMY 0.0\n", r"the thickness of surface 2 is left to a solve or pickup \('HMY 0.0'\)"),
+        ("S UMY 50\n", "the radius of surface 2 is left to a solve or pickup"),
+        ("S -50 FOO\n", "line 16: 'FOO' stands where a finite number must"),
+    ],
+)
+def test_solves_without_a_present_value_are_named(tmp_path: Path, new: str, message: str) -> None:
+    path = saved(tmp_path, PRIVATE.replace("S -50 50\n", new))
+    for lossy in (False, True):
+        with pytest.raises(InputError, match=message):
+            read_seq(path, SENSOR, lossy)
+
+
+@pytest.mark.parametrize("command", ["THI EDG 0.5", "THI VAR", "CUY FOO 1", "RDY S2 ABC"])
+def test_an_unknown_word_in_place_of_a_value_that_is_known_is_a_loss(tmp_path: Path, command: str) -> None:
+    path = saved(tmp_path, PRIVATE.replace("S -50 50\n", f"S -50 50\n {command}\n"))
+    with pytest.raises(LossyImportError, match=r"surface 2: (thickness|radius) by '[A-Z .05]+1?'; its value"):
+        read_seq(path, SENSOR)
+    lens = read_seq(path, SENSOR, lossy=True).lens
+    assert (lens.surfaces[1].radius_mm, lens.sensor.plane_distances_mm) == (-50.0, (50.0,))
+
+
+def test_words_of_more_than_three_letters_and_infinity(tmp_path: Path) -> None:
+    text = PRIVATE.replace(" STO\n", " STOP\n").replace("S -50 50", "S INF 50").replace("S 50 5", "s 50 5")
+    lens = read_seq(saved(tmp_path, text), SENSOR).lens
+    assert [(s.radius_mm, s.stop) for s in lens.surfaces] == [(50.0, True), (None, False)]
+    far = Supplement(working_distance_mm=60.0, pixel_pitch_um=3.2, pixels=(10, 10))
+    assert read_seq(saved(tmp_path, PRIVATE.replace("SO 0 60", "SO INFINITY INFINITY")), far).lens == (
+        read_seq(saved(tmp_path, PRIVATE), far).lens
+    )
+
+
+@pytest.mark.parametrize("command", ["NAO 0.1", "EPD 12.0", "FNO 16", "NA 0.03"])
+def test_the_system_aperture_decides_what_rays_fill(tmp_path: Path, command: str) -> None:
+    result = read_seq(saved(tmp_path, PRIVATE.replace("NAO 0.1", command)), SENSOR)
+    lens = result.lens
+    assert lens.stop_semi_diameter_mm < 10.0
+    assert check_design(lens).numerical_aperture == pytest.approx(lens.object.numerical_aperture, rel=1e-6)
+    assert "lets through more than the system aperture" in result.remarks[0]
+
+
+def test_the_users_catalogue_wins_over_the_maker_that_the_file_names() -> None:
+    own = Supplement(
+        pixel_pitch_um=3.2, pixels=(10, 10), glass_catalogs=(GOLDEN / "imports" / "schott_melt.agf",)
+    )
+    result = read_seq(GOLDEN / "imports" / "unused_private_glass.seq", own)
+    assert result.lens.indices(0.532)[1] == pytest.approx(1.52075, abs=5e-6)
+    assert "surface 1: glass NBK7 is that of schott_melt.agf, not of Schott" in result.remarks

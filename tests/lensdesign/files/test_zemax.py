@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lens_files import bare, mutilated
+from places import GOLDEN
 from random_lenses import lenses, poses
 
 from lensdesign import InputError, Lens, MaterialError, Pose
+from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.common.input_files import LENS_FILE_BYTES
 from lensdesign.files.draft import LossyImportError, Supplement
@@ -500,3 +502,259 @@ def test_mutilated_files_give_a_lens_or_a_fault(tmp_path: Path, paper_lens: Lens
             messages.append(str(error))
     assert 20 < sum(outcomes) < 480
     assert all(message.find(str(tmp_path / "lens.zmx")) >= 0 for message in messages)
+
+
+IMPORTS = GOLDEN / "imports"
+SENSOR = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000))
+SINGLET = (IMPORTS / "aperture_smaller_than_stop.zmx").read_text()
+
+
+def glass_of(lens: Lens) -> list[tuple[float | None, object]]:
+    return [(s.radius_mm, s.material) for s in lens.surfaces]
+
+
+def test_a_record_without_indent_stays_in_its_surface() -> None:
+    result = read_zmx(IMPORTS / "unindented_record.zmx", SENSOR)
+    assert glass_of(result.lens) == [(50.0, "N-BK7"), (-50.0, None)]
+    assert result.dropped == ()
+
+
+RECORDS = [line.strip() for line in SINGLET.splitlines() if line.startswith("  ")]
+
+
+@pytest.mark.parametrize("record", dict.fromkeys(RECORDS))
+def test_no_indent_of_any_record_changes_the_lens(tmp_path: Path, record: str) -> None:
+    expected = read_zmx(saved(tmp_path, SINGLET), SENSOR)
+    found = read_zmx(saved(tmp_path, SINGLET.replace(f"  {record}", record)), SENSOR)
+    assert (found.lens, found.dropped) == (expected.lens, ())
+    lower = SINGLET.replace(record, record.lower() if record == "STOP" else record)
+    assert read_zmx(saved(tmp_path, lower), SENSOR).lens == expected.lens
+
+
+def test_an_unknown_record_without_indent_is_a_loss_and_ends_nothing(tmp_path: Path) -> None:
+    """In the middle of a surface; the merit function behind the last one is none."""
+    text = SINGLET.replace("  STOP", "XYZQ 1 2\n  STOP")
+    with pytest.raises(LossyImportError, match="surface 1: XYZQ '1 2'"):
+        read_zmx(saved(tmp_path, text), SENSOR)
+    result = read_zmx(saved(tmp_path, text), SENSOR, lossy=True)
+    assert glass_of(result.lens) == [(50.0, "N-BK7"), (-50.0, None)]
+    tail = "\nREAY 3 2 0 1 0 0 2.2 0 0 0\nEFFL 0 2 0 0 0 0 49 1\n"
+    with pytest.raises(LossyImportError, match="surface 3: REAY"):
+        read_zmx(saved(tmp_path, SINGLET + tail), SENSOR)
+    whole = SINGLET + tail + "TOL TOFF 0 0\nMNUM 1 1\nMOFF 0 1\nXYZQ 1 2\n"
+    assert read_zmx(saved(tmp_path, whole), SENSOR).dropped == ()
+    early = SINGLET.replace("SURF 2", "MOFF 0 1\nXYZQ 1 2\nSURF 2")
+    with pytest.raises(LossyImportError, match="surface 1: XYZQ '1 2'"):
+        read_zmx(saved(tmp_path, early), SENSOR)
+    within = SINGLET.replace("  CURV 0.02", "TOL TOFF 0\nXYZQ 1 2\n  CURV 0.02")
+    assert glass_of(read_zmx(saved(tmp_path, within), SENSOR, lossy=True).lens)[0] == (50.0, "N-BK7")
+    with pytest.raises(LossyImportError, match="surface 1: XYZQ '1 2'"):
+        read_zmx(saved(tmp_path, within), SENSOR)
+
+
+@pytest.mark.parametrize(
+    ("old", "second"),
+    [
+        ("CURV 0.02", "CURV 0.03"),
+        ("DISZ 5", "DISZ 6"),
+        ("TYPE STANDARD\n  CURV -", "TYPE EVENASPH\n  CURV -"),
+    ],
+)
+def test_two_records_that_contradict_each_other_are_refused(tmp_path: Path, old: str, second: str) -> None:
+    word = old.split()[0]
+    text = SINGLET.replace(f"  {old}", f"  {second.partition(chr(10))[0]}\n  {old}")
+    with pytest.raises(InputError, match=f"is a second {word} record of surface"):
+        read_zmx(saved(tmp_path, text), SENSOR)
+
+
+def test_records_of_recent_versions_are_no_loss() -> None:
+    result = read_zmx(IMPORTS / "new_records.zmx", SENSOR)
+    assert (result.dropped, len(result.lens.surfaces)) == ((), 2)
+
+
+NARROW = {
+    "OBNA 0.1 0": 0.1,
+    "OBNA 5.0 1": math.sin(math.radians(5.0)),
+    "ENPD 8.0": math.sin(math.atan(4.0 / 60.0)),
+    "FNUM 6.0 0": None,
+    "FNUM 16.0 1": None,
+}
+
+
+@pytest.mark.parametrize(("record", "na"), NARROW.items())
+def test_the_system_aperture_decides_what_rays_fill(tmp_path: Path, record: str, na: float | None) -> None:
+    """The stop would let through 0.16; F-numbers by the thick lens's own first-order data."""
+    result = read_zmx(saved(tmp_path, SINGLET.replace("OBNA 0.1 0", record)), SENSOR)
+    lens = result.lens
+    if na is None:
+        cardinal = first_order(lens)
+        efl, from_front = cardinal.efl_mm, -60.0 - cardinal.ffl_mm
+        magnification = abs(efl / from_front)
+        pupil = 0.5 * efl / 6.0
+        tangent = pupil / 60.0 if record == "FNUM 6.0 0" else 0.5 / 16.0 * magnification
+        na = math.sin(math.atan(tangent))
+    assert lens.object.numerical_aperture == pytest.approx(na, rel=1e-9)
+    semi = lens.stop_semi_diameter_mm
+    sag = 50.0 - math.sqrt(50.0**2 - semi**2)
+    assert semi / (60.0 + sag) == pytest.approx(math.tan(math.asin(na)), rel=1e-9)
+    assert check_design(lens).numerical_aperture == pytest.approx(na, rel=1e-6)
+    assert any("a stop of 10 mm lets through more than the system aperture" in r for r in result.remarks)
+    assert result.first_order is not None
+    assert result.first_order.stop_height_mm == pytest.approx(semi, rel=1e-9)
+
+
+def test_the_footprint_behind_an_aperture_of_one_tenth() -> None:
+    """On the axis, 50 mm behind; expected is Snell's law at two circles, done apart from the package."""
+    from lensdesign.files.first_order_check import meridional_system
+
+    lens = read_zmx(IMPORTS / "aperture_smaller_than_stop.zmx", SENSOR).lens
+    ray = meridional_system(lens).trace(0.0, -60.0, 0.1)
+    assert ray is not None
+    assert ray.height_at(55.0) == pytest.approx(4.7243957, abs=1e-6)
+    assert ray.heights_mm[0] == pytest.approx(lens.stop_semi_diameter_mm, rel=1e-12)
+
+
+def test_a_stop_that_clips_the_system_aperture_stays(tmp_path: Path) -> None:
+    result = read_zmx(saved(tmp_path, SINGLET.replace("OBNA 0.1", "OBNA 0.3")), SENSOR)
+    assert (result.lens.stop_semi_diameter_mm, result.lens.object.numerical_aperture) == (10.0, 0.3)
+    assert "at the stop, whose aperture of 10 mm clips it" in result.remarks[0]
+    assert not check_design(result.lens).feasible
+
+
+@pytest.mark.parametrize("flag", [1, 0])
+def test_a_floating_stop_gives_the_numerical_aperture(tmp_path: Path, flag: int) -> None:
+    text = SINGLET.replace("OBNA 0.1 0", "FLOA").replace("DIAM 10 1", f"DIAM 10 {flag}", 1)
+    result = read_zmx(saved(tmp_path, text), SENSOR)
+    sag = 50.0 - math.sqrt(50.0**2 - 10.0**2)
+    na = math.sin(math.atan(10.0 / (60.0 + sag)))
+    assert result.lens.stop_semi_diameter_mm == 10.0
+    assert result.lens.object.numerical_aperture == pytest.approx(na, rel=1e-9)
+    assert check_design(result.lens).numerical_aperture == pytest.approx(na, rel=1e-6)
+
+
+def test_a_stop_within_the_lens_is_filled_by_the_real_marginal_ray(tmp_path: Path) -> None:
+    text = SINGLET.replace("  STOP\n", "").replace("SURF 2\n", "SURF 2\n  STOP\n")
+    lens = read_zmx(saved(tmp_path, text), SENSOR).lens
+    assert lens.stop_index == 1
+    assert check_design(lens).numerical_aperture == pytest.approx(0.1, rel=1e-6)
+
+
+@pytest.mark.parametrize("second", ["ENPD 4", "FNUM 4 0", "FLOA", "OBNA 0.2 0"])
+def test_two_system_apertures_are_refused(tmp_path: Path, second: str) -> None:
+    text = SINGLET.replace("OBNA 0.1 0", f"OBNA 0.1 0\n{second}")
+    with pytest.raises(InputError, match="line 6: a second system aperture; line 5 gives another one"):
+        read_zmx(saved(tmp_path, text), SENSOR)
+
+
+def test_automatic_semi_diameters_are_no_apertures(tmp_path: Path) -> None:
+    """Flags 0 and 3 follow the rays, 1 is fixed, 2 is picked up; a clear aperture counts with any flag."""
+    second = "  DISZ 50\n  DIAM 10 1 0 0 1"
+    for flag, kept in ((0, None), (3, None), (1, 7.0), (2, 7.0)):
+        result = read_zmx(
+            saved(tmp_path, SINGLET.replace(second, f"  DISZ 50\n  DIAM 7 {flag} 0 0 1")), SENSOR
+        )
+        assert result.lens.surfaces[1].semi_diameter_mm == kept
+        said = any(
+            "automatic semi-diameters clip nothing" in r and "surface 2 7 mm" in r for r in result.remarks
+        )
+        assert said == (kept is None)
+    clear = read_zmx(
+        saved(tmp_path, SINGLET.replace(second, "  DISZ 50\n  DIAM 7 0 0 0 1\n  CLAP 0 6 0")), SENSOR
+    )
+    assert clear.lens.surfaces[1].semi_diameter_mm == 6.0
+
+
+def test_an_automatic_stop_is_as_wide_as_the_marginal_ray(tmp_path: Path) -> None:
+    text = SINGLET.replace("DIAM 10 1", "DIAM 31.4 0", 1)
+    lens = read_zmx(saved(tmp_path, text), SENSOR).lens
+    assert check_design(lens).numerical_aperture == pytest.approx(0.1, rel=1e-6)
+
+
+def test_the_users_catalogue_wins_over_the_makers(tmp_path: Path) -> None:
+    melt = IMPORTS / "schott_melt.agf"
+    text = (IMPORTS / "own_catalogue.zmx").read_text()
+    own = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=(melt,))
+    for gcat in ("SCHOTT_MELT", "SCHOTT", "SCHOTT SCHOTT_MELT", "OHARA", "SCHOTT_MELT.AGF", "HOYA MISC"):
+        result = read_zmx(saved(tmp_path, text.replace("SCHOTT_MELT", gcat)), own)
+        assert result.lens.indices(0.532)[1] == pytest.approx(1.52075, abs=5e-6)
+        assert "surface 1: glass N-BK7 is that of schott_melt.agf, not of Schott" in result.remarks
+    schott = tmp_path / "schott.agf"
+    schott.write_bytes(melt.read_bytes())
+    two = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=(schott,))
+    assert read_zmx(saved(tmp_path, SINGLET), two).lens.indices(0.532)[1] == pytest.approx(1.52075, abs=5e-6)
+
+
+def test_of_two_own_catalogues_the_one_that_the_file_names_comes_first(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.agf", tmp_path / "two.agf"
+    one.write_text("NM N-BK7 5\nCD 1.6\nLD 0.3 2.5\n")
+    two.write_text("NM N-BK7 5\nCD 1.7\nLD 0.3 2.5\n")
+    own = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=(one, two))
+    for gcat, index in (("TWO", 1.7), ("ONE", 1.6), ("SCHOTT", 1.6), ("SCHOTT TWO ONE", 1.7)):
+        result = read_zmx(saved(tmp_path, SINGLET.replace("GCAT SCHOTT", f"GCAT {gcat}")), own)
+        assert result.lens.indices(0.532)[1] == index
+
+
+def test_a_catalogue_that_is_not_at_hand_is_said(tmp_path: Path) -> None:
+    result = read_zmx(IMPORTS / "own_catalogue.zmx", SENSOR)
+    assert (
+        "surface 1: glass N-BK7 is that of Schott; the file also names SCHOTT_MELT, which may have another "
+        "of this "
+        "name (give it as a glass catalogue)" in result.remarks
+    )
+    assert not any("also names" in r for r in read_zmx(saved(tmp_path, SINGLET), SENSOR).remarks)
+
+
+def test_a_glass_of_an_own_catalogue_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
+    own = tmp_path / "own.agf"
+    own.write_text(
+        "NM N-BK7 2 0 1.5300 64\nCD 1.0396 0.0060007 0.23179 0.0200179 1.01047 103.56\nLD 0.35 2.5\n"
+    )
+    supplement = Supplement(pixel_pitch_um=3.2, pixels=(1000, 1000), glass_catalogs=(own,))
+    with pytest.raises(
+        MaterialError, match=r"glass N-BK7 gives nd = 1\.5300, and its coefficients \(CD\) give"
+    ):
+        read_zmx(saved(tmp_path, SINGLET), supplement)
+    other = SINGLET.replace("GLAS N-BK7", "GLAS F2")
+    assert read_zmx(saved(tmp_path, other), supplement).lens.surfaces[0].material == "F2"
+
+
+def test_the_lens_is_traced_and_compared_with_the_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The biconvex lens's textbook figures; and a reader that misreads is found out."""
+    from lensdesign.files import zemax_records
+
+    first = read_zmx(saved(tmp_path, SINGLET), SENSOR).first_order
+    assert first is not None
+    n = 1.5194726
+    power = 2.0 * (n - 1.0) / 50.0 - (n - 1.0) ** 2 * 5.0 / (n * 50.0**2)
+    assert first.efl_mm == pytest.approx(1.0 / power, rel=1e-7)
+    assert first.bfl_mm == pytest.approx((1.0 - (n - 1.0) * 5.0 / (n * 50.0)) / power, rel=1e-7)
+    principal = (n - 1.0) * 5.0 / (n * 50.0) / power
+    assert first.magnification == pytest.approx(-1.0 / (power * (60.0 + principal) - 1.0), rel=1e-6)
+
+    def misread(name: str, value: object) -> None:
+        def take(reader: object, surface: zemax_records.FileSurface, values: list[str], where: str) -> None:
+            setattr(surface, name, value)
+
+        taken = {"glass": "GLAS", "radius_mm": "CURV", "thickness_mm": "DISZ"}[name]
+        with monkeypatch.context() as patched:
+            patched.setitem(zemax_records._OF_SURFACE, taken, take)
+            with pytest.raises(InputError, match="does not do what the file's records imply"):
+                read_zmx(saved(tmp_path, SINGLET), SENSOR, lossy=True)
+
+    misread("glass", ())
+    misread("glass", ("F2",))
+    misread("radius_mm", 49.9)
+    misread("thickness_mm", 5.0)
+
+
+def test_a_strong_asphere_near_the_axis_raises_no_alarm(tmp_path: Path) -> None:
+    asphere = "TYPE EVENASPH\n  PARM 2 30.0\n  CURV 0\n  DIAM 0.05 1 0 0 1\n  DISZ 5"
+    text = SINGLET.replace("TYPE STANDARD\n  CURV 0.02\n  DISZ 5", asphere).replace(
+        "  DIAM 10 1 0 0 1\n", "", 1
+    )
+    result = read_zmx(saved(tmp_path, text.replace("OBNA 0.1", "OBNA 0.0008")), SENSOR)
+    assert result.lens.surfaces[0].asphere == (30.0,)
+    assert result.first_order is not None
+    assert result.first_order.efl_mm == pytest.approx(50.0 / 0.5194726, rel=1e-6)

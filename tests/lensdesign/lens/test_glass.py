@@ -269,3 +269,43 @@ def test_import_stays_light(catalogue: Path) -> None:
 def test_a_constant_index_needs_a_wavelength_all_the_same(wavelength_um: float) -> None:
     with pytest.raises(MaterialError, match=r"wavelength_um = .*: must be finite and above 0"):
         refractive_index(1.5, wavelength_um)
+
+
+def test_one_faulty_glass_does_not_hide_the_others_of_its_catalogue(tmp_path: Path) -> None:
+    file = tmp_path / "own.agf"
+    file.write_text(
+        "NM A 2 0\nCD 1.2 0.01\nLD 0.4 1.0\nNM B 2 0\nCD 1.5 0.01\nLD 0.4 1.0\n"
+        "NM A 2 0\nCD 1.3 0.01\nLD 0.4 1.0\nNM LIQ 2 0 1.4991 36.9\nCD 1.1893 0.0 0.0161 0.0\nLD 0.38 1.0\n"
+    )
+    assert get_material("B", [file]).index(0.532) == pytest.approx(
+        math.sqrt(1 + 1.5 * 0.532**2 / (0.532**2 - 0.01))
+    )
+    with pytest.raises(MaterialError, match="line 7: glass A stands already on line 1 with another index"):
+        get_material("A", [file])
+    with pytest.raises(MaterialError, match=r"line 10: the NM record of glass LIQ gives nd = 1\.4991"):
+        get_material("own.agf:LIQ", [file])
+    assert [name for name, catalog in list_glasses([file]) if catalog == "own.agf"] == ["A", "B", "LIQ"]
+
+
+def test_stated_nd_of_the_database_agree_with_its_formulas() -> None:
+    """The built-in makers' pages have no nd that would be noted or refused in a catalogue file."""
+    import yaml
+
+    from lensdesign.lens.catalogues.agf import LINE_D_UM, ND_NOTED
+    from lensdesign.lens.catalogues.database import _folder, database_pages, read_page
+
+    compared = 0
+    for page in database_pages().values():
+        if page.shelf != "specs" or not page.book.endswith("-optical"):
+            continue
+        text = (_folder() / "database" / "data" / page.file).read_text(encoding="utf-8")
+        stated = [line.split(":")[1] for line in text.splitlines() if line.strip().startswith("nd:")]
+        if not stated:
+            continue
+        dispersion, (shortest, longest), _ = read_page(page)
+        if shortest <= LINE_D_UM <= longest:
+            assert dispersion(LINE_D_UM) == pytest.approx(float(yaml.safe_load(stated[0])), abs=ND_NOTED), (
+                page
+            )
+            compared += 1
+    assert compared > 500

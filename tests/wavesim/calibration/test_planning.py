@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
-from wavesim.calibration.planning import SIDE, Plan, Plans, Twin, _twin, plan_frames
+from wavesim.calibration.planning import (
+    SIDE,
+    Plan,
+    Plans,
+    Twin,
+    _strength,
+    _twin,
+    plan_frames,
+    random_objects,
+)
+from wavesim.camera.imaging import image
 from wavesim.camera.windows import diversity, footprint_mm
 from wavesim.objects.patch import object_patch
-from wavesim.scene.settings import ITERATIONS, PlanSettings
+from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.scene.settings import ITERATIONS, Kind, PlanSettings
 
 LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
 
@@ -34,6 +46,55 @@ def test_more_planes_tell_more_of_a_complex_object(monkeypatch: pytest.MonkeyPat
     assert [done for _, done, _ in told] == [0, 0, 1, 2, 3]
     assert found.twin.scale == 1.0
     assert repr(found).startswith("Plans(plans 3, for an object of kind complex, planes ")
+
+
+@pytest.mark.parametrize("kind", ["complex", "amplitude"])
+def test_the_prediction_is_a_range_over_objects_that_change_much_and_little(kind: Kind) -> None:
+    patch = object_patch(LENS, 0.03)
+    objects = random_objects(patch, PlanSettings(kind=kind))
+    strengths = {name: _strength(one.values[patch.inside]) for name, one in objects.items()}
+    assert min(strengths.values()) < 0.25 < 0.35 < max(strengths.values())
+    if kind == "amplitude":
+        assert all(np.isreal(one.values).all() for one in objects.values())
+
+
+def test_a_phase_object_comes_out_within_the_predicted_range() -> None:
+    """A phase object is not promised what a dense one reaches: smooth phase ends where noise does."""
+    lens = scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+    exposures = (1.0, 30.0)
+    found = plan_frames(lens, patch_mm=0.03, kind="complex", most_planes=2, exposures=exposures)
+    plan = next(one for one in found.plans if one.frames == 4)
+    taken = image(lens, "phase", patch_mm=0.03, exposures=exposures, seed=5)
+    outcome = reconstruct_frames(
+        lens, taken.frames, patch_mm=0.03, kind="complex", truth=taken.target.transmission
+    ).truth["object_correlation"]
+    assert outcome is not None
+    assert plan.by_object["dense"] > outcome + 0.003
+    assert plan.correlation - 0.005 < outcome < plan.highest_correlation + 0.001
+    assert plan.highest_correlation == max(plan.by_object.values())
+    assert plan.correlation == min(plan.by_object.values())
+    assert 0.0 < plan.smooth_fraction < 1.0
+
+
+def test_predictions_state_what_they_assume() -> None:
+    found = plan_frames(LENS, patch_mm=0.02, most_planes=1, planes_mm=(0.03, 0.3), exposures=(1.0,))
+    assert set(found.strengths) == {"dense", "thin", "steps"}
+    said = " ".join(found.assumptions)
+    for name in (
+        "Objects of kind complex",
+        "full well 10000 electrons, read noise 2 electrons, 12 bits",
+        "Bench: planes, mounting, light and sensor are exactly as designed",
+        f"at most {found.engine_error:.2g}",
+        "at most 80 iterations",
+        "Smooth phase (less than 4 cycles",
+    ):
+        assert name in said
+    assert "Twin:" not in said
+    assert 0.0 < found.engine_error < 0.05
+    twin = replace(found, twin=Twin(0.1, 0.02, 20.0, 4.0), diversity=30.0)
+    assert "Its planes have a diversity of 4, those of the lens 30: objects that" in " ".join(
+        twin.assumptions
+    )
 
 
 def test_a_large_lens_is_tried_on_a_twin() -> None:

@@ -130,6 +130,17 @@ def test_a_band_of_wavelengths_adds_their_intensities(nominal: Imaged) -> None:
     assert coloured.sum() == pytest.approx(single.sum(), rel=0.02)
 
 
+def test_an_engine_is_chosen_for_each_wavelength_of_a_band(nominal: Imaged) -> None:
+    """The band changes the picture as much as with an engine that is named."""
+
+    def change(coloured: Imaged, single: Imaged) -> float:
+        one, other = pictures(coloured)[1], pictures(single)[1]
+        return float(np.linalg.norm(one - other) / np.linalg.norm(other))
+
+    chosen = change(seen(bandwidth_nm=50.0, engine="auto"), seen(engine="auto"))
+    assert chosen == pytest.approx(change(seen(bandwidth_nm=50.0), nominal), rel=0.2)
+
+
 def test_tiles_of_a_whole_field_record_on_upright_planes_alone() -> None:
     with pytest.raises(InputError, match="sensor_tilt_deg: engine two-level"):
         seen(Placement(sensor_tilt_deg=(1.0, 0.0)), engine="two-level")

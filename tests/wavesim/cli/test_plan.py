@@ -23,6 +23,9 @@ def test_a_table_a_chart_and_figures(
     assert "0.03125, 0.3438" in out
     assert chart.stat().st_size > 3_000
     assert out.count("*") == 2
+    assert "few grains (dark grains on 3 %" in out
+    assert "The prediction assumes:" in out
+    assert "depending on the object" in out
     code, out, err = run_wavesim(
         monkeypatch, capsys, "plan", *usual, "--most-planes", 1, "--correlation", 0.999999, "--json"
     )
@@ -32,6 +35,10 @@ def test_a_table_a_chart_and_figures(
     assert (plan["frames"], plan["planes_mm"], plan["exposures"]) == (1, [0.03125], [1.0])
     assert 0.0 < plan["correlation"] < 0.999999
     assert plan["recommended"] is True
+    assert plan["correlation"] == min(plan["correlation_by_object"].values())
+    assert plan["highest_correlation"] == max(plan["correlation_by_object"].values())
+    assert {one["name"] for one in found["objects"]} == set(plan["correlation_by_object"])
+    assert any(line.startswith("Engine:") for line in found["assumptions"])
     assert found["enough"] is False
 
 

@@ -3,10 +3,12 @@
 import json
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -21,6 +23,7 @@ from wavesim.evaluation.resolving import (
     LineContrast,
     Resolved,
     bars_field,
+    contrasts_of,
     meridional_scene,
     register,
     resolve,
@@ -108,6 +111,33 @@ def test_false_resolution_does_not_count() -> None:
     assert outcome(line(2.0, 0.1), line(1.0, 0.9)).smallest_resolved_um() is None
     # Enough contrast on the mean, but one gap as bright as a bar.
     assert outcome(line(2.0, 0.9), line(1.0, 0.4, -0.1)).smallest_resolved_um() == 2.0
+
+
+def test_the_limit_of_lines_is_named() -> None:
+    def ends(*lines: LineContrast) -> str:
+        return replace(outcome(*lines), passed_um=0.8).limit()
+
+    assert ends(line(2.0, 0.9), line(1.0, 0.1)) == "engine"
+    assert ends(line(2.0, 0.9), line(1.0, 0.8)) == "widths"
+    assert ends(line(2.0, 0.9), line(0.7, 0.1)) == "aperture"
+    assert ends(line(1.0, 0.1)) == "engine"
+    assert ends(line(2.0, 0.9), replace(line(1.0, 0.1), contrast_of_reference=0.1)) == "reference"
+    found = resolve(TWIN, [0.775, 0.41], engine="eikonal", plane_distance_mm=0.25)
+    assert found.passed_um == pytest.approx(0.532)
+    assert found.limit() == "aperture"
+
+
+@pytest.mark.parametrize("samples", [0.3, 1.0, -2.0, 5.0])
+def test_displaced_lines_are_registered(samples: float) -> None:
+    grid = Grid((4000,), 5e-5, -1.0)
+    lines = bars_field(grid, 0.532, 1.0)
+    cycles = scipy.fft.fftfreq(grid.size, grid.pitch_mm)
+    wave = np.exp(-2j * np.pi * cycles * samples * grid.pitch_mm)
+    moved = scipy.fft.ifft(scipy.fft.fft(lines.values) * wave)
+    refocus, shift, back = register(moved, lines.values, grid, 0.532)
+    assert shift / grid.pitch_mm == pytest.approx(samples, abs=0.1)
+    assert abs(refocus) < 1e-4
+    assert contrasts_of(grid, 1.0, 5)(back)[0] > 0.98
 
 
 def test_weakest_contrast_is_that_of_one_gap() -> None:

@@ -9,9 +9,18 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import GOLDEN
 
 from lensdesign.errors import MaterialError
-from lensdesign.lens.catalogues.agf import DISPERSION_FORMULAS, AgfGlass, parse_agf, read_agf
+from lensdesign.lens.catalogues.agf import (
+    DISPERSION_FORMULAS,
+    LINE_C_UM,
+    LINE_D_UM,
+    LINE_F_UM,
+    AgfGlass,
+    parse_agf,
+    read_agf,
+)
 
 N_BK7 = (1.03961212, 0.00600069867, 0.231792344, 0.0200179144, 1.01046945, 103.560653)
 CATALOGUE = """CC Test catalogue
@@ -239,3 +248,99 @@ def test_any_text_parses_or_is_refused(text: str) -> None:
     except MaterialError as error:
         message = str(error)
     assert message.startswith("makers.agf")
+
+
+def test_spectral_lines() -> None:
+    assert (LINE_F_UM, LINE_D_UM, LINE_C_UM) == (0.4861327, 0.5875618, 0.6562725)
+
+
+def test_a_glass_that_stands_twice_alike_is_one_glass_with_a_note() -> None:
+    one, two = read_agf(GOLDEN / "imports" / "doubled_glass.agf")
+    assert (one.name, two.name, one.fault, two.fault) == ("A-ONE", "B-TWO", "", "")
+    assert "glass A-ONE stands twice with the same index" in one.notes[-1]
+    assert "line 2 and line 8" in one.notes[-1]
+    assert "stands twice" not in " ".join(two.notes)
+
+
+TWICE = "NM A 2 0\nCD 1.2 0.01\nLD 0.4 1.0\nNM B 2 0\nCD 1.5 0.01\nLD 0.4 1.0\nNM a 2 0\n{again}"
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        "CD 1.21 0.01\nLD 0.4 1.0\n",
+        "CD 1.2 0.011\nLD 0.5 1.0\n",
+        "CD 1.2 0.01\nLD 1.1 2.0\n",
+        "CD 1.2 0.01\nLD 0.4 1.0\nNM A 2 0\nCD 1.3 0.01\nLD 0.4 1.0\n",
+    ],
+)
+def test_a_glass_that_stands_twice_differently_is_refused_alone(again: str) -> None:
+    one, two = parse_agf(TWICE.format(again=again), "own.agf")
+    assert (one.name, two.name, two.fault) == ("A", "B", "")
+    assert "stands already on line 1 with another index" in one.fault
+    assert one.fault.startswith("own.agf, line ")
+
+
+def test_two_entries_that_differ_by_rounding_are_alike() -> None:
+    """As makers' catalogues have some glasses: once with seven digits, once with ten."""
+    text = (
+        "NM E-F2 1 620363 1.620041 36.26\nCD 2.557393 -1.079512E-2 2.168073E-2 1.05166E-3 -5.363098E-5 "
+        "7.746633E-6\n"
+        "TD 1.0E-6 0 0 0 0 0 20\nLD 0.365 1.014\n"
+        "NM E-F2 1 620363 1.620041 36.26\nCD 2.55739282 -1.07951229E-2 2.16807328E-2 1.05165979E-3 "
+        "-5.36309816E-5 7.7466328E-6\nLD 0.365 1.014\n"
+    )
+    (glass,) = parse_agf(text, "own.agf")
+    assert (glass.fault, glass.coefficients[0], len(glass.notes)) == ("", 2.557393, 1)
+    assert glass.notes[0].endswith("their data of heat (TD, ED) differ")
+
+
+def nm(nd: str, vd: str = "64.17", span: str = "0.3 2.5") -> AgfGlass:
+    coefficients = " ".join(map(repr, N_BK7))
+    return parse_agf(f"NM N-BK7 2 517642 {nd} {vd} 0 1\nCD {coefficients}\nLD {span}\n", "own.agf")[0]
+
+
+@pytest.mark.parametrize(
+    "nd", ["1.5168", "1.51680", "1.5", "1.52", "1.517", "1.5168E+000", "0", "1.0", "1", "-"]
+)
+def test_an_nd_that_the_coefficients_give_within_rounding_passes(nd: str) -> None:
+    assert (nm(nd).notes, nm(nd).fault) == ((), "")
+
+
+@pytest.mark.parametrize("nd", ["1.5171", "1.5190", "1.5143"])
+def test_an_nd_that_is_somewhat_off_is_noted(nd: str) -> None:
+    glass = nm(nd)
+    assert glass.fault == ""
+    assert f"gives nd = {nd}, and its coefficients give 1.5168; the coefficients are taken" in glass.notes[0]
+
+
+@pytest.mark.parametrize("nd", ["1.5202", "1.6", "1.510", "1.5268", "1.8", "1.4991"])
+def test_an_nd_that_contradicts_the_coefficients_refuses_the_glass(nd: str) -> None:
+    assert f"glass N-BK7 gives nd = {nd}, and its coefficients (CD) give 1.5168" in nm(nd).fault
+    assert nm(nd, span="0.6 2.5").fault == ""
+
+
+def test_an_nd_that_is_no_number_is_noted() -> None:
+    assert "gives nd as '1,5168', which is no number" in nm("1,5168").notes[0]
+    assert nm("_").notes == ()
+
+
+def test_an_abbe_number_that_the_coefficients_do_not_give_is_noted() -> None:
+    assert nm("1.5168", "64").notes == nm("1.5168", "64.2").notes == nm("1.5168", "0").notes == ()
+    assert "an Abbe number of 50.0, and its coefficients give 64.17" in nm("1.5168", "50.0").notes[0]
+
+
+def test_records_go_on_on_the_next_line() -> None:
+    """As Nikon's catalogue has its coefficients; without the second line nd is wrong by 0.006."""
+    text = (
+        "NM J-SF6 13 1 1.805180 25.448348 0 0 1\nGC \nED 8.6 0 3.34 0.014 0 0\n"
+        "CD 3.119936450E+000 -1.266791630E-002 0.000000000E+000 4.216983550E-002 \n"
+        "3.047689260E-003 -4.207201960E-004 1.067705820E-004 -1.093820350E-005 \n"
+        "5.570777940E-007 0.000000000E+000 \nTD 0 0 0 0 \n0 0 23\nLD 0.40 1.013980\n"
+    )
+    (glass,) = parse_agf(text, "nikon.agf")
+    assert (len(glass.coefficients), glass.reference_temperature_c) == (9, 23.0)
+    assert (glass.notes, glass.fault) == ((), "")
+    assert glass(LINE_D_UM) == pytest.approx(1.80518, abs=1e-5)
+    with pytest.raises(MaterialError, match=r"line 4: CD record has '1,5' where a finite number"):
+        parse_agf(text.replace(" -1.093820350E-005", " 1,5"), "nikon.agf")

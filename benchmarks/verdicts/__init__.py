@@ -1,0 +1,1 @@
+"""What the verdict of a reconstruction says of right and of wrong benches."""

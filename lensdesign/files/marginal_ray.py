@@ -1,0 +1,137 @@
+"""Exact rays in the meridional plane of a lens that is being read: what an aperture means at the stop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensdesign.lens.shapes.base import Shape
+from lensdesign.lens.shapes.intersection import intersect
+
+STEPS = 80
+"""Most steps towards the sine whose ray reaches a given height at the stop; bisection alone needs fewer."""
+
+
+@dataclass(frozen=True)
+class MeridionalRay:
+    """A ray behind the last surface that it was traced through.
+
+    Attributes
+    ----------
+    heights_mm
+        Heights at the surfaces.
+    y_mm, z_mm
+        Its last point; z from the first vertex.
+    slope
+        dy/dz behind the last surface.
+    """
+
+    heights_mm: tuple[float, ...]
+    y_mm: float
+    z_mm: float
+    slope: float
+
+    def height_at(self, z_mm: float) -> float:
+        """Height of the straight line behind the last surface at a position along the axis."""
+        return self.y_mm + (z_mm - self.z_mm) * self.slope
+
+
+@dataclass(frozen=True)
+class MeridionalSystem:
+    """Surfaces in a row on one axis.
+
+    Attributes
+    ----------
+    shapes
+        Of the surfaces.
+    distances_mm
+        From each surface to the next; what stands behind the last one does not count.
+    indices
+        Before the first surface and behind each.
+    """
+
+    shapes: tuple[Shape, ...]
+    distances_mm: tuple[float, ...]
+    indices: tuple[float, ...]
+
+    def trace(
+        self, y_mm: float, z_mm: float, sine: float, surfaces: int | None = None
+    ) -> MeridionalRay | None:
+        """Trace a ray by Snell's law through the first `surfaces` surfaces (None: all).
+
+        Parameters
+        ----------
+        y_mm, z_mm
+            A point of the ray in front of the lens; z from the first vertex.
+        sine
+            Of its angle with the axis.
+
+        Returns
+        -------
+        MeridionalRay or None
+            None where it misses a surface or is totally reflected.
+        """
+        count = len(self.shapes) if surfaces is None else surfaces
+        position = np.array([[0.0, y_mm, z_mm]])
+        direction = np.array([[0.0, sine, math.sqrt(max(0.0, 1.0 - sine * sine))]])
+        heights: list[float] = []
+        vertex = 0.0
+        with np.errstate(all="ignore"):
+            for i, shape in enumerate(self.shapes[:count]):
+                local = position - np.array([0.0, 0.0, vertex])
+                distance, hit, converged = intersect(local, direction, shape)
+                if not (hit[0] and converged[0] and math.isfinite(distance[0])):
+                    return None
+                local = local + distance[0] * direction
+                heights.append(float(local[0, 1]))
+                _, by_x, by_y = shape.sag_and_slopes(local[:, 0], local[:, 1])
+                refracted = _refracted(
+                    direction[0], np.array([-by_x[0], -by_y[0], 1.0]), self.indices[i], self.indices[i + 1]
+                )
+                if refracted is None:
+                    return None
+                direction, position = refracted[None], local + np.array([0.0, 0.0, vertex])
+                if i + 1 < count:
+                    vertex += self.distances_mm[i]
+        y, z, slope = float(position[0, 1]), float(position[0, 2]), float(direction[0, 1] / direction[0, 2])
+        return MeridionalRay(tuple(heights), y, z, slope) if math.isfinite(slope) else None
+
+    def height_at_stop(self, object_distance_mm: float, sine: float, stop: int) -> float | None:
+        """Height at the stop of a ray from the axis of the object; None where it does not get there."""
+        ray = self.trace(0.0, -object_distance_mm, sine, stop + 1)
+        return None if ray is None else abs(ray.heights_mm[stop])
+
+    def sine_through_stop(self, object_distance_mm: float, height_mm: float, stop: int) -> float | None:
+        """Sine of the ray from the axis of the object that meets the stop at a height; None without one.
+
+        The smallest one is sought; heights grow with the sine until rays miss a surface.
+        """
+        low, high = 0.0, 1.0
+        for _ in range(STEPS):
+            middle = 0.5 * (low + high)
+            height = self.height_at_stop(object_distance_mm, middle, stop)
+            if height is not None and height < height_mm:
+                low = middle
+            else:
+                high = middle
+            if high - low <= 1e-15:
+                break
+        sine = 0.5 * (low + high)
+        height = self.height_at_stop(object_distance_mm, low, stop)
+        if height is None or abs(height - height_mm) > 1e-6 * height_mm:
+            return None
+        return sine
+
+
+def _refracted(direction: np.ndarray, normal: np.ndarray, before: float, behind: float) -> np.ndarray | None:
+    """Direction behind a surface by Snell's law in vectors; None under total reflection."""
+    normal = normal / math.sqrt(float(normal @ normal))
+    ratio = before / behind
+    cosine = float(direction @ normal)
+    inside = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
+    if not inside >= 0.0 or cosine <= 0.0:
+        return None
+    bent: np.ndarray = ratio * direction + (math.sqrt(inside) - ratio * cosine) * normal
+    return bent

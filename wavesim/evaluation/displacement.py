@@ -1,0 +1,153 @@
+"""Displacement of one transmission against another: found to a part of a sample, and taken back."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from wavesim.runtime.threads import row_blocks
+
+WIDEST = 512
+"""Samples along a side, at most, of the part of a field from which a displacement is found."""
+
+FURTHEST = 64
+"""Samples by which a displacement is sought along each axis, at most; a quarter of a smaller field."""
+
+DETERMINED = 0.3
+"""Correlation of the displaced fields from which on their displacement is determined."""
+
+LEAST_DETAIL = 1e-4
+"""What is not even in a field, relative to the whole, from which on it has anything to be displaced."""
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+
+def displacement_samples(
+    found: Complex, true: Complex, inside: NDArray[np.bool_]
+) -> tuple[float, float] | None:
+    """Displacement (x, y) of a transmission from another, in samples.
+
+    The displacement is where the correlation of both is largest, from the samples that lie inside for both
+    when one of them is displaced. Of large fields the middle is taken.
+
+    Parameters
+    ----------
+    found, true
+        Transmissions, shape (ny, nx).
+    inside
+        Samples that are lit.
+
+    Returns
+    -------
+    tuple of float or None
+        None where the transmissions do not determine it.
+    """
+    part = _middle(inside)
+    known = inside[part]
+    one, other = _uneven(found[part], known), _uneven(true[part], known)
+    if one is None or other is None:
+        return None
+    reach = [min(FURTHEST, count // 4) for count in known.shape]
+    overlap = _Overlap(one, other, known, reach)
+    row, column, correlation = overlap.peak()
+    if not correlation >= DETERMINED:
+        return None
+    return overlap.between_samples(row, column)
+
+
+def displaced_back(values: Complex, displacement: tuple[float, float]) -> None:
+    """Move a field by minus a displacement (x, y) in samples, in place, by its Fourier series."""
+    for axis, samples in enumerate(displacement[::-1]):
+        count = values.shape[axis]
+        turn = np.exp(2j * np.pi * samples * scipy.fft.fftfreq(count))
+        lines = values if axis == 1 else values.T
+        for block in row_blocks(len(lines)):
+            lines[block] = scipy.fft.ifft(scipy.fft.fft(lines[block], axis=1) * turn, axis=1)
+
+
+def inside_both(inside: NDArray[np.bool_], displacement: tuple[float, float]) -> NDArray[np.bool_]:
+    """Samples inside whose displaced place is inside, too."""
+    result = inside.copy()
+    for axis, samples in enumerate(displacement[::-1]):
+        steps = math.ceil(abs(samples)) * (1 if samples > 0.0 else -1)
+        for step in {0, steps}:
+            result &= np.roll(inside, -step, axis)
+    x, y = (math.ceil(abs(one)) * (1 if one > 0.0 else -1) for one in displacement)
+    return np.asarray(result & np.roll(inside, (-y, -x), (0, 1)))
+
+
+def _middle(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The middle of the samples that count."""
+    parts = []
+    for axis in (0, 1):
+        used = np.flatnonzero(inside.any(axis=1 - axis))
+        first, last = (int(used[0]), int(used[-1]) + 1) if used.size else (0, inside.shape[axis])
+        start = max(first, (first + last - WIDEST) // 2)
+        parts.append(slice(start, min(last, start + WIDEST)))
+    return parts[0], parts[1]
+
+
+def _uneven(values: Complex, inside: NDArray[np.bool_]) -> Complex | None:
+    """A field inside less its mean; None if nothing but the mean is there."""
+    own = np.where(inside, values, 0.0).astype(np.complex64)
+    size = float(np.linalg.norm(own))
+    own -= np.where(inside, own.sum(dtype=complex) / max(int(inside.sum()), 1), 0.0).astype(np.complex64)
+    detail = float(np.linalg.norm(own))
+    return own if math.isfinite(detail) and detail > LEAST_DETAIL * size else None
+
+
+class _Overlap:
+    """Correlation of two fields as one is displaced, over the samples that are inside for both."""
+
+    def __init__(self, one: Complex, other: Complex, inside: NDArray[np.bool_], reach: list[int]) -> None:
+        shape = [scipy.fft.next_fast_len(n + most) for n, most in zip(inside.shape, reach, strict=True)]
+        self.shape, self.reach = shape, reach
+        mask = np.conj(scipy.fft.fft2(inside.astype(np.float32), shape))
+        self.products = scipy.fft.fft2(one, shape) * np.conj(scipy.fft.fft2(other, shape))
+        self.sizes = (
+            scipy.fft.fft2(np.abs(one) ** 2, shape) * mask,
+            np.conj(scipy.fft.fft2(np.abs(other) ** 2, shape)) * np.conj(mask),
+        )
+        self.least = 0.3 * float(np.linalg.norm(one)) * float(np.linalg.norm(other))
+
+    def peak(self) -> tuple[int, int, float]:
+        """Displacement of whole samples, along y and x, with the largest correlation."""
+        rows, columns = (
+            np.r_[0 : most + 1, count - most : count]
+            for most, count in zip(self.reach, self.shape, strict=True)
+        )
+        sought = np.ix_(rows, columns)
+        product = np.abs(scipy.fft.ifft2(self.products)[sought])
+        sizes = [np.maximum(scipy.fft.ifft2(one)[sought].real, 0.0) for one in self.sizes]
+        # Where little of either field is left, chance would make the correlation.
+        correlation = product / np.maximum(np.sqrt(sizes[0] * sizes[1]), self.least)
+        row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+        y, x = (
+            int(at) - (count if at > most else 0)
+            for at, count, most in zip((rows[row], columns[column]), self.shape, self.reach, strict=True)
+        )
+        return y, x, float(correlation[row, column])
+
+    def between_samples(self, row: int, column: int) -> tuple[float, float]:
+        """The peak (x, y) between samples, from the Fourier series of the overlap about it."""
+        from scipy.optimize import minimize
+
+        cycles = [scipy.fft.fftfreq(count) for count in self.shape]
+
+        def series(spectrum: Complex, down: Complex, across: Complex) -> complex:
+            return complex(down @ (spectrum @ across))
+
+        def lacks(place: Any) -> float:
+            waves = [np.exp(2j * np.pi * f * p) for f, p in zip(cycles, place, strict=True)]
+            sizes = [series(one, *waves).real for one in self.sizes]
+            return -abs(series(self.products, *waves)) / math.sqrt(max(sizes[0] * sizes[1], 1e-300))
+
+        start = np.array([row, column], float)
+        simplex = start + np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]])
+        options: Any = {"initial_simplex": simplex, "xatol": 2e-3, "fatol": 1e-8, "maxfev": 80}
+        y, x = (float(one) for one in minimize(lacks, start, method="Nelder-Mead", options=options).x)
+        return x, y
