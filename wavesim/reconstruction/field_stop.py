@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,28 +66,6 @@ DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
 
 FIRST, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
 """Iterations of each stage, and its first step over the diameter."""
-
-PROBE_WIDTH, BINS, ABOVE_FLOOR = 0.3, 200, 0.3
-"""Of the spectra's ends: diameter of the first probe over the patch, samples of the radial spectrum for a
-cycle per pixel, and decades above what the noise leaves."""
-
-STEEP = 0.8
-"""Decades by which a spectrum falls over the last 15 % before its end."""
-
-SPECTRAL_ERROR, BESIDE = 0.2, (0.9, 1.0, 1.1)
-"""Relative error of the diameter that spectra tell, and diameters beside it that are tried."""
-
-ASTRAY = 3.0
-"""Misfit over that of the noise, from which on the position is sought first."""
-
-DIAMETERS = (0.12, 0.17, 0.24, 0.34, 0.48, 0.68, 1.0)
-"""Of the first stops that are tried, over the patch."""
-
-FIRST, STAGES = (1, 0.25), ((6, 0.15), (6, 0.06), (15, 0.03))
-"""Iterations of each stage, and its first step over the diameter."""
-
-AT_NOISE = 1.1
-"""Misfit over that of the noise, at which a stage is the last one."""
 
 BESIDE_SHARE = 0.1
 """Of the diameter, by which the middles of the light must lie beside a stop for another one to be sought."""
@@ -139,6 +117,7 @@ class StopSearch:
     active_width: float = 0.0
     modes: Sequence[SourceMode] = ()
     progress: Callable[[str], None] = lambda text: None
+    _tried: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
 
     def run(self, width_mm: float | None = None, at_mm: tuple[float, float] | None = None) -> FieldStop:
         """The stop that explains the frames best.
@@ -243,6 +222,8 @@ class StopSearch:
 
     def misfit(self, stop: FieldStop, iterations: int) -> float:
         """What a short reconstruction behind a stop leaves."""
+        if (stop, iterations) in self._tried:
+            return self._tried[stop, iterations]
         self.progress(
             f"field stop: {1e3 * stop.width_mm:.3g} um at {1e3 * stop.at_mm[0]:.3g}, "
             f"{1e3 * stop.at_mm[1]:.3g} um"
@@ -259,6 +240,7 @@ class StopSearch:
             modes=self.modes,
             residuals=False,
         )
+        self._tried[stop, iterations] = found.misfit[-1]
         return found.misfit[-1]
 
     def _within(self, values: Array) -> FieldStop:
@@ -273,16 +255,13 @@ class StopSearch:
         self, start: FieldStop, iterations: int, first: float, free: NDArray[np.bool_]
     ) -> FieldStop:
         """Steps along x, y and the diameter, halved where none helps; between them, as a parabola says."""
-        tried: dict[FieldStop, float] = {}
 
         def value(stop: FieldStop) -> float:
-            if stop not in tried:
-                tried[stop] = self.misfit(stop, iterations)
-            return tried[stop]
+            return self.misfit(stop, iterations)
 
         pitch = self.engine.scene.object_grid.pitch_mm
-        best, step = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch)
-        while step >= LEAST_STEP * pitch and len(tried) < MOST_TRIALS:
+        best, step, begun = start, max(first * start.width_mm, 1.5 * LEAST_STEP * pitch), len(self._tried)
+        while step >= LEAST_STEP * pitch and len(self._tried) - begun < MOST_TRIALS:
             before = best
             for direction in DIRECTIONS[~np.any(DIRECTIONS[:, ~free], axis=1)]:
                 best = self._along(best, step * direction, value)
