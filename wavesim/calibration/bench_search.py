@@ -45,7 +45,15 @@ from wavesim.scene.settings import CalibrationSettings, SettingError
 HELD = 5
 """Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
 
-NOT_TELLING = {"patch_mm", "field_stop_mm", "object_pitch_um", "illumination", "most_mountings"}
+NOT_TELLING = {
+    "patch_mm",
+    "field_stop_mm",
+    "field_stop_at_mm",
+    "field_stop",
+    "object_pitch_um",
+    "illumination",
+    "most_mountings",
+}
 """Settings that a trail does not depend on, or that the light has in it already."""
 
 

@@ -20,6 +20,7 @@ from wavesim.camera.mounting import mounting_of, mounting_table, read_table
 from wavesim.evaluation.verdicts import Verdict
 from wavesim.scene.bench import Bench
 from wavesim.scene.placement import Placement
+from wavesim.scene.settings import StopOrigin
 
 NOT_TOLD = 0.5
 """Share of what is expected of a parameter: with a standard deviation beyond it, frames do not tell."""
@@ -67,6 +68,9 @@ class Calibrated:
     verdict : Verdict or None
         How well the object found on this bench explains the frames, as :func:`wavesim.reconstruct_frames`
         judges it; None where that was not asked for.
+    field_stop_mm, field_stop_at_mm, field_stop_from : float or None, (x, y), str
+        Diameter and middle of the field stop of which the light was taken, and where they come from: "patch"
+        where nothing was stated, "stated", or "frames" where they were found.
     """
 
     bench: Bench
@@ -85,6 +89,9 @@ class Calibrated:
     undetermined: tuple[str, ...] = ()
     applied: Mapping[str, float] | None = None
     verdict: Verdict | None = None
+    field_stop_mm: float | None = None
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
+    field_stop_from: StopOrigin = "patch"
 
     @property
     def mounting(self) -> Placement:
@@ -132,6 +139,9 @@ class Calibrated:
             "over_noise": self.over_noise,
             "explained": self.explained,
             "verdict": None if self.verdict is None else self.verdict.as_dict(),
+            "field_stop_mm": self.field_stop_mm,
+            "field_stop_at_mm": list(self.field_stop_at_mm),
+            "field_stop_from": self.field_stop_from,
         }
 
     def __repr__(self) -> str:
@@ -157,6 +167,32 @@ def traded(names: Sequence[str], covariance: Array) -> dict[str, tuple[str, ...]
         for name, row in zip(names, alike, strict=True)
     }
     return {name: others for name, others in found.items() if others}
+
+
+def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, float]] | None:
+    """Diameter and middle of the field stop of a calibration; None where it had none but the patch's sides.
+
+    Parameters
+    ----------
+    path
+        Its calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or states a field stop that is none.
+    """
+    table = read_table(path)
+    if table.get("field_stop_from", "patch") == "patch":
+        return None
+    values = [table.get("field_stop_mm"), *(table.get("field_stop_at_mm") or [])]
+    numbers = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(values) != 3 or len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[0] <= 0.0:
+        raise InputError(
+            f"{path}: field_stop_mm, field_stop_at_mm = {values!r}: must be a diameter above 0 and a pair of "
+            "finite numbers"
+        )
+    return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:

@@ -23,7 +23,8 @@ from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at,
 from wavesim.camera.recording import Progress
 from wavesim.evaluation.verdicts import PlaneResidual, verdict
 from wavesim.fields.field import Field
-from wavesim.objects.patch import read_object
+from wavesim.objects.patch import lit, lit_patch, read_object
+from wavesim.reconstruction.field_stop import StopSearch
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.reconstruction.recording_model import RecordingModel
@@ -102,9 +103,53 @@ def calibrate_frames(
     EmptyWarning
         If empty frames are not quite explained.
     """
-    settings = (settings or CalibrationSettings()).replaced(**changes)
-    seen = Seen(lens, frames, settings, priors)
+    chosen = (settings or CalibrationSettings()).replaced(**changes)
     tell = progress or (lambda what, done, count: None)
+    settings = _with_stop(lens, frames, chosen, tell)
+    found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
+    patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
+    return replace(
+        found,
+        field_stop_mm=patch.field_stop_mm,
+        field_stop_at_mm=patch.field_stop_at_mm,
+        field_stop_from=chosen.field_stop_from,
+    )
+
+
+def _with_stop(
+    lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, tell: Progress
+) -> CalibrationSettings:
+    """Settings that state the field stop, which is found first where they ask for that."""
+    if settings.field_stop != "find":
+        return settings
+    seen = Seen(lens, frames, settings)
+    patch = seen.framed.patch
+    search = StopSearch(
+        seen.make(seen.scene),
+        seen.recorded,
+        lambda stop: lit(patch.with_stop(*stop), settings),
+        lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
+        settings.kind,
+        settings.scale,
+        settings.active_width,
+        progress=lambda text: tell(text, 0, 0),
+    )
+    return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
+
+
+def _calibrated(
+    lens: Lens,
+    frames: Sequence[Frame],
+    settings: CalibrationSettings,
+    known: Field | Path | None,
+    empty: Sequence[Frame] | None,
+    priors: Mapping[str, float] | None,
+    folder: Path | None,
+    tell: Progress,
+    judges: bool,
+) -> Calibrated:
+    """The bench behind a field stop that is stated."""
+    seen = Seen(lens, frames, settings, priors)
     if known is not None:
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
@@ -114,15 +159,15 @@ def calibrate_frames(
     begin, kept_in = Unknowns(lens, Bench(seen.start)), None if folder is None else folder / CHECKPOINT
     if empty is None:
         found = searched(seen, seen.parameters(), begin, kept_in, tell)
-        return _judged(lens, frames, settings, found, progress) if judges else found
+        return _judged(lens, frames, settings, found, tell) if judges else found
     refuse_other_frames(empty, frames)
-    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
+    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=tell)
     rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
     if not rest:
-        return _judged(lens, frames, settings, measured, progress) if judges else measured
+        return _judged(lens, frames, settings, measured, tell) if judges else measured
     begin = begin.changed(measured.parameters, list((measured.applied or {}).values()))
     found = _with_light_of(measured, searched(seen, rest, begin, kept_in, tell))
-    return _judged(lens, frames, settings, found, progress) if judges else found
+    return _judged(lens, frames, settings, found, tell) if judges else found
 
 
 def calibrate_empty(

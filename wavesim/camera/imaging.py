@@ -92,7 +92,7 @@ class Imaged:
         across, down = self.sensor.pixels
         planes = ", ".join(f"{z:g}" for z in self.recording.plane_distances_mm)
         return [
-            ("object", f"{self.target.name}, field stop {self.patch.field_stop_mm:g} mm"),
+            ("object", f"{self.target.name}, {self.patch.stop_words}"),
             ("engine", self.engine.name),
             ("frames", f"{len(self.frames)} of {across} x {down} pixels, planes at {planes} mm"),
             ("brightest", f"{max(int(frame.counts.max()) for frame in self.frames)} counts"),
@@ -191,7 +191,8 @@ def _patch_and_light(lens: Lens, thing: str | Field, settings: ImageSettings) ->
     if settings.patch_mm is not None or settings.object_pitch_um is not None:
         raise InputError("patch_mm, object_pitch_um: are those of the transmission given: leave them out")
     side_mm = 2.0 * min(thing.grid.half_widths_mm)
-    patch = Patch(thing.grid, settings.field_stop_mm or side_mm, thing.wavelength_um)
+    at_mm = settings.field_stop_at_mm or (0.0, 0.0)
+    patch = Patch(thing.grid, settings.field_stop_mm or side_mm, thing.wavelength_um, at_mm)
     return patch, lit(patch, settings)
 
 

@@ -90,6 +90,7 @@ def footprint_mm(
     x, y, z = place.object_shift_mm
     # Light of a displaced object crosses the design's object plane so much beside the field stop.
     beside = math.hypot(x, y) + abs(z) * math.tan(math.asin(min(lens.object.numerical_aperture, 0.99)))
+    beside += math.hypot(*patch.field_stop_at_mm)
     space = lens.object.replaced(field_diameter_mm=patch.field_stop_mm + 2.0 * beside)
     lit = lens.replaced(object=space)
     found = footprint(lit, patch.wavelength_um, plane_distance_mm, place.pose, place.surface_perturbations)

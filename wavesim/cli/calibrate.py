@@ -14,7 +14,7 @@ from lensdesign.files.design import load_design
 from wavesim.cli.bench_files import read_empty, read_priors
 from wavesim.cli.options import AsJson, DesignOption, Empty, Frames, Output, Priors, print_warnings
 from wavesim.cli.runs import print_table, progress, versions
-from wavesim.scene.settings import CalibrationSettings, FrameSetSettings
+from wavesim.scene.settings import STOP_ORIGINS, CalibrationSettings, FrameSetSettings
 
 if TYPE_CHECKING:
     from wavesim.calibration.calibrated import Calibrated
@@ -102,6 +102,8 @@ def write_calibration(
 
 def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) -> None:
     """Print the estimates with their standard deviations, and the verdict."""
+    from wavesim.objects.patch import stop_words
+
     rows = []
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
@@ -118,6 +120,9 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
             "smooth light does (an object that is an amplitude does not: --kind amplitude)"
         )
     noise = summary["misfit_of_noise"]
+    if found.field_stop_mm is not None:
+        words = stop_words(found.field_stop_mm, found.field_stop_at_mm)
+        print(f"{words}, {STOP_ORIGINS[found.field_stop_from]}")
     print(
         f"misfit {summary['misfit_before']:.4f} as designed, {summary['misfit']:.4f} as calibrated"
         + ("" if noise is None else f"; {noise:.4f} would be noise alone")

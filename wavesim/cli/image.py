@@ -97,6 +97,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
             "elements": len(imaged.target.elements),
             "patch_mm": patch.grid.shape[0] * patch.grid.pitch_mm,
             "field_stop_mm": patch.field_stop_mm,
+            "field_stop_at_mm": list(patch.field_stop_at_mm),
             "pitch_um": 1e3 * patch.grid.pitch_mm,
             "samples": patch.grid.shape[0],
             **_finest(imaged),
@@ -173,12 +174,13 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
     with new_results(output) as folder:
         for entry, frame in zip(summary["frames"], imaged.frames, strict=True):
             write_frame(frame, folder / entry["file"])
-        write_field(transmission, folder / "object.npz", field_stop_mm=patch.field_stop_mm)
+        x_mm, y_mm = patch.field_stop_at_mm
+        of_stop = {"field_stop_mm": patch.field_stop_mm, "field_stop_x_mm": x_mm, "field_stop_y_mm": y_mm}
+        write_field(transmission, folder / "object.npz", **of_stop)
         for quantity, name in (("amplitude", "object_amplitude.tif"), ("phase_rad", "object_phase.tif")):
             write_pyramid(transmission.values, folder / name, 1e3 * patch.grid.pitch_mm, (quantity,))
         light = f"{patch.wavelength_um:g} µm"
-        stop = f"field stop {patch.field_stop_mm:g} mm"
-        title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {stop}"
+        title = f"{summary['design']}\nobject {imaged.target.name}, {light}, {patch.stop_words}"
         drawn = object_figure(transmission, patch.inside, title, elements=imaged.target.elements)
         save(drawn, folder / "object.png")
         sensor = f"{light}, pixels of {imaged.sensor.pixel_pitch_um:g} µm"
@@ -189,13 +191,15 @@ def _write(imaged: Imaged, summary: dict[str, Any], output: Path) -> list[str]:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
+    from wavesim.objects.patch import stop_words
+
     engine, sensor, thing = summary["engine"], summary["sensor"], summary["object"]
     across, down = sensor["pixels"]
     error = engine["predicted_error"]
     said = "not known" if error is None else f"at most {error:.2g} for the light of this object"
     print(visible(str(summary["design"])))
     print(
-        f"object {thing['name']}, field stop {thing['field_stop_mm']:g} mm, "
+        f"object {thing['name']}, {stop_words(thing['field_stop_mm'], thing['field_stop_at_mm'])}, "
         f"{thing['samples']} x {thing['samples']} samples of {thing['pitch_um']:.4g} um"
     )
     if "finest_line_um" in thing:

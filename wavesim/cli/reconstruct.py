@@ -21,12 +21,14 @@ from wavesim.cli.options import AsJson, Empty, Frames, Output, Priors, print_war
 from wavesim.cli.runs import engine_summary, memory_teller, print_table, progress, versions
 from wavesim.scene.placement import Placement
 from wavesim.scene.settings import (
+    STOP_ORIGINS,
     CalibrationSettings,
     FramedSettings,
     FrameSetSettings,
     FreeSpaceSettings,
     PoseSettings,
     ReconstructionSettings,
+    StopOrigin,
 )
 
 CALIBRATED = "calibration"
@@ -99,6 +101,7 @@ def reconstruct(
         warnings.simplefilter("always")
         lens = load_design(design)
         bench = None if calibration is None else _calibrated_before(calibration, lens)
+        stop_from, settings = _stop_of(calibration, settings)
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
@@ -106,6 +109,9 @@ def reconstruct(
             calibrated = _calibrated(
                 lens, pictures[0], without, expected, settings, folder, free.calibrate, bench
             )
+            if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
+                settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
+                stop_from = "frames"
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -123,6 +129,7 @@ def reconstruct(
                 before=before,
             )
         summary = {"design": lens.title or design.stem} | found.figures()
+        summary["field_stop_from"] = stop_from or summary["field_stop_from"]
     summary |= {
         "warnings": _messages(caught),
         "engine": engine_summary(found.engine, found.predicted_error),
@@ -145,6 +152,18 @@ def _calibrated_before(path: Path, lens: Lens) -> Bench:
     from wavesim.calibration.calibrated import read_calibration
 
     return read_calibration(path, lens)
+
+
+def _stop_of(
+    calibration: Path | None, settings: ReconstructionSettings
+) -> tuple[StopOrigin | None, ReconstructionSettings]:
+    """The field stop of an earlier calibration where settings say nothing of it."""
+    if calibration is None or settings.field_stop_from != "patch":
+        return None, settings
+    from wavesim.calibration.calibrated import field_stop_of
+
+    stop = field_stop_of(calibration)
+    return (None, settings) if stop is None else ("calibration", settings.with_stop(*stop))
 
 
 def _calibrated(
@@ -229,7 +248,8 @@ def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[st
     transmission, pixel_um = found.transmission, 1e3 * found.engine.scene.exit_grid.pitch_mm
     distances = [plane.distance_mm for plane in found.planes]
     what = "CC (A6)" if summary["method"] == "paper" else "misfit"
-    light = f"{found.patch.wavelength_um:g} µm, field stop {found.patch.field_stop_mm:g} mm"
+    stop = f"{found.patch.stop_words} ({STOP_ORIGINS[summary['field_stop_from']]})"
+    light = f"{found.patch.wavelength_um:g} µm, {stop}"
     how = f"{light}: method {summary['method']}, {summary['kind']} object, {summary['iterations']} iterations"
     title = f"{summary['design']}\n{how}"
     steps = range(1, len(found.curve) + 1)
@@ -315,7 +335,10 @@ def _print(summary: dict[str, Any], output: Path) -> None:
 
 
 def _figures(summary: dict[str, Any]) -> list[str]:
-    lines = []
+    from wavesim.objects.patch import stop_words
+
+    words = stop_words(summary["field_stop_mm"], summary["field_stop_at_mm"])
+    lines = [f"{words}, {STOP_ORIGINS[summary['field_stop_from']]}"]
     if "source_deg" in summary:
         lines.append(f"source {summary['source_deg']:.3g} deg wide")
     if summary["region_mm"] is not None:

@@ -67,6 +67,7 @@ ADVICE = {
     "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
     "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
     "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
+    "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
     "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
     "bandwidth": "use a narrower filter: the model has one wavelength",

@@ -76,15 +76,18 @@ def rectangle_coverage(grid: Grid, rectangles: Iterable[Rectangle]) -> Array:
     return covered
 
 
-def disc_coverage(grid: Grid, radius_mm: float) -> Array:
-    """Part of each cell inside a disc about the grid's centre, exactly.
+def disc_coverage(grid: Grid, radius_mm: float, at_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Part of each cell inside a disc about a point (x, y), given from the grid's centre, exactly.
 
     The area of a cell on the circle is the second difference of the area of the disc left of and below its
     corners.
     """
     refuse_line(grid)
     refuse_not_positive("radius_mm", radius_mm)
-    edges = [grid.pitch_mm * (np.arange(count + 1) - 0.5 * count) for count in grid.shape]
+    edges = [
+        grid.pitch_mm * (np.arange(count + 1) - 0.5 * count) - middle
+        for count, middle in zip(grid.shape, reversed(at_mm), strict=True)
+    ]
     ends = [np.sort(np.abs([edge[:-1], edge[1:]]), axis=0) for edge in edges]
     nearest = [
         np.where(edge[:-1] * edge[1:] < 0.0, 0.0, end[0]) for edge, end in zip(edges, ends, strict=True)

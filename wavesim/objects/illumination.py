@@ -187,8 +187,14 @@ def measured_field(
     return Field(grid, _splined(values, source, grid), wavelength_um)
 
 
-def field_stop(grid: Grid, shape: StopShape, width_mm: float, edge_mm: float = 0.0) -> Array:
-    """Transmission of a field stop about the grid's centre.
+def field_stop(
+    grid: Grid,
+    shape: StopShape,
+    width_mm: float,
+    edge_mm: float = 0.0,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+) -> Array:
+    """Transmission of a field stop.
 
     Parameters
     ----------
@@ -200,6 +206,8 @@ def field_stop(grid: Grid, shape: StopShape, width_mm: float, edge_mm: float = 0
         Diameter or side, where the transmission of a soft edge is one half.
     edge_mm
         Width of a soft edge, a raised cosine; 0 for a hard one, integrated exactly over the cells.
+    at_mm
+        Middle (x, y) of the stop, from the grid's centre.
 
     Raises
     ------
@@ -219,13 +227,20 @@ def field_stop(grid: Grid, shape: StopShape, width_mm: float, edge_mm: float = 0
             f"field stop of width_mm = {width_mm:g}, edge_mm = {edge_mm:g}: wider than the "
             f"grid's {widest:.4g} mm"
         )
+    middle = grid.centre_mm[0] + at_mm[0], grid.centre_mm[1] + at_mm[1]
+    for axis, place, half_width in zip("xy", at_mm, reversed(grid.half_widths_mm), strict=True):
+        if not abs(place) + 0.5 * (width_mm + edge_mm) <= half_width * (1.0 + 1e-9):
+            raise InputError(
+                f"field stop of width_mm = {width_mm:g}, edge_mm = {edge_mm:g} at {at_mm[0]:g}, "
+                f"{at_mm[1]:g} mm: reaches beyond the grid's {half_width:.4g} mm along {axis}"
+            )
     refuse_finer(grid, 1e3 * width_mm, "a field stop")
     if edge_mm == 0.0:
         if shape == "disc":
-            return disc_coverage(grid, 0.5 * width_mm)
-        return rectangle_coverage(grid, [rectangle(grid.centre_mm, width_mm, width_mm)])
+            return disc_coverage(grid, 0.5 * width_mm, at_mm)
+        return rectangle_coverage(grid, [rectangle(middle, width_mm, width_mm)])
     refuse_finer(grid, 1e3 * edge_mm, "a soft edge")
-    x, y = (grid.x_mm - grid.centre_mm[0])[None, :], (grid.y_mm - grid.centre_mm[1])[:, None]
+    x, y = (grid.x_mm - middle[0])[None, :], (grid.y_mm - middle[1])[:, None]
     half = 0.5 * width_mm
     if shape == "disc":
         return _soft(np.hypot(x, y), half, edge_mm)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 from zipfile import is_zipfile
@@ -68,16 +68,36 @@ class Patch:
         Diameter of the stop.
     wavelength_um : float
         Vacuum wavelength.
+    field_stop_at_mm : (x, y)
+        Middle of the stop, from the axis.
     """
 
     grid: Grid
     field_stop_mm: float
     wavelength_um: float
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
 
     @property
     def inside(self) -> Any:
         """Samples whose middle lies within the stop, shape (ny, nx)."""
-        return self.grid.radius_squared_mm2() <= (0.5 * self.field_stop_mm) ** 2
+        x, y = self.field_stop_at_mm
+        squared = (self.grid.y_mm[:, None] - y) ** 2 + (self.grid.x_mm[None, :] - x) ** 2
+        return squared <= (0.5 * self.field_stop_mm) ** 2
+
+    @property
+    def stop_words(self) -> str:
+        """Size of the field stop and, where it does not stand on the axis, its position."""
+        return stop_words(self.field_stop_mm, self.field_stop_at_mm)
+
+    def with_stop(self, field_stop_mm: float, at_mm: tuple[float, float]) -> Patch:
+        """The same samples behind another field stop."""
+        return replace(self, field_stop_mm=field_stop_mm, field_stop_at_mm=at_mm)
+
+
+def stop_words(field_stop_mm: float, at_mm: Sequence[float]) -> str:
+    """Size of a field stop and, where it does not stand on the axis, its position, as text."""
+    said = f"field stop {field_stop_mm:.4g} mm"
+    return said if not any(at_mm) else f"{said} at {at_mm[0]:.4g}, {at_mm[1]:.4g} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +129,7 @@ def object_patch(
     *,
     wavelength_um: float | None = None,
     object_pitch_um: float | None = None,
+    field_stop_at_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Patch:
     """A patch of the design's object.
 
@@ -124,22 +145,34 @@ def object_patch(
         The design's first one if left out.
     object_pitch_um
         Of the samples; left out, what holds light of the design's numerical aperture.
+    field_stop_at_mm
+        Middle (x, y) of the field stop, from the axis.
 
     Raises
     ------
     InputError
-        If the patch is larger than the design's field, or the field stop than the patch.
+        If the patch is larger than the design's field, or the field stop reaches beyond the patch.
     """
     wavelength = wavelength_of(lens, wavelength_um)
     refuse_wider_than_field(lens, patch_mm)
+    x, y = field_stop_at_mm
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"field_stop_at_mm = {x!r}, {y!r}: must be finite")
+    room_mm = patch_mm - 2.0 * max(abs(x), abs(y))
     stop_mm = patch_mm if field_stop_mm is None else field_stop_mm
     if not 0.0 < stop_mm <= patch_mm:
         raise InputError(f"field_stop_mm = {stop_mm:g}: must be above 0 and at most patch_mm = {patch_mm:g}")
+    if stop_mm > room_mm * (1.0 + 1e-9) + 1e-12:
+        raise InputError(
+            f"field_stop_at_mm = {x:g},{y:g}: a field stop of {stop_mm:g} mm there reaches beyond the "
+            f"patch of {patch_mm:g} mm; give a smaller field_stop_mm, or a larger patch_mm"
+        )
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
     refuse_not_positive("object_pitch_um", object_pitch_um)
     count = scipy.fft.next_fast_len(max(4, math.ceil(1e3 * patch_mm / object_pitch_um - 1e-9)))
-    return Patch(Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm), stop_mm, wavelength)
+    grid = Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm)
+    return Patch(grid, stop_mm, wavelength, (float(x), float(y)))
 
 
 def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
@@ -150,20 +183,20 @@ def usaf_elements_of(patch: Patch) -> tuple[UsafElement, ...]:
     InputError, SamplingError
         As :func:`wavesim.objects.usaf.usaf_elements_within`.
     """
-    return usaf_elements_within(patch.grid, INSCRIBED * patch.field_stop_mm)
+    return usaf_elements_within(_about_stop(patch), INSCRIBED * patch.field_stop_mm)
 
 
 def usaf_charts_of(
     patch: Patch, chart_at_mm: Sequence[tuple[float, float]] = ()
 ) -> tuple[tuple[UsafElement, ...], ...]:
-    """Elements of the USAF chart in the middle of a patch, and of fine charts about other points.
+    """Elements of the USAF chart in the middle of the field stop, and of fine charts about other points.
 
     Parameters
     ----------
     patch
         Where they lie.
     chart_at_mm
-        Points (x, y), from the middle.
+        Points (x, y), from the axis.
 
     Returns
     -------
@@ -175,10 +208,16 @@ def usaf_charts_of(
     InputError, SamplingError
         As :func:`usaf_elements_of` and :func:`wavesim.objects.usaf.usaf_elements_beside`.
     """
-    charts = [usaf_elements_of(patch)]
+    charts, (x, y) = [usaf_elements_of(patch)], patch.field_stop_at_mm
     for point in chart_at_mm:
-        charts.append(usaf_elements_beside(patch.grid, point, patch.field_stop_mm, charts))
+        beside = point[0] - x, point[1] - y
+        charts.append(usaf_elements_beside(_about_stop(patch), beside, patch.field_stop_mm, charts))
     return tuple(charts)
+
+
+def _about_stop(patch: Patch) -> Grid:
+    """A grid of the same pitch about the middle of the field stop, which reaches as far as the patch."""
+    return replace(patch.grid, centre_mm=patch.field_stop_at_mm)
 
 
 def make_target(
@@ -193,6 +232,9 @@ def make_target(
     chart_at_mm: Sequence[tuple[float, float]] = (),
 ) -> Target:
     """An object on a patch: a chart, a star, a phase target, tissue, a picture, or none.
+
+    Its middle is that of the field stop, but for tissue, which fills the patch; of a star, a phase target
+    and a picture it is the nearest sample.
 
     Parameters
     ----------
@@ -220,6 +262,7 @@ def make_target(
         If the patch's samples are too coarse for it.
     """
     grid, stop_mm = patch.grid, patch.field_stop_mm
+    wider, cut = _wider_about_stop(patch)
     elements: tuple[UsafElement, ...] = ()
     if chart_at_mm and name != "usaf":
         raise InputError(f"object = {name!r}: only usaf has charts beside the one in the middle")
@@ -227,7 +270,9 @@ def make_target(
         elements = tuple(one for chart in usaf_charts_of(patch, chart_at_mm) for one in chart)
         values = usaf_chart(grid, elements, ground)
     elif name in MAKERS:
-        values = MAKERS[name](patch, ground, numerical_aperture, seed)
+        fills = name in ("tissue", "empty")
+        made = MAKERS[name](patch if fills else wider, ground, numerical_aperture, seed)
+        values = made if fills else made[cut]
     elif not (Path(name).suffix or Path(name).exists()):
         known = ("usaf", *MAKERS)
         raise InputError(
@@ -238,9 +283,21 @@ def make_target(
         rows, columns = read_grey(name).shape
         pixel_um = picture_pixel((rows, columns), stop_mm, picture_pixel_um, picture_width_mm)
         finer: Literal["refuse", "average"] = "average" if picture_pixel_um is None else "refuse"
-        values = picture_target(name, grid, pixel_um, finer=finer)
+        values = picture_target(name, wider.grid, pixel_um, finer=finer)[cut]
     transmission = Field(grid, np.asarray(values, np.complex64), patch.wavelength_um)
     return Target(name, transmission, elements, ground)
+
+
+def _wider_about_stop(patch: Patch) -> tuple[Patch, tuple[slice, slice]]:
+    """A patch about the sample nearest to the field stop's middle, and where the own one lies in it."""
+    rows, columns = patch.grid.shape
+    across, down = (round(place / patch.grid.pitch_mm) for place in patch.field_stop_at_mm)
+    shape = rows + 2 * abs(down), columns + 2 * abs(across)
+    cut = (
+        slice(abs(down) - down, abs(down) - down + rows),
+        slice(abs(across) - across, abs(across) - across + columns),
+    )
+    return replace(patch, grid=replace(patch.grid, shape=shape), field_stop_at_mm=(0.0, 0.0)), cut
 
 
 def _star(patch: Patch, ground: Ground, _aperture: float, _seed: int) -> Any:
@@ -317,7 +374,8 @@ def make_illumination(
             f"{did_you_mean(name, known)}"
         )
     light = light.with_values(light.values.astype(np.complex64))
-    light.values[...] *= field_stop(grid, "disc", patch.field_stop_mm).astype(np.float32)
+    stop = field_stop(grid, "disc", patch.field_stop_mm, at_mm=patch.field_stop_at_mm)
+    light.values[...] *= stop.astype(np.float32)
     return light
 
 
@@ -366,6 +424,7 @@ def lit_patch(lens: Lens, settings: PatchSettings, wavelength_um: float | None =
         settings.field_stop_mm,
         wavelength_um=wavelength_um,
         object_pitch_um=settings.object_pitch_um,
+        field_stop_at_mm=settings.field_stop_at_mm or (0.0, 0.0),
     )
     return patch, lit(patch, settings)
 

@@ -18,7 +18,7 @@ from wavesim.objects.patch import Patch
 from wavesim.objects.usaf import UsafElement
 from wavesim.runtime.memory import Memory
 from wavesim.scene.engine import Engine
-from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.settings import STOP_ORIGINS, ReconstructionSettings
 
 Array = NDArray[np.floating[Any]]
 
@@ -116,6 +116,8 @@ class FoundObject:
             "verdict": self.verdict.as_dict(),
             "diversity": self.diversity,
             "field_stop_mm": self.patch.field_stop_mm,
+            "field_stop_at_mm": list(self.patch.field_stop_at_mm),
+            "field_stop_from": chosen.field_stop_from,
             "object_pitch_um": 1e3 * pitch_mm,
             "samples": self.patch.grid.shape[0],
             "region_mm": None if chosen.region_mm is None else _region(self.transmission.grid),
@@ -148,6 +150,7 @@ class FoundObject:
         told = [
             ("method", f"{chosen.method}, engine {self.engine.name}"),
             ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} um"),
+            ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[chosen.field_stop_from]}"),
             ("iterations", f"{len(self.curve)}, {ended} {self.curve[-1]:.5g}"),
         ]
         told.append(("verdict", self.verdict.words))

@@ -23,7 +23,7 @@ from wavesim.camera.recorded import Recorded
 from wavesim.camera.windows import exit_scene, imaging_engine
 from wavesim.engines.whole_field.on_cluster import refuse_no_tiles
 from wavesim.fields.field import Field, Grid
-from wavesim.objects.patch import Patch, read_object, usaf_charts_of
+from wavesim.objects.patch import Patch, lit, read_object, usaf_charts_of
 from wavesim.objects.region import cut_field, region_grid, widened
 from wavesim.objects.usaf import UsafElement
 from wavesim.reconstruction.doubts.held_out import HeldOut, hold_out, is_given
@@ -63,7 +63,8 @@ class FramesCase(NamedTuple):
     `shown` is the part of the object that is judged and written, `inside` its samples within the field stop,
     `carried` the part that is refocused, `held` what the iterations are not given of the planes, `engine_on`
     makes an engine from another part of the object to the same plane, `engine_of_error` one of another
-    accuracy together with its predicted error, `calibrated` says whether a calibrated bench was given.
+    accuracy together with its predicted error, `calibrated` says whether a calibrated bench was given,
+    `light_behind` gives the light behind another field stop.
     """
 
     patch: Patch
@@ -87,6 +88,7 @@ class FramesCase(NamedTuple):
     predicted_error: float
     engine_of_error: Callable[[float], tuple[Engine, float]]
     calibrated: bool
+    light_behind: Callable[[Patch], Field]
 
     @property
     def modes(self) -> tuple[SourceMode, ...]:
@@ -173,7 +175,14 @@ def frames_case(
         predicted_error,
         engine_of_error,
         bench is not None,
+        lambda other: _light_behind(other, settings, bench),
     )
+
+
+def _light_behind(patch: Patch, settings: ReconstructionSettings, bench: Bench | None) -> Field:
+    """The light on the object behind a patch's field stop, on the bench as it is."""
+    light = lit(patch, settings)
+    return light if bench is None else light_on(light, bench)
 
 
 def _shown(patch: Patch, region_mm: Sequence[float] | None) -> tuple[Grid, Any]:

@@ -23,6 +23,7 @@ from wavesim.objects.patch import transmission_of
 from wavesim.objects.region import cut_field, soft_rim
 from wavesim.reconstruction.doubts.held_out import maps_of_all
 from wavesim.reconstruction.doubts.starts import agreement_of_starts
+from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found import Array, Focus, FoundObject
 from wavesim.reconstruction.frames_case import FramesCase, frames_case
 from wavesim.reconstruction.from_object import Progressed, Reconstructed, reconstruct
@@ -36,6 +37,7 @@ from wavesim.reconstruction.judging import (
     may_be_brighter,
     more_accurate_case,
     starts_needed,
+    stop_search,
 )
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
@@ -52,7 +54,7 @@ from wavesim.scene.bench import Bench
 from wavesim.scene.engine import SAFETY, Engine, Tiled
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
-from wavesim.scene.settings import ReconstructionSettings
+from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 
 BETTER = 0.97
@@ -112,10 +114,13 @@ def reconstruct_frames(
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     case = frames_case(lens, frames, settings, truth, calibration, folder)
+    told = _Told(progress, settings, case.engine)
+    if settings.field_stop == "find":
+        stated = settings.with_stop(*_stop_found(case, settings, told))
+        case = frames_case(lens, frames, stated, truth, calibration, folder)
     del frames  # nobody else may hold them, and they take much
     if before is not None:
         before(case.memory)
-    told = _Told(progress, settings, case.engine)
     try:
         with tiles_in(settings.cluster) as take:
             return _run(case, settings, take, told)
@@ -125,6 +130,17 @@ def reconstruct_frames(
         raise KeyboardInterrupt(f"interrupted after {count} iterations; {where}") from None
     except ClusterError as error:
         raise ClusterError(f"{error}; {_goes_on(case) or 'no iteration was kept'}") from error
+
+
+def _stop_found(case: FramesCase, settings: ReconstructionSettings, told: _Told) -> FieldStop:
+    """Position and diameter of the field stop, as far as settings do not state them."""
+    if isinstance(case.engine, Tiled):
+        raise SettingError(
+            "{field_stop} find: takes many short reconstructions, too long for the engine of a whole field; "
+            "find it on a smaller patch ({patch_mm}), and state {field_stop_mm} and {field_stop_at_mm}"
+        )
+    search = stop_search(case, settings, case.engine, told.step)
+    return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
 
 
 class _Told:

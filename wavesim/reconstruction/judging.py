@@ -28,6 +28,7 @@ from wavesim.reconstruction.doubts.held_out import is_given, maps_of_all
 from wavesim.reconstruction.doubts.orientation import misoriented
 from wavesim.reconstruction.doubts.score_test import ScoreTest, score_test
 from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found import Array
 from wavesim.reconstruction.frames_case import FramesCase
 from wavesim.reconstruction.from_object import Reconstructed
@@ -139,6 +140,8 @@ def judge_result(
                 settings.active_width,
                 case.diversity,
                 case.modes,
+                stop_search(case, settings, engine, progress),
+                FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
             ).trials()
     return judged(trials, undetected)
 
@@ -167,6 +170,24 @@ def _score_test(
         )
     except TransferLensError:
         return None
+
+
+def stop_search(
+    case: FramesCase, settings: ReconstructionSettings, engine: Engine, progress: Progress
+) -> StopSearch:
+    """The search for another field stop than the one that was assumed."""
+    grid = case.patch.grid
+    return StopSearch(
+        engine,
+        case.given,
+        lambda stop: case.light_behind(case.patch.with_stop(*stop)),
+        grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
+        settings.kind,
+        settings.scale,
+        settings.active_width,
+        case.modes,
+        progress,
+    )
 
 
 def _ramp(transmission: Field) -> list[Finding]:

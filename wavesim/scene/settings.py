@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
@@ -71,6 +71,15 @@ Points = Annotated[
 ]
 Pixels = int | tuple[int, int] | Literal["all"]
 Kind = Literal["complex", "amplitude"]
+StopOrigin = Literal["patch", "stated", "frames", "calibration"]
+"""Where a field stop comes from: the patch's sides, settings, the frames, or an earlier calibration."""
+
+STOP_ORIGINS: dict[StopOrigin, str] = {
+    "patch": "as wide as the patch, nothing else is stated",
+    "stated": "as stated",
+    "frames": "found from the frames",
+    "calibration": "as the calibration has it",
+}
 
 
 def _pixels(value: Any) -> Any:
@@ -89,6 +98,9 @@ class PatchSettings(Section):
 
     patch_mm: float | None = Field(None, description="Side of the object patch; left out, the whole field.")
     field_stop_mm: float | None = Field(None, description="Diameter of the field stop; left out: the patch.")
+    field_stop_at_mm: Pair | None = Field(
+        None, description="x,y of the field stop's middle; left out: on the axis."
+    )
     object_pitch_um: float | None = Field(None, description="Samples of the object; left out: by NA.")
     illumination: str = Field("plane", description="plane, tilted, gaussian, or FILE of a measured field.")
     light_tilt_deg: Pair = Field((0.0, 0.0), description="tilted: angles x,y of the light.")
@@ -247,8 +259,35 @@ class FramedSettings(EngineSettings, PatchSettings):
     """What a reconstruction and a calibration have in common."""
 
     kind: Kind = Field("complex", description="object: complex or amplitude.")
+    field_stop: Literal["stated", "find"] = Field(
+        "stated", description="stated, or find: position and diameter from the frames; what is given stays."
+    )
     scale: float | None = Field(None, description="object: recorded amplitude of 1; left out: fitted.")
     active_width: float = Field(1.0, ge=0.0, le=1.0, description="Of a pixel, as a share of the pitch.")
+
+    @field_validator("field_stop")
+    @classmethod
+    def _something_to_find(cls, stop: str, info: ValidationInfo) -> str:
+        both = all(info.data.get(name) is not None for name in ("field_stop_mm", "field_stop_at_mm"))
+        if stop == "find" and both:
+            raise SettingError(
+                "{field_stop} find: {field_stop_mm} and {field_stop_at_mm} leave nothing to be found: leave "
+                "out one of them"
+            )
+        return stop
+
+    def with_stop(self, field_stop_mm: float, field_stop_at_mm: Pair) -> Self:
+        """The same settings with a field stop that is stated."""
+        stop = {"field_stop_mm": field_stop_mm, "field_stop_at_mm": field_stop_at_mm}
+        return self.replaced(field_stop="stated", **stop)
+
+    @property
+    def field_stop_from(self) -> StopOrigin:
+        """Where position and diameter of the field stop come from."""
+        if self.field_stop == "find":
+            return "frames"
+        is_default = self.field_stop_mm is None and self.field_stop_at_mm is None
+        return "patch" if is_default else "stated"
 
 
 class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):

@@ -13,7 +13,7 @@ from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
 from wavesim.calibration import bench_search
-from wavesim.calibration.calibrated import read_calibration
+from wavesim.calibration.calibrated import field_stop_of, read_calibration
 from wavesim.calibration.joint.search import JointSearch, Stand, Told
 from wavesim.calibration.parameters import chosen_parameters
 from wavesim.reconstruction import from_frames
@@ -206,3 +206,15 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, paper_lens: Lens, tex
         read_calibration(path, paper_lens)
     with pytest.raises(InputError, match="cannot read"):
         read_calibration(tmp_path / "none.json", paper_lens)
+
+
+def test_the_field_stop_of_a_calibration_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    table = {"mounting": {}, "field_stop_mm": 0.03, "field_stop_at_mm": [0.01, -0.02]}
+    path.write_text(json.dumps(table | {"field_stop_from": "frames"}))
+    assert field_stop_of(path) == (0.03, (0.01, -0.02))
+    path.write_text(json.dumps(table | {"field_stop_from": "patch"}))
+    assert field_stop_of(path) is None
+    path.write_text(json.dumps(table | {"field_stop_from": "frames", "field_stop_at_mm": [0.01]}))
+    with pytest.raises(InputError, match="field_stop_mm, field_stop_at_mm"):
+        field_stop_of(path)

@@ -229,3 +229,27 @@ def test_wavelengths_are_asked_for_in_one_way(
     assert code == 2
     assert "--all-wavelengths, --wavelength-um: give one of them" in err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_field_stop_beside_the_axis_is_imaged_and_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], twin: Path, tmp_path: Path
+) -> None:
+    stop = "--field-stop-mm", 0.03, "--field-stop-at-mm=-0.006,0.008"
+    thing = "--object", "phase", *stop
+    code, out, err = run(monkeypatch, capsys, twin, *QUICK, *thing, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert "field stop 0.03 mm at -0.006, 0.008 mm" in out
+    said = json.loads((tmp_path / "out" / "image.json").read_text())["object"]
+    assert (said["field_stop_mm"], said["field_stop_at_mm"]) == (0.03, [-0.006, 0.008])
+    # The row of pads stands in the middle of the stop.
+    stored = np.load(tmp_path / "out" / "object.npz")
+    dark = np.abs(np.angle(stored["values"])) > 0.1
+    axis = 1e-3 * float(stored["pitch_um"]) * (np.arange(len(dark)) - 0.5 * (len(dark) - 1))
+    x, y = (float(dark.sum(axis=n) @ axis / dark.sum()) for n in (0, 1))
+    assert math.dist((x, y), (-0.006, 0.008)) < 6e-4
+    code, _, err = run(
+        monkeypatch, capsys, twin, *QUICK, "--field-stop-mm", 0.03, "--field-stop-at-mm", "0.02,0",
+        "-o", tmp_path / "no",
+    )  # fmt: skip
+    assert code == 2
+    assert "reaches beyond the patch of 0.05 mm" in err

@@ -33,6 +33,7 @@ from wavesim.reconstruction.doubts.guesses import (
     smooth_phase_waves,
 )
 from wavesim.reconstruction.doubts.orientation import ORIENTATIONS
+from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.from_object import Kind, Reconstructed, reconstruct
 from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.source_width import coherent_deg
@@ -93,6 +94,8 @@ class Doubts:
         What the result leaves of the planes.
     diversity
         What the planes tell of the phase (:func:`wavesim.camera.windows.diversity`).
+    stops, stop
+        The search for another field stop, and the one of the light; without them none is tried.
     """
 
     engine: Engine
@@ -105,6 +108,8 @@ class Doubts:
     active_width: float
     diversity: float
     modes: Sequence[SourceMode] = ()
+    stops: StopSearch | None = None
+    stop: FieldStop | None = None
 
     def trials(self) -> list[Trial]:
         """All that are worth it, the best first."""
@@ -115,6 +120,7 @@ class Doubts:
             self._backgrounds,
             self._blurred,
             self._moved,
+            self._stopped,
             self._stretched,
         ):
             found += group()
@@ -288,6 +294,17 @@ class Doubts:
         x, y = moves @ np.array(shifts) / size
         more_x, more_y = moves @ np.array(self._left(change(x, y))) / size
         return change(float(x + more_x), float(y + more_y))
+
+    def _stopped(self) -> Iterator[Trial]:
+        """Light behind the field stop that explains the frames best."""
+        if self.stops is None or self.stop is None:
+            return
+        found = self.stops.run_beside(self.stop)
+        if found is None:
+            return
+        (x, y), width = found.at_mm, found.width_mm
+        said = f"field stop of {width:.4g} mm at {x:.4g},{y:.4g} mm"
+        yield self._trial(self._change("field stop", said, light=self.stops.light_of(found)))
 
     def _stretched(self) -> Iterator[Trial]:
         """Other distances of planes and object, pitch of the pixels, and radii of the lens."""

@@ -1,0 +1,88 @@
+"""The field stop as a stated and as an estimated quantity: position, diameter, results and verdict."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from lensdesign import load_design, scaled
+from lensdesign.errors import InputError
+from wavesim.camera.imaging import Imaged, image
+from wavesim.fields.field import Field
+from wavesim.objects.illumination import field_stop
+from wavesim.objects.patch import object_patch
+from wavesim.reconstruction.found import FoundObject
+from wavesim.reconstruction.from_frames import reconstruct_frames
+
+LENS = scaled(load_design("designs/paper_singlet.toml"), 1 / 64)
+STOP_MM, AT_MM = 0.014, (0.006, -0.004)
+TILES = {"engine": "eikonal", "error": 0.3}
+PATCH_MM = 0.03
+SAMPLE_MM = 4.256e-4
+
+
+def grains() -> Field:
+    """Opaque grains of random shape on a clear ground."""
+    patch = object_patch(LENS, PATCH_MM)
+    values = gaussian_filter(np.random.default_rng(3).standard_normal(patch.grid.shape), 2.5)
+    clear = np.where(values > 0.7 * values.std(), 0.05, 1.0)
+    return Field(patch.grid, clear.astype(np.complex64), patch.wavelength_um)
+
+
+@cache
+def aside() -> Imaged:
+    stop = {"field_stop_mm": STOP_MM, "field_stop_at_mm": AT_MM}
+    return image(LENS, grains(), exposures=(1.0, 30.0), pixels=108, **TILES, **stop)
+
+
+def found_with(**changes: object) -> FoundObject:
+    settings = {"kind": "amplitude", "iterations": 25, "patch_mm": PATCH_MM, **TILES}
+    return reconstruct_frames(LENS, aside().frames, truth=grains(), **{**settings, **changes})
+
+
+def test_a_stop_beside_the_axis_covers_its_disc() -> None:
+    grid = object_patch(LENS, PATCH_MM).grid
+    values = field_stop(grid, "disc", STOP_MM, at_mm=AT_MM)
+    assert values.sum() * grid.cell == pytest.approx(math.pi * (0.5 * STOP_MM) ** 2, rel=1e-9)
+    assert (values.sum(axis=0) @ grid.x_mm) / values.sum() == pytest.approx(AT_MM[0], abs=1e-6)
+    assert (values.sum(axis=1) @ grid.y_mm) / values.sum() == pytest.approx(AT_MM[1], abs=1e-6)
+
+
+def test_a_stop_that_the_patch_does_not_hold_is_refused() -> None:
+    with pytest.raises(InputError, match=r"field_stop_at_mm = 0.009,0: .* reaches beyond the patch"):
+        object_patch(LENS, PATCH_MM, STOP_MM, field_stop_at_mm=(0.009, 0.0))
+    with pytest.raises(InputError, match="must be finite"):
+        object_patch(LENS, PATCH_MM, STOP_MM, field_stop_at_mm=(math.nan, 0.0))
+
+
+def test_a_stated_stop_beside_the_axis_is_reconstructed() -> None:
+    found = found_with(field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
+    assert found.truth["object_correlation"] > 0.98
+    figures = found.figures()
+    assert figures["field_stop_mm"] == STOP_MM
+    assert figures["field_stop_at_mm"] == list(AT_MM)
+    assert figures["field_stop_from"] == "stated"
+
+
+def test_the_stop_is_found_from_the_frames() -> None:
+    found = found_with(field_stop="find")
+    assert found.truth["object_correlation"] > 0.98
+    assert found.patch.field_stop_mm == pytest.approx(STOP_MM, abs=2 * SAMPLE_MM)
+    assert math.dist(found.patch.field_stop_at_mm, AT_MM) < 2 * SAMPLE_MM
+    assert found.figures()["field_stop_from"] == "frames"
+
+
+def test_nothing_is_found_where_all_is_stated() -> None:
+    with pytest.raises(InputError, match="leave nothing to be found"):
+        found_with(field_stop="find", field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
+
+
+def test_without_options_the_verdict_names_the_stop() -> None:
+    judged = found_with(iterations=8).verdict
+    assert not judged.explained
+    assert judged.cause == "field stop", judged.words
+    assert "--field-stop-at-mm" in judged.next_step
