@@ -330,6 +330,11 @@ def fixed_variance(frame: Frame) -> float:
     return settings.read_noise_electrons**2 + settings.gain_electrons_per_count**2 / 12.0
 
 
+def rounding_fraction(frame: Frame) -> float:
+    """Fraction of a dark pixel's variance that comes from rounding to counts."""
+    return frame.settings.gain_electrons_per_count**2 / 12.0 / fixed_variance(frame)
+
+
 def clipped_in_all(frames: Sequence[Frame]) -> NDArray[np.bool_]:
     """Pixels that may have been clipped in every one of some frames, shape (ny, nx)."""
     return np.asarray(np.logical_and.reduce([frame.saturated for frame in frames]))

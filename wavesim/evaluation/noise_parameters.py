@@ -18,6 +18,9 @@ TOO_SMALL, TOO_SMALL_DARK = 0.8, 0.6
 """Residuals over the stated noise below which the noise was overstated: of all pixels or bright ones, and of
 dark ones, whose amplitudes scatter less than their standard deviation where they are dim but not dark."""
 
+ROUNDED = 0.4
+"""The same where most of a dark pixel's variance is that of rounding."""
+
 SURE = 4.0
 """Standard deviations of that ratio by which it must be smaller than 1."""
 
@@ -58,13 +61,17 @@ class NoiseCheck(NamedTuple):
     explanation: str
 
 
-def noise_check(planes: Sequence[PlaneResidual]) -> NoiseCheck | None:
+def noise_check(planes: Sequence[PlaneResidual], rounding: float = 0.0) -> NoiseCheck | None:
     """Compare residuals on held-out pixels with the stated noise.
 
     Parameters
     ----------
     planes
         Residuals of all planes; those of which all pixels were held out are left out.
+    rounding
+        Fraction of a dark pixel's variance that is stated for rounding to counts. Where it is most of it, a
+        dark pixel that always rounds to one count has less noise than stated, and only a ratio below
+        `ROUNDED` is a finding.
 
     Returns
     -------
@@ -86,7 +93,10 @@ def noise_check(planes: Sequence[PlaneResidual]) -> NoiseCheck | None:
     bright = _ratio(error, sigma, deviation >= BRIGHT * floor)
     assert ratio is not None
     sure = SURE / math.sqrt(2.0 * len(sigma))
-    overstated = min(ratio, bright or 1.0) < TOO_SMALL or (dark or 1.0) < TOO_SMALL_DARK
+    if rounding > 0.5:
+        overstated = ratio < ROUNDED
+    else:
+        overstated = min(ratio, bright or 1.0) < TOO_SMALL or (dark or 1.0) < TOO_SMALL_DARK
     is_too_small = overstated and ratio < 1.0 - sure
     return NoiseCheck(
         ratio, dark, bright, is_too_small, _explanation(ratio, dark, bright) if is_too_small else ""

@@ -287,6 +287,7 @@ def verdict(
     findings: Sequence[Finding] = (),
     undetected: Sequence[Undetected] = (),
     calibrated: bool = False,
+    rounding: float = 0.0,
 ) -> Verdict:
     """Judge a result by its residuals on the planes.
 
@@ -308,11 +309,13 @@ def verdict(
         What the frames cannot exclude.
     calibrated
         Whether the bench was calibrated before: then calibration is no advice.
+    rounding
+        Largest fraction of a dark pixel's variance that comes from rounding to counts.
     """
     judged = plane_verdicts(planes, model_error)
     excess = [plane.excess for plane in judged]
     within = max(excess) <= 1.0
-    noise = noise_check(planes)
+    noise = noise_check(planes, rounding)
     against = sorted(findings, key=lambda finding: -finding.chi_square)
     if noise is not None and noise.is_too_small:
         against.insert(0, Finding("noise parameters", noise.explanation))

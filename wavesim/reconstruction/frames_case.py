@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
+from wavesim.camera.exposures import rounding_fraction
 from wavesim.camera.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
 from wavesim.camera.frames import Frame
 from wavesim.camera.light_of_frames import light_of_frames
@@ -64,6 +65,7 @@ class FramesCase(NamedTuple):
     `carried` the part that is refocused, `held` what the iterations are not given of the planes, `engine_on`
     makes an engine from another part of the object to the same plane, `engine_of_error` one of another
     accuracy together with its predicted error, `calibrated` says whether a calibrated bench was given,
+    `rounding` is the largest fraction of a dark pixel's variance that comes from rounding, and
     `light_behind` gives the light behind another field stop.
     """
 
@@ -88,6 +90,7 @@ class FramesCase(NamedTuple):
     predicted_error: float
     engine_of_error: Callable[[float], tuple[Engine, float]]
     calibrated: bool
+    rounding: float
     light_behind: Callable[[Patch], Field]
 
     @property
@@ -175,6 +178,7 @@ def frames_case(
         predicted_error,
         engine_of_error,
         bench is not None,
+        max(rounding_fraction(frame) for frame in framed.frames),
         lambda other: _light_behind(other, settings, bench),
     )
 

@@ -328,7 +328,7 @@ def _object(
                     engine,
                     case.light,
                     case.given,
-                    starts_needed(case, settings),
+                    starts_needed(case, settings, found),
                     found,
                     told.step,
                     case.modes,

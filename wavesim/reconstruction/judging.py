@@ -100,6 +100,7 @@ def judge_result(
             findings=findings,
             undetected=undetected,
             calibrated=case.calibrated,
+            rounding=case.rounding,
         )
 
     first = judged()
@@ -226,10 +227,10 @@ def is_engine_limited(case: FramesCase, maps: Sequence[Array], misfit: float) ->
 
 
 def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: Reconstructed) -> bool:
-    """Whether residuals exceed the noise of an amplitude object whose upper limit of 1 may be too low."""
+    """Whether an amplitude object, whose upper limit of 1 may be too low, rests above the noise."""
     if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
         return False
-    if len(found.residual_maps) < len(case.recorded):
+    if found.stopped_because != "rest" or len(found.residual_maps) < len(case.recorded):
         return False
     return excess_of(case, found.residual_maps) > 1.0
 
@@ -274,8 +275,12 @@ def engine_errors(
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 
-def starts_needed(case: FramesCase, settings: ReconstructionSettings) -> ReconstructionSettings:
-    """Settings with a second start where the planes may not determine a complex object."""
+def starts_needed(
+    case: FramesCase, settings: ReconstructionSettings, found: Reconstructed
+) -> ReconstructionSettings:
+    """Settings with a second start where iterations rest and planes may not determine a complex object."""
     if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
         return settings
-    return settings.replaced(starts=2) if case.diversity < LEAST_DIVERSITY else settings
+    if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
+        return settings
+    return settings.replaced(starts=2)
