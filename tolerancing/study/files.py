@@ -25,7 +25,6 @@ from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
-
 LONGEST_NAME = 255
 """Most bytes of one name in a path, as file systems have it."""
 
@@ -238,7 +237,7 @@ def _check_file_name(name: object) -> None:
         raise DesignError(f"file {name!r:.80}: is no text that a file can be named by") from error
     if longest > LONGEST_NAME or len(parts) > DEEPEST_PATH:
         raise DesignError(
-            f"file {name!r:.80}: at most {DEEPEST_PATH} names of at most {LONGEST_NAME} bytes each are allowed"
+            f"file {name!r:.80}: at most {DEEPEST_PATH} names of at most {LONGEST_NAME} bytes are allowed"
         )
 
 

@@ -1,4 +1,4 @@
-"""Names of a store's files: whoever made it could have written anything, and none may become a path as it is."""
+"""Names of a store's files: whoever made it could have written anything, so that each is checked first."""
 
 from __future__ import annotations
 
