@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import re
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from numbers import Integral
 from pathlib import Path
 
@@ -35,6 +37,13 @@ class SamplingError(InputError):
 
 UNFINISHED: set[Path] = set()
 """Temporary files and folders that are being written; a process that ends at once removes them."""
+
+
+MARK = r"(?P<process>[0-9]{1,10})-[0-9a-f]{8}"
+"""What :func:`new_mark` gives, as a regular expression."""
+
+ABANDONED_SECONDS = 6 * 3600.0
+"""Age at which a temporary file is taken to be abandoned, though a process has the number in its name."""
 
 
 def refuse_not_positive(name: str, value: float) -> None:
@@ -85,7 +94,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # of a disk that has become read-only; what went wrong first is reported
+            temporary.unlink(missing_ok=True)
         UNFINISHED.discard(temporary)
 
 
@@ -101,7 +111,9 @@ def _temporary_for(target: Path) -> tuple[Path, Path]:
             raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
         place.parent.mkdir(parents=True, exist_ok=True)
         # The start of the name will do: with all of a long one, the temporary name would be too long.
-        temporary = place.parent / f".{place.stem[:32]}.{os.urandom(4).hex()}{place.suffix}"
+        start, end = f".{place.stem[:32]}.", place.suffix
+        _remove_abandoned(place.parent, start, end)
+        temporary = place.parent / f"{start}{new_mark()}{end}"
         UNFINISHED.add(temporary)
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
     except (FileExistsError, NotADirectoryError) as error:
@@ -113,6 +125,48 @@ def _temporary_for(target: Path) -> tuple[Path, Path]:
             raise
         raise InputError(f"cannot write {str(target)!r}: {error}") from error  # a NUL character in the name
     return temporary, place
+
+
+def new_mark() -> str:
+    """A new part of the name of a temporary file or folder: the process that writes it, and random digits."""
+    return f"{os.getpid()}-{os.urandom(4).hex()}"
+
+
+def is_abandoned(path: Path, process: str | None) -> bool:
+    """Whether nobody writes a temporary file or folder any more, since its process was killed.
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+    process
+        Number of the process, from its name; None where the name has none.
+    """
+    if path in UNFINISHED:
+        return False
+    if process is None:
+        return True
+    age_seconds = time.time() - path.stat().st_mtime
+    if int(process) == os.getpid():  # in containers that share a folder, processes share numbers
+        return age_seconds > 60.0
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):  # of another user
+        pass
+    # Numbers of processes are used again.
+    return age_seconds > ABANDONED_SECONDS
+
+
+def _remove_abandoned(folder: Path, start: str, end: str) -> None:
+    """Remove temporary files of one name that killed processes left."""
+    name = re.compile(rf"{re.escape(start)}{MARK}{re.escape(end)}")
+    with suppress(OSError):
+        for path in folder.iterdir():
+            found = name.fullmatch(path.name)
+            if found and path.is_file() and is_abandoned(path, found["process"]):
+                path.unlink()
 
 
 def _umask() -> int:

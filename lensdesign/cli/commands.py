@@ -19,6 +19,7 @@ from lensdesign.cli import workbench as cli_workbench
 from lensdesign.cli.making import Design, Json
 from lensdesign.cli.tables import print_tables, table
 from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.outputs import output_file, output_folder
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 
@@ -78,7 +79,12 @@ def check(
 @app.command()
 def draw(
     design: Design,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the pictures.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", callback=output_folder, metavar="DIR", help="Folder for the pictures."
+        ),
+    ],
     formats: Annotated[
         list[PictureFormat], typer.Option("--format", help="Picture format; may be given twice.")
     ] = [PictureFormat.PNG],  # noqa: B006
@@ -114,7 +120,10 @@ app.command("testplates")(cli_plates.fit)
 def scale(
     design: Design,
     factor: Annotated[float, typer.Argument(metavar="FACTOR", help="What lengths are multiplied by.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="TWIN", help="Design file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="TWIN", help="Design file to write."),
+    ],
     as_json: Json = False,
 ) -> None:
     """Write the same lens at another size.

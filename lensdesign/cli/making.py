@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.outputs import output_file
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_lens
@@ -37,7 +38,7 @@ def export(
     design: Design,
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help=f"{export_kinds()}.".capitalize()),
+        typer.Argument(callback=output_file, metavar="FILE", help=f"{export_kinds()}.".capitalize()),
     ],
     chord_error_um: Annotated[
         float, typer.Option(help="Largest distance between mesh and true surface, on the optical surfaces.")
@@ -68,7 +69,10 @@ def export(
 
 def scene(
     design: Design,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Scene to write, .glb.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Scene to write, .glb."),
+    ],
     as_json: Json = False,
 ) -> None:
     """Write glass, stop, object, sensor planes and rays as one scene that viewers turn."""
@@ -101,7 +105,10 @@ def print_outline(statements: Sequence[str]) -> None:
 
 def drawing(
     design: Design,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Drawing, .pdf or .svg.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Drawing, .pdf or .svg."),
+    ],
     sheet: Annotated[
         Path | None,
         typer.Option(metavar="SHEET", help="Title block and tolerances (TOML); else those of ISO 10110-11."),
@@ -112,11 +119,19 @@ def drawing(
     ] = None,
     as_drawn: Annotated[
         Path | None,
-        typer.Option(metavar="DESIGN", help="Design to write, with the edges and values of the sheet."),
+        typer.Option(
+            callback=output_file,
+            metavar="DESIGN",
+            help="Design to write, with the edges and values of the sheet.",
+        ),
     ] = None,
     study_as_drawn: Annotated[
         Path | None,
-        typer.Option(metavar="STUDY", help="Tolerance study to write, of everything that the sheet allows."),
+        typer.Option(
+            callback=output_file,
+            metavar="STUDY",
+            help="Tolerance study to write, of everything that the sheet allows.",
+        ),
     ] = None,
     accept_yield_loss: Annotated[
         bool,
@@ -237,7 +252,10 @@ def _score_notes(score: SheetScore, accepted: bool) -> list[str]:
 
 def sag(
     design: Design,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Table to write, .csv.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="FILE", help="Table to write, .csv."),
+    ],
     surface: Annotated[int, typer.Option(help="Number of the surface, from 1.")],
     spacing_mm: Annotated[float, typer.Option(help="Between radial heights.")] = 0.1,
     as_json: Json = False,
@@ -272,7 +290,10 @@ def sag(
 
 def import_file(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{LENS_FILES}.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
+    ],
     lossy: Annotated[bool, typer.Option("--lossy", help="Leave out what a design cannot hold.")] = False,
     working_distance_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,
     field_diameter_mm: Annotated[float | None, typer.Option(help="In place of the file's.")] = None,

@@ -10,6 +10,7 @@ import typer
 
 from lensdesign.cli.making import Json
 from lensdesign.common.console import message_console, print_json
+from lensdesign.common.outputs import output_file
 from lensdesign.errors import InputError, atomic_path
 
 if TYPE_CHECKING:
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 def fit(
     specification: Annotated[Path, typer.Argument(metavar="SPEC", help="Specification file (TOML).")],
     plates: Annotated[Path, typer.Option(help="Radii in mm: TOML with radii_mm = [...], or one a line.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DESIGN", help="Design file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=output_file, metavar="DESIGN", help="Design file to write."),
+    ],
     as_json: Json = False,
 ) -> None:
     """Search for the lens of a specification whose spheres have radii of test plates.

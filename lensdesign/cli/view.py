@@ -9,6 +9,7 @@ import typer
 
 from lensdesign.cli.making import Design, Json, outline_of, print_outline
 from lensdesign.common.console import print_json
+from lensdesign.common.outputs import output_file
 
 
 def view(
@@ -16,7 +17,11 @@ def view(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Page for a browser to write, .html; else a window opens."
+            "--output",
+            "-o",
+            callback=output_file,
+            metavar="FILE",
+            help="Page for a browser to write, .html; else a window opens.",
         ),
     ] = None,
     as_json: Json = False,

@@ -92,13 +92,17 @@ def run_app(app: typer.Typer) -> None:
                     sys.stdout.flush()
     except TransferLensError as error:
         fail(str(error))
-    except OSError as error:  # full disks behind named files are told where they are written
-        if error.errno not in (errno.EPIPE, errno.ENOSPC):
-            raise
-        _drop_output()
+    except MemoryError as error:
+        fail(f"not enough memory: {error or 'the machine has none left'}; ask for less at a time")
+    except OSError as error:
         if error.errno == errno.EPIPE:
+            _drop_output()
             raise SystemExit(1) from None
-        fail(f"cannot write to standard output: {error.strerror}")
+        if error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EBADF, errno.EFBIG):
+            _drop_output()
+            fail(f"cannot write to standard output: {error.strerror}")
+        named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        fail(f"{named}{error.strerror or error or type(error).__name__}")
 
 
 def _told(shown: Callable[..., None]) -> Callable[..., None]:

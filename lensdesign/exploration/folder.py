@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lensdesign.common.clusters import toolkit_version
+from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.common.text import safe_cell
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.exploration.front import Explored, front_of
@@ -45,6 +46,14 @@ class ExplorationFolder:
         InputError
             If it holds another exploration, or other files.
         """
+        try:
+            return self._begun(fresh)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"cannot use the folder {self.path}: {getattr(error, 'strerror', None) or error}"
+            ) from error
+
+    def _begun(self, fresh: bool) -> dict[str, Explored]:
         ends = self.path / ENDS
         if fresh and ends.exists():
             ends.unlink()
@@ -57,6 +66,7 @@ class ExplorationFolder:
             with atomic_path(ends) as temporary:
                 temporary.write_text(json.dumps({"exploration": self.fingerprint}) + "\n", encoding="utf-8")
             return {}
+        check_input(ends, TABLE_BYTES)
         first, *lines = ends.read_text(encoding="utf-8").splitlines() or [""]
         if _read(first).get("exploration") != self.fingerprint:
             raise InputError(
@@ -80,10 +90,13 @@ class ExplorationFolder:
             "point": list(one.point),
             "design": name if one.lens is not None else None,
         }
-        with (self.path / ENDS).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with (self.path / ENDS).open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(f"cannot write {self.path / ENDS}: {error.strerror or error}") from error
 
     def write_front(self, explored: Sequence[Explored], axes: Sequence[Axis]) -> Path:
         """Write the front, and the lenses behind it, as a table."""

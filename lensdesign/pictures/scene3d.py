@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import TransferLensError, atomic_path
+from lensdesign.errors import InputError, TransferLensError, atomic_path
 from lensdesign.lens.lens import Lens
 from lensdesign.pictures.labels import PlacedLabel, placed_labels
 from lensdesign.pictures.scene import SHARP_DEG, ScenePart, scene_parts
@@ -86,6 +86,8 @@ def render_lens(
         try:
             with atomic_path(path) as temporary:
                 plotter.screenshot(str(temporary))
+                if not temporary.stat().st_size:  # VTK says nothing where it cannot write
+                    raise InputError(f"cannot write {path}: the picture is empty; is the disk full?")
         finally:
             plotter.close()
 

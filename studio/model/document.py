@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,6 +112,7 @@ class Aside:
         name = hashlib.sha256(os.path.realpath(path).encode()).hexdigest()[:24]
         self.file = self.folder / f"{name}.json"
         self._turn = threading.Lock()
+        self._is_refused = False
 
     def read(self) -> dict[str, Any]:
         """What is kept; empty where nothing is, or it cannot be read."""
@@ -120,14 +123,31 @@ class Aside:
         return found if isinstance(found, dict) else {}
 
     def keep(self, **values: Any) -> None:
-        """Keep values beside those that are there; only the user can read them."""
+        """Keep values beside those that are there; only the user can read them.
+
+        Where the folder cannot be written, one warning says so, and the page goes on without.
+        """
         with self._turn:  # the page and the thread of the figures both keep
-            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            temporary = self.file.with_suffix(f".{os.getpid()}")
+            try:
+                self._write(self.read() | values)
+            except OSError as error:
+                if not self._is_refused:
+                    reason = error.strerror or str(error)
+                    print(f"warning: unsaved edits are not kept: {self.file}: {reason}", file=sys.stderr)
+                self._is_refused = True
+
+    def _write(self, values: dict[str, Any]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        temporary = self.file.with_suffix(f".{os.getpid()}")
+        try:
             descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
             with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-                json.dump(self.read() | values, stream)
+                json.dump(values, stream)
             os.replace(temporary, self.file)
+        except OSError:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
 
     def restored(self, document: Document, editing: Editing) -> Editing:
         """The editing with the edits that were kept, if they were made on the file as it is."""

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from lensdesign.common.outputs import check_output_file, check_output_folder
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from studio.model.built import Workmanship
@@ -54,6 +55,7 @@ def write_export(
     """
     if path.exists() and not replace:
         raise InputError(f"{path}: exists already; tick replace, or give another name")
+    (check_output_file if path.suffix else check_output_folder)(path)
     report(f"writing {path}")
     if path.suffix in (".pdf", ".svg"):
         from lensdesign.fabrication.drawing.sheets import drawing_as_stated, write_drawing

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lensdesign.common.input_files import TABLE_BYTES, read_input
 from lensdesign.errors import InputError
 
 SUMMARIES = ("reconstruction.json", "calibration.json", "image.json")
@@ -78,8 +79,10 @@ def look_at(folder: Path, report: Callable[[str], None]) -> Seen:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found = json.loads(read_input(path, TABLE_BYTES))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"cannot read {path}: {error}") from error
     if not isinstance(found, dict):
         raise InputError(f"cannot read {path}: not what wavesim writes")

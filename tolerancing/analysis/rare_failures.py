@@ -39,7 +39,7 @@ from tolerancing.analysis.yields import CONFIDENCE, wilson
 from tolerancing.merits.base import all_passed
 from tolerancing.perturbations.draws import LARGEST, SMALLEST
 from tolerancing.store.store import Store
-from tolerancing.study.evaluate import context_of
+from tolerancing.study.evaluate import check_trial_memory, context_of
 from tolerancing.study.study import Study
 
 MODELLED = 400_000
@@ -116,6 +116,7 @@ def rare_yield(store: Store, trials: int, *, report: Callable[[int], None] | Non
     """
     if trials < FEWEST_TRIALS:
         raise InputError(f"trials = {trials}: must be at least {FEWEST_TRIALS}")
+    check_trial_memory(store.study, trials)
     loaded, held = store.loaded, store.trials()
     study, response = loaded.study, fit_response(held.values, held.scores)
     rng = np.random.default_rng(np.random.SeedSequence(study.seed, spawn_key=(0, 0, 2)))

@@ -20,7 +20,7 @@ from tolerancing.merits.base import all_passed
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import Perturbation
 from tolerancing.store.store import Store
-from tolerancing.study.evaluate import context_of, realise
+from tolerancing.study.evaluate import check_trial_memory, context_of, realise
 from tolerancing.study.files import LoadedStudy, study_from_tables
 from tolerancing.study.scoring import score_batch
 from tolerancing.study.study import Study
@@ -204,6 +204,7 @@ def budget_of_study(
         )
     scaled_perturbations(study, np.ones(len(columns)))
     check_required(required)
+    check_trial_memory(study, fresh)
     held = np.array([column in fixed for column in columns])
     costs = _Costs(
         np.where(held, NO_COST, [(weights or {}).get(column, 1.0) for column in columns]),

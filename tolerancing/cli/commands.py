@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, messages_only, print_json, run_app
+from lensdesign.common.outputs import check_output_file, output_file, output_folder
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError, TransferLensError
 from tolerancing.cli import predict as cli_predict
@@ -48,6 +49,8 @@ def run(
 
     An interrupted run goes on where it stopped.
     """
+    if fresh or not os.path.exists(store):
+        check_output_file(store)
     several = cluster is None and (workers or len(os.sched_getaffinity(0))) > 1
     if several and (fresh or not store.exists()):
         from tolerancing.run.processes import start_ahead
@@ -106,7 +109,10 @@ def show(
     store: StorePath,
     trial: Annotated[int | None, typer.Option(help="Draw, trace and score this trial again.")] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="With --trial: its picture (png, svg or pdf).")
+        Path | None,
+        typer.Option(
+            "--output", "-o", callback=output_file, help="With --trial: its picture (png, svg or pdf)."
+        ),
     ] = None,
     dear: Annotated[bool, typer.Option("--dear", help="With --trial: by the dear merits too.")] = False,
     trust: Trust = False,
@@ -152,7 +158,9 @@ def _show_trial(store: Store, number: int, output: Path | None, dear: bool, as_j
 @app.command()
 def report(
     store: StorePath,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the report.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", callback=output_folder, help="Folder for the report.")
+    ],
     beside: Annotated[
         Path | None, typer.Option(metavar="STORE", help="Store of the lens from which this one was made.")
     ] = None,
@@ -182,7 +190,9 @@ def report(
 @app.command()
 def export(
     store: StorePath,
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="File to write, .csv or .parquet.")],
+    output: Annotated[
+        Path, typer.Argument(callback=output_file, metavar="FILE", help="File to write, .csv or .parquet.")
+    ],
     steps: Annotated[bool, typer.Option("--steps", help="Sweeps, grids and the like, not trials.")] = False,
 ) -> None:
     """Write a store's trials as one table."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.outputs import output_file
 from tolerancing.cli.tables import print_table
 from tolerancing.cli.tolerances import Json, StorePath, Trust
 
@@ -47,7 +48,9 @@ def indices(
     base: Annotated[
         int, typer.Option(help="A power of two; trials are this times the perturbations and two.")
     ] = 256,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Chart (png, svg or pdf).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", callback=output_file, help="Chart (png, svg or pdf).")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Tell which share of each merit's variance is a perturbation's own, and which it has part in.

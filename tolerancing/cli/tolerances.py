@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import messages_only, print_json
+from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError
 from tolerancing.cli.tables import print_table
@@ -41,7 +42,9 @@ MeritName = Annotated[str | None, typer.Option("--merit", help="Only this merit,
 
 def start(
     design: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML).")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Study file to write.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", callback=output_file, help="Study file to write.")
+    ],
     grade: Annotated[
         str, typer.Option(help="commercial, precision, high_precision, or iso10110 (general tolerances).")
     ] = "precision",
@@ -116,7 +119,9 @@ def inverse(
 def budget(
     store: StorePath,
     required: Annotated[float, typer.Option("--yield", help="Share of good parts to keep, 0 to 1.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Study file with the new tolerances.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", callback=output_file, help="Study file with the new tolerances.")
+    ],
     weight: Annotated[
         list[str] | None,
         typer.Option(help="COLUMN=WEIGHT: what a tolerance costs, over the others; several times."),

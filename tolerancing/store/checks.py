@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.input_files import TABLE_BYTES
 from tolerancing.merits.base import LARGEST_SCORE
 from tolerancing.store.schema import SCHEMA
 from tolerancing.study.study import MOST_TRIALS
@@ -39,6 +40,9 @@ STEP_COLUMNS: Columns = {
     "message": "text",
     "seconds": "number",
 }
+
+MOST_FILES = 10_000
+"""Most files that a store may hold: a study of hundreds of perturbations names hundreds."""
 
 STUDY_TABLES = ("trial", "dear")
 """Tables whose columns a study's perturbations and merits tell."""
@@ -95,6 +99,15 @@ def check_kinds(columns: Mapping[str, str], rows: Sequence[Sequence[Any]]) -> No
         for value in part:
             if not isinstance(value, allowed):
                 raise ValueError(f"{name} = {value!r:.60}: must be {kind}")
+
+
+def check_file_sizes(sizes: Sequence[tuple[Any, Any]]) -> None:
+    """Refuse files, by their names and sizes in bytes, of which there are more than any study names."""
+    if len(sizes) > MOST_FILES:
+        raise ValueError(f"{len(sizes)} files; a study has at most {MOST_FILES}")
+    for name, size in sizes:
+        if not isinstance(size, int) or size > TABLE_BYTES:
+            raise ValueError(f"file {name!r:.60}: {size} bytes; at most {TABLE_BYTES} are read")
 
 
 def record_of(kind: type[Record], row: Sequence[Any]) -> Record:

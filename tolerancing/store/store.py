@@ -27,6 +27,7 @@ from lensdesign.errors import DesignError, TransferLensError
 from tolerancing.store.checks import (
     STEP_COLUMNS,
     check_coordinates,
+    check_file_sizes,
     check_kinds,
     check_picture,
     check_scores,
@@ -138,9 +139,14 @@ class Store:
     @cached_property
     def loaded(self) -> LoadedStudy:
         """The study and the lens from the store's own files, the merits' levels as they were decided."""
-        files = dict(self._rows("SELECT name, content FROM file"))
+        sizes = self._rows("SELECT name, length(content) FROM file")
+        with undamaged(self.path):
+            check_file_sizes(sizes)
+        rows = self._rows("SELECT name, content FROM file")
         self._folder = TemporaryDirectory(prefix="tolerancing-")
         with undamaged(self.path):
+            check_kinds({"name": "text", "content": "bytes"}, rows)
+            files = dict(rows)
             try:
                 loaded = load_from_files(self.record().name, files, Path(self._folder.name))
             except DesignError as error:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.memory import check_memory
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, all_passed
@@ -18,6 +19,9 @@ from tolerancing.study.results import DearResults, StepResults, TrialResults
 from tolerancing.study.scoring import fault_text, score_batch
 from tolerancing.study.series import LinePairSection
 from tolerancing.study.study import Study
+
+TRIAL_COPIES = 6
+"""How many arrays of all trials exist at the same time while they are drawn."""
 
 PROBED_TRIALS = 6
 """Trials that all levels of an ``auto`` merit score."""
@@ -61,6 +65,18 @@ def compensated_points(study: Study) -> tuple[tuple[tuple[float, float], float |
     return tuple(points) or (((0.0, 0.0), None),)
 
 
+def check_trial_memory(study: Study, trials: int) -> None:
+    """Refuse a number of trials whose values and scores memory does not hold.
+
+    Raises
+    ------
+    MemoryLimitError
+        With the number and both sizes.
+    """
+    columns = len(study.perturbations) + len(study.all_merits)
+    check_memory(TRIAL_COPIES * 8.0 * trials * columns, f"trials = {trials}", "take fewer trials")
+
+
 def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
     """Draw the deltas of given trials.
 
@@ -73,8 +89,14 @@ def realise(study: Study, trials: Sequence[int]) -> PerturbationBatch:
         What scatters, and how.
     trials
         Numbers of the trials, from 0.
+
+    Raises
+    ------
+    MemoryLimitError
+        If memory does not hold the values.
     """
     perturbations = study.perturbations
+    check_trial_memory(study, len(trials))
     drawn = probabilities(study.draws, study.seed, trials, len(perturbations), study.trials)
     dependent = study.dependence.apply(drawn)
     values = np.column_stack([p.distribution.quantile(dependent[:, k]) for k, p in enumerate(perturbations)])

@@ -25,6 +25,12 @@ from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
 
+LONGEST_NAME = 255
+"""Most bytes of one name in a path, as file systems have it."""
+
+DEEPEST_PATH = 32
+"""Most names in the path of a file that a store holds."""
+
 
 class _Item(Protocol):
     @property
@@ -167,7 +173,9 @@ def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, 
     root = Path(os.path.commonpath([p.parent for p in absolute.values()]))
     files = {}
     for own in absolute.values():
-        files[own.relative_to(root).as_posix()] = read_input(own, TABLE_BYTES, DesignError)
+        name = own.relative_to(root).as_posix()
+        _check_file_name(name)
+        files[name] = read_input(own, TABLE_BYTES, DesignError)
     return absolute[path].relative_to(root).as_posix(), files
 
 
@@ -189,20 +197,48 @@ def load_from_files(name: str, files: Mapping[str, bytes], folder: Path) -> Load
     Raises
     ------
     DesignError
-        As :func:`load_study`; also if a path leads out of the folder.
+        As :func:`load_study`; also if a name is no plain relative path, or leads out of the folder.
     """
     root = folder.resolve()
+    for own in (*files, name):
+        _check_file_name(own)
+    if name not in files:
+        raise DesignError(f"study {name!r:.80}: is none of the files that are held")
     for own, content in files.items():
-        target = (root / own).resolve()
-        if not target.is_relative_to(root):
-            raise DesignError(f"file {own!r}: leads out of the study's folder")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(content)
+        target = root / own
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
+        except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+            raise DesignError(f"file {own!r:.80}: is named as a file and as a folder") from error
+        except OSError as error:
+            raise DesignError(f"file {own!r:.80}: cannot be unpacked: {error.strerror or error}") from error
     try:
         with files_from(root):
             return load_study(root / name)
     except DesignError as error:
         raise DesignError(str(error).replace(f"{root}{os.sep}", "")) from None
+
+
+def _check_file_name(name: object) -> None:
+    """Refuse a name that is no plain relative path: whoever made a store could have written anything."""
+    if not isinstance(name, str):
+        raise DesignError(f"file {name!r:.80}: its name must be text")
+    parts = name.split("/")
+    if name.startswith("/") or ".." in parts:
+        raise DesignError(f"file {name!r:.80}: leads out of the study's folder")
+    if any(part in ("", ".") for part in parts) or any(ord(c) < 32 or ord(c) == 127 for c in name):
+        raise DesignError(
+            f"file {name!r:.80}: must be a relative path of plain names, as in 'parts/lens.toml'"
+        )
+    try:
+        longest = max(len(part.encode()) for part in parts)
+    except UnicodeEncodeError as error:
+        raise DesignError(f"file {name!r:.80}: is no text that a file can be named by") from error
+    if longest > LONGEST_NAME or len(parts) > DEEPEST_PATH:
+        raise DesignError(
+            f"file {name!r:.80}: at most {DEEPEST_PATH} names of at most {LONGEST_NAME} bytes are allowed"
+        )
 
 
 def study_from_tables(data: dict[str, Any], source: str) -> Study:

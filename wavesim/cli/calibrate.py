@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,10 +46,10 @@ def calibrate(
     """
     from wavesim.calibration.from_frames import calibrate_frames
     from wavesim.camera.frame_sets import read_frames
-    from wavesim.pictures.result_files import refuse_no_folder
+    from wavesim.pictures.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 
-    refuse_no_folder(output)
+    remove_unfinished(output)
     with progress() as tell, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lens = load_design(design)
@@ -64,7 +65,8 @@ def calibrate(
             progress=tell,
         )
     for name in (CHECKPOINT, EMPTY_CHECKPOINT):
-        (output / name).unlink(missing_ok=True)
+        with suppress(OSError):  # a checkpoint that stays is of no harm
+            (output / name).unlink(missing_ok=True)
     messages = list(dict.fromkeys(str(warning.message) for warning in caught))
     print_warnings(messages)
     told: dict[str, Any] = {"object": "known" if known else settings.kind, "warnings": messages}

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import make_app, print_json, run_app
+from lensdesign.common.outputs import output_file
 from lensdesign.common.text import decimals_text, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -44,7 +45,9 @@ def pupil(
     refocus: Annotated[bool, typer.Option(help="Whether to refocus digitally.")] = True,
     samples: Annotated[int, typer.Option(help="Samples across the pupil.")] = 128,
     as_json: AsJson = False,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", callback=output_file, help="Picture to write.")
+    ] = None,
 ) -> None:
     """Score the reconstruction through a displaced lens.
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import message_console, print_json
+from lensdesign.common.outputs import output_folder
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -28,7 +29,9 @@ SPHERE_RADIUS_MM = 0.15
 
 def compare(
     design: Design,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", callback=output_folder, help="Folder to write to.")
+    ],
     radius_mm: Annotated[float, typer.Option(help="Of the exact cylinder.")] = 0.2,
     planes: Annotated[bool, typer.Option(help="Whether to compare on whole planes, too.")] = True,
     patch_mm: Annotated[float, typer.Option(help="Side of the object patch.")] = 0.05,

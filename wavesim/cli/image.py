@@ -42,9 +42,9 @@ def image(
     Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
     interrupted.
     """
-    from wavesim.pictures.result_files import refuse_no_folder
+    from wavesim.pictures.result_files import remove_unfinished
 
-    refuse_no_folder(output)
+    remove_unfinished(output)
     lens = load_design(design)
     name, summaries = lens.title or design.stem, list[dict[str, Any]]()
     for folder, chosen in _runs(lens, settings, output, all_wavelengths):

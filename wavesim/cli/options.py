@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from lensdesign.common.console import message_console
+from lensdesign.common.outputs import output_folder
 from lensdesign.common.section import Section
 from lensdesign.errors import InputError
 from wavesim.scene.settings import SettingError
@@ -31,7 +32,9 @@ Priors = Annotated[
     Path | None,
     typer.Option(metavar="STUDY", help="Tolerance study (TOML): how far the lens may be from its design."),
 ]
-Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")]
+Output = Annotated[
+    Path, typer.Option("--output", "-o", callback=output_folder, metavar="DIR", help="Folder to write to.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 PICTURES = (".png", ".pdf", ".svg")

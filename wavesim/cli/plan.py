@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.outputs import output_file
 from lensdesign.common.text import finite_or_none, visible
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, print_warnings, refuse_no_picture
@@ -23,7 +24,8 @@ def plan(
     design: Design,
     settings: PlanSettings,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Error against planes (png, svg, pdf).")
+        Path | None,
+        typer.Option("--output", "-o", callback=output_file, help="Error against planes (png, svg, pdf)."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,11 +74,11 @@ def reconstruct(
     iterations that it kept.
     """
     from wavesim.camera.frame_sets import read_frames
-    from wavesim.pictures.result_files import refuse_no_folder
+    from wavesim.pictures.result_files import remove_unfinished
     from wavesim.reconstruction.from_frames import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 
-    refuse_no_folder(output)
+    remove_unfinished(output)
     if free.free_space:
         of_lenses: dict[str, object] = {"design": design, "calibration": calibration, "truth": truth}
         of_lenses |= {"empty": empty, "priors": priors}
@@ -139,7 +139,8 @@ def reconstruct(
     summary["files"] = [str(output / name) for name in _write(found, summary, output)]
     searches = (output / CALIBRATED / name for name in (CHECKPOINT, EMPTY_CHECKPOINT))
     for path in (output / CHECKPOINT, *searches):
-        path.unlink(missing_ok=True)
+        with suppress(OSError):  # the results are written
+            path.unlink(missing_ok=True)
     if as_json:
         print_json(summary)
     else:
@@ -233,8 +234,9 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if made and folder.exists() and not any(folder.iterdir()):
-            folder.rmdir()
+        if made:
+            with suppress(OSError):  # it is not there, holds results, or cannot be changed any more
+                folder.rmdir()
 
 
 def _write(found: FoundObject, summary: dict[str, Any], output: Path) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json, progress_bar
+from lensdesign.common.outputs import output_file
 from lensdesign.common.text import decimals_text
 from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
@@ -38,7 +39,10 @@ def resolve(
     plane_distance_mm: PlaneDistanceMm = 2.0,
     wavelength_um: WavelengthUm = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Contrast against line width (png, svg, pdf).")
+        Path | None,
+        typer.Option(
+            "--output", "-o", callback=output_file, help="Contrast against line width (png, svg, pdf)."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lensdesign.common.console import print_json
+from lensdesign.common.outputs import check_output_file, output_file
 from lensdesign.errors import InputError
 
 RESULTS = {"reconstruction.npz": "", "object.npz": "true"}
@@ -46,7 +47,13 @@ def view(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Page to write, .html; left out, beside RESULT."),
+        typer.Option(
+            "--output",
+            "-o",
+            callback=output_file,
+            metavar="FILE",
+            help="Page to write, .html; left out, beside RESULT.",
+        ),
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -64,6 +71,8 @@ def view(
     path = output or (result / "view.html" if folder else result.with_suffix(".html"))
     if path.suffix.lower() != ".html":
         raise InputError(f"--output = {str(path)!r}: the file name must end in .html")
+    if output is None:
+        check_output_file(path)
     layers = _layers(result, truth, region, pixel_pitch_um)
     title, figures = _said(result)
     made = write_zoom_page(layers, path, title, figures)

@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from lensdesign.common.input_files import check_input
+from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
+
+FIELD_ARRAYS = ("values", "pitch_um")
+"""Arrays that every field has."""
 
 
 def write_field(field: Field, path: Path, **numbers: float) -> None:
@@ -61,22 +64,15 @@ def read_field(path: Path) -> tuple[Any, float]:
     InputError
         If the file cannot be read, is damaged, or holds no such field.
     """
-    check_input(path, named="the field")
-    if not zipfile.is_zipfile(path):
-        raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            lacking = [name for name in ("values", "pitch_um") if name not in content.files]
-            if lacking:
-                raise InputError(
-                    f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(content.files)}"
-                )
-            values, pitch = content["values"], content["pitch_um"]
-    except InputError:
-        raise
-    except Exception as error:  # of damaged files NumPy and zipfile raise errors of many kinds
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise InputError(f"cannot read the field {path}: {reason}") from error
+    held = read_arrays(path, named="the field", only=FIELD_ARRAYS)
+    if "values" not in held or "pitch_um" not in held:
+        if not zipfile.is_zipfile(path):
+            raise InputError(f"cannot read the field {path}: no .npz file, or damaged")
+        lacking = [name for name in FIELD_ARRAYS if name not in held]
+        raise InputError(
+            f"field {path}: has no {' and no '.join(lacking)}; it holds {sorted(array_names(path))}"
+        )
+    values, pitch = held["values"], held["pitch_um"]
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fc":
         raise InputError(
             f"field {path}: has {values.dtype} values of shape {values.shape}: must be complex or real, "
@@ -98,12 +94,11 @@ def read_centre_um(path: Path) -> tuple[float, float]:
     InputError
         If it cannot be read, or says no finite numbers.
     """
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            names = ("centre_x_mm", "centre_y_mm")
-            x, y = (float(content[name].item()) if name in content.files else 0.0 for name in names)
-    except Exception as error:  # as above
-        raise InputError(f"field {path}: where it lies cannot be read: {error}") from error
+    names = ("centre_x_mm", "centre_y_mm")
+    held = read_arrays(path, 1000, named="the field", only=names)
+    if not all(held[name].size == 1 and held[name].dtype.kind in "fiu" for name in held):
+        raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be one number each")
+    x, y = (float(held[name].item()) if name in held else 0.0 for name in names)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise InputError(f"field {path}: `centre_x_mm` and `centre_y_mm` must be finite")
     return 1e3 * x, 1e3 * y

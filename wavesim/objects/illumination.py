@@ -10,12 +10,12 @@ import cmath
 import math
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from lensdesign.common.array_files import array_names, read_arrays
 from lensdesign.common.arrays import Array
-from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_other
 from wavesim.fields.coverage import (
     Rectangle,
@@ -267,21 +267,10 @@ def _soft(distance: Array, half: float, edge: float) -> Array:
 
 def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
     """The complex array, and the numbers stated beside it."""
-    check_input(path, named="the measured field")
-    try:
-        with open(path, "rb") as handle:
-            content: Any = np.load(handle, allow_pickle=False)
-            held = (
-                {key: content[key] for key in content.files}
-                if hasattr(content, "files")
-                else {"values": content}
-            )
-    # Of damaged files the readers below raise errors of many kinds.
-    except Exception as error:
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise InputError(f"cannot read the measured field {path}: {reason}") from error
+    held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
     if "values" not in held:
-        raise InputError(f"measured field {path}: has no array `values`; it holds {sorted(held)}")
+        names = sorted(array_names(path))
+        raise InputError(f"measured field {path}: has no array `values`; it holds {names}")
     values = held["values"]
     if values.ndim != 2 or min(values.shape) < 4 or not np.iscomplexobj(values):
         raise InputError(

@@ -16,6 +16,7 @@ from zipfile import is_zipfile
 import numpy as np
 import scipy.fft
 
+from lensdesign.common.memory import check_memory
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError, refuse_not_positive
 from lensdesign.lens.lens import Lens
@@ -152,6 +153,8 @@ def object_patch(
     ------
     InputError
         If the patch is larger than the design's field, or the field stop reaches beyond the patch.
+    MemoryLimitError
+        If memory does not hold the samples.
     """
     wavelength = wavelength_of(lens, wavelength_um)
     refuse_wider_than_field(lens, patch_mm)
@@ -170,6 +173,12 @@ def object_patch(
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
     refuse_not_positive("object_pitch_um", object_pitch_um)
+    side = 1e3 * patch_mm / object_pitch_um
+    check_memory(
+        LIGHT_BYTES * max(side, 1.0) * side,
+        f"object_pitch_um = {object_pitch_um:g}: an object of {side:.3g} x {side:.3g} samples",
+        "give a larger object_pitch_um or a smaller patch_mm",
+    )
     count = scipy.fft.next_fast_len(max(4, math.ceil(1e3 * patch_mm / object_pitch_um - 1e-9)))
     grid = Grid((count, count), 1e-3 * object_pitch_um, lens.object_z_mm)
     return Patch(grid, stop_mm, wavelength, (float(x), float(y)))

@@ -5,14 +5,35 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from lensdesign.common.text import safe_cell
-from lensdesign.errors import UNFINISHED, InputError, atomic_path
+from lensdesign.errors import MARK, UNFINISHED, InputError, atomic_path, is_abandoned, new_mark
+
+UNFINISHED_FOLDER = re.compile(rf"\.new\.(?:{MARK}|[0-9a-f]{{8}})")
+"""Names of folders in which results are written until they are whole."""
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what runs that were killed left of results they were writing.
+
+    Folders of processes that still run are left alone, and so are those that cannot be removed.
+
+    Parameters
+    ----------
+    folder
+        A folder of results; it need not exist.
+    """
+    with suppress(OSError):
+        for path in folder.iterdir():
+            found = UNFINISHED_FOLDER.fullmatch(path.name)
+            if found and path.is_dir() and not path.is_symlink() and is_abandoned(path, found["process"]):
+                shutil.rmtree(path, ignore_errors=True)
 
 
 @contextmanager
@@ -34,7 +55,8 @@ def new_results(folder: Path) -> Iterator[Path]:
     made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        place = folder / f".new.{os.urandom(4).hex()}"
+        remove_unfinished(folder)
+        place = folder / f".new.{new_mark()}"
         UNFINISHED.add(place)
         place.mkdir(0o700)
     except (FileExistsError, NotADirectoryError) as error:
@@ -43,30 +65,20 @@ def new_results(folder: Path) -> Iterator[Path]:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
     try:
         yield place
-        for path in sorted(place.iterdir()):
+        written = sorted(place.iterdir())
+        for path in written:
+            if (folder / path.name).is_dir():
+                raise InputError(f"cannot write {folder / path.name}: it is a folder")
+        for path in written:
             os.replace(path, folder / path.name)
     except OSError as error:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
         UNFINISHED.discard(place)
-        if made and not any(folder.iterdir()):
-            folder.rmdir()
-
-
-def refuse_no_folder(folder: Path) -> None:
-    """Refuse, before anything is computed, a place where no folder can stand.
-
-    Raises
-    ------
-    InputError
-        If a file stands there.
-    """
-    for place in (folder, *folder.parents):
-        if place.exists():
-            if not place.is_dir():
-                raise InputError(f"--output = {str(folder)!r}: {place} is no folder")
-            return
+        if made:
+            with suppress(OSError):  # it is not empty, or cannot be changed any more
+                folder.rmdir()
 
 
 def write_json(data: Mapping[str, Any], path: Path) -> None:

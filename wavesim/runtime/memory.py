@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from lensdesign.errors import InputError, refuse_not_positive
+from lensdesign.common.memory import USABLE_FRACTION, MemoryLimitError, available_bytes
+from lensdesign.errors import refuse_not_positive
 
 COMPLEX64, COMPLEX128, FLOAT32, FLOAT64 = 8, 16, 4, 8
 """Bytes of a sample."""
 
 BASE_BYTES = 400_000_000
 """Of the process itself, its libraries and compiled loops."""
-
-SHARE = 0.8
-"""Of the memory that is free, which a run takes where it was given no limit."""
-
-CGROUPS = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-)
-"""Where containers say how much they may take, and how much they have taken."""
-
-
-class MemoryLimitError(InputError):
-    """What is asked for cannot be done within the memory allowed."""
 
 
 @dataclass(frozen=True)
@@ -74,29 +61,9 @@ def memory_limit(memory_gb: float | None) -> float:
         If the limit is not usable.
     """
     if memory_gb is None:
-        return SHARE * available_bytes()
+        return USABLE_FRACTION * available_bytes()
     refuse_not_positive("--memory-gb", memory_gb)
     return 1e9 * memory_gb
-
-
-def available_bytes() -> float:
-    """Memory that this machine, or the container that this runs in, has left."""
-    left = [_machine_bytes()]
-    for limit, used in CGROUPS:
-        try:
-            left.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
-        except (OSError, ValueError):
-            continue
-    return max(float(min(left)), 0.0)
-
-
-def _machine_bytes() -> int:
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        told = dict(line.split(":", 1) for line in lines)
-        return 1024 * int(told["MemAvailable"].split()[0])
-    except (OSError, ValueError, KeyError):
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 @dataclass(frozen=True)

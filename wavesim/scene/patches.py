@@ -7,7 +7,7 @@ import math
 import scipy.fft
 
 from lensdesign.analysis.spread import footprint, largest_spread
-from lensdesign.errors import InputError, SamplingError
+from lensdesign.errors import InputError, SamplingError, refuse_not_positive
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Grid
 from wavesim.scene.scene import Scene, wavelength_of
@@ -22,6 +22,10 @@ MARGIN = 1.02
 
 MOST_SAMPLES = 400_000_000
 """Of one grid; more would not fit a workstation's memory."""
+
+
+LONGEST_SIDE = 10_000_000
+"""Most samples along one side of an object: far more than memory holds, so that costs can be predicted."""
 
 
 def patch_scene(
@@ -57,16 +61,24 @@ def patch_scene(
     ------
     InputError
         If the patch is wider than the field, finer than two samples, or lies outside, or no light arrives.
+    SamplingError
+        If the patch has more than `LONGEST_SIDE` samples along a side.
     """
     wavelength = wavelength_of(lens, wavelength_um)
     _refuse(lens, patch_mm, field_mm)
     if object_pitch_um is None:
         object_pitch_um = OBJECT_FINENESS * 0.5 * wavelength / lens.object.numerical_aperture
+    refuse_not_positive("object_pitch_um", object_pitch_um)
     pitch = 1e-3 * object_pitch_um
     if not patch_mm >= 2.0 * pitch:
         raise InputError(
             f"patch_mm = {patch_mm:g}: finer than 2 samples of the object's {object_pitch_um:g} um: give "
             f"{2.0 * pitch:g} or more"
+        )
+    if patch_mm / pitch > LONGEST_SIDE:
+        raise SamplingError(
+            f"object_pitch_um = {object_pitch_um:g}: {patch_mm / pitch:.3g} samples along the patch of "
+            f"{patch_mm:g} mm; at most {LONGEST_SIDE} are allowed"
         )
     count = scipy.fft.next_fast_len(math.ceil(patch_mm / pitch))
     dimensions = 1 if meridional else 2

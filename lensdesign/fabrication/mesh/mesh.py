@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lensdesign.common.memory import check_memory
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.mesh.bodies import LensMesh, PerturbedBodies, perturbed_bodies
 from lensdesign.fabrication.mesh.freeform import freeform_mesh
@@ -34,6 +35,10 @@ from lensdesign.lens.solid import Element
 
 EDGE_ERROR_MM = 1e-2
 """Largest distance of the ground edge's facets from its cylinder, unless the surfaces have a coarser one."""
+
+
+TRIANGLE_BYTES = 450
+"""Most bytes of a triangle while a mesh is made and encoded, measured."""
 
 
 def lens_mesh(
@@ -203,6 +208,11 @@ def _refuse_size(elements: Sequence[Element], chord_error_um: float) -> None:
             f"{said} would need {triangles:.3g} triangles; allowed: at most "
             f"{MOST_TRIANGLES:.3g}, so ask for a larger chord error"
         )
+    check_memory(
+        TRIANGLE_BYTES * triangles,
+        f"{said}: a mesh of {triangles:.3g} triangles",
+        "give a larger chord error",
+    )
 
 
 def _azimuths(elements: Sequence[Element], error_mm: float, asked_mm: float) -> int:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from lensdesign.errors import InputError
-from wavesim.runtime import memory
 from wavesim.runtime.memory import (
     Memory,
     MemoryLimitError,
@@ -26,19 +25,6 @@ def test_a_limit_is_what_was_given_or_a_share_of_what_is_free() -> None:
     for wrong in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError, match="--memory-gb"):
             memory_limit(wrong)
-
-
-def test_a_container_has_what_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    limit, used = tmp_path / "max", tmp_path / "current"
-    monkeypatch.setattr(memory, "CGROUPS", ((str(limit), str(used)),))
-    monkeypatch.setattr(memory, "_machine_bytes", lambda: 8_000_000_000)
-    assert available_bytes() == 8e9
-    limit.write_text("max\n")
-    used.write_text("5\n")
-    assert available_bytes() == 8e9
-    limit.write_text("3000000000\n")
-    used.write_text("1000000000\n")
-    assert available_bytes() == 2e9
 
 
 def test_arrays_are_moved_where_they_must_be() -> None:

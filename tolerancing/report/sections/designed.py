@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.errors import InputError
 from tolerancing.analysis.summary import Summary
 from tolerancing.report.blocks import (
@@ -56,6 +57,7 @@ def read_front(path: Path) -> Front:
         If there is none.
     """
     file = path / "front.csv" if path.is_dir() else path
+    check_input(file, TABLE_BYTES)
     try:
         with file.open(encoding="utf-8", newline="") as opened:
             rows = csv.DictReader(opened)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.array_files import read_arrays
 from lensdesign.common.arrays import Array
 from lensdesign.common.input_files import TABLE_BYTES, check_input
 from lensdesign.errors import InputError
@@ -51,13 +52,16 @@ def read_map(path: str | os.PathLike[str]) -> Array:
 
     place = Path(path)
     check_input(place, TABLE_BYTES)
+    values: Any
     try:
         if place.suffix.lower() == ".npy":
-            values: Any = np.load(place, allow_pickle=False)
+            (values,) = read_arrays(place, TABLE_BYTES, named="the map").values()
         else:
             with Image.open(place, formats=["TIFF", "PNG"]) as picture:
                 values = np.asarray(picture)
         values = np.asarray(values, np.float64)
+    except InputError:
+        raise
     # Of damaged files the readers raise errors of many kinds.
     except Exception as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
