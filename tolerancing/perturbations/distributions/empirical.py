@@ -33,13 +33,14 @@ class _Measured:
 class Empirical(Distribution):
     """Deviations as they were measured, a column of a CSV file with a header line; `mean` shifts them.
 
-    The values are read by :meth:`loaded`, after which the distribution can be drawn from. Between the
-    measured values, in rising order, quantiles are interpolated linearly.
+    A study file's reader reads the values together with the study (:meth:`loaded`). A distribution that is
+    made in Python reads them at their first use. Between the measured values, in rising order, quantiles are
+    interpolated linearly.
 
     Attributes
     ----------
     file
-        The CSV file, relative to the study file.
+        The CSV file, relative to the study file; in Python, to the current folder.
     column
         Name of the column, as the header line gives it.
     """
@@ -71,7 +72,7 @@ class Empirical(Distribution):
 
     @property
     def values(self) -> Array:
-        """The measured values in rising order; an InputError if they have not been read."""
+        """The measured values in rising order; read at their first use if they have not been read before."""
         return self._read().values
 
     @property
@@ -107,15 +108,19 @@ class Empirical(Distribution):
 
     def _read(self) -> _Measured:
         if self._measured is None:
-            raise InputError(f"{self.file}: column {self.column!r} has not been read")
+            self._measured = _measured(_read_column(self.file, self.column))
         return self._measured
 
     def _with(self, values: Array) -> Self:
-        ordered = np.sort(values) + 0.0  # there is one zero
-        ordered.flags.writeable = False
         changed = self.model_copy()
-        changed._measured = _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
+        changed._measured = _measured(values)
         return changed
+
+
+def _measured(values: Array) -> _Measured:
+    ordered = np.sort(values) + 0.0  # there is one zero
+    ordered.flags.writeable = False
+    return _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
 
 
 def _read_column(path: Path, column: str) -> Array:

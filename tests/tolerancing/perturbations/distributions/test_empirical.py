@@ -55,12 +55,14 @@ def test_measured_values_are_known_by_their_digest(tmp_path):
     assert first.digest == pickle.loads(pickle.dumps(first)).digest
 
 
-def test_values_that_were_not_read_cannot_be_drawn(tmp_path):
+def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
     unread = written(tmp_path, "radius_mm\n1.0\n2.0\n")
-    assert unread.loaded(tmp_path) != unread
     for use in (lambda: unread.digest, lambda: unread.quantile(np.array([0.5])), lambda: unread.largest):
-        with pytest.raises(InputError, match=r"shop.csv: column 'radius_mm' has not been read"):
+        with pytest.raises(InputError, match=r"cannot read shop.csv: No such file"):
             use()
+    monkeypatch.chdir(tmp_path)
+    assert unread.quantile(np.array([0.5]))[0] == 0.5 + 1.5
+    assert unread == unread.loaded(tmp_path)
 
 
 @pytest.mark.parametrize(
