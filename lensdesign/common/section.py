@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -18,6 +20,19 @@ class Section(BaseModel):
     """One table of a file: frozen, and without keys that nobody asked for."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy, some of its values replaced without validation.
+
+        What the section has derived from its values (cached properties) is derived anew.
+        """
+        copied = super().model_copy(update=update, deep=deep)
+        if update:
+            for own in type(self).__mro__:
+                for name, value in vars(own).items():
+                    if isinstance(value, cached_property):
+                        copied.__dict__.pop(name, None)
+        return copied
 
     def replaced(self, **changes: Any) -> Self:
         """A section with some of its values replaced, and validated anew.

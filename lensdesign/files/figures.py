@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.tables import read_grid_row, read_number, refuse_comma_pairs
 from lensdesign.common.toml_files import read_text, unknown_key
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.lens.figure import SurfaceFigure, figure_from_grid, figure_from_zernike
@@ -98,12 +99,14 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
     path = Path(path)
     header: dict[str, str] = {}
     rows: list[list[float]] = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where, text = f"{path}, line {number}", line.strip()
+    texts: list[tuple[str, str]] = []
+    for count, line in enumerate(read_text(path).splitlines(), start=1):
+        where, text = f"{path}, line {count}", line.strip()
         if text.startswith("#"):
             _read_header(text[1:], header, where)
         elif text:
             rows.append(_row(text, where))
+            texts.append((text, where))
             if len(rows[-1]) != len(rows[0]):
                 raise InputError(
                     f"{where}: {len(rows[-1])} values, but the first row holds {len(rows[0])}: must be equal"
@@ -113,6 +116,7 @@ def read_figure_grid(path: str | os.PathLike[str]) -> tuple[Array, float]:
         raise InputError(f"{path}: no line '# {missing[0]} = ...' before the grid")
     if not rows:
         raise InputError(f"{path}: holds no values")
+    refuse_comma_pairs(texts)
     return np.array(rows) * UNITS_MM[header["unit"]], float(header["spacing_mm"])
 
 
@@ -151,20 +155,13 @@ def _read_header(text: str, header: dict[str, str], where: str) -> None:
         raise InputError(f"{where}: {key} is given twice")
     if key == "unit" and value not in UNITS_MM:
         raise InputError(f"{where}: unit = {value}: allowed: {', '.join(UNITS_MM)}")
-    if key == "spacing_mm" and not 0.0 < _number(value, where) < math.inf:
+    if key == "spacing_mm" and not 0.0 < read_number(value, where, key) < math.inf:
         raise InputError(f"{where}: spacing_mm = {value}: must be finite and above 0")
     header[key] = value
 
 
 def _row(text: str, where: str) -> list[float]:
-    values = [_number(field.strip() or "nan", where) for field in text.split(",")]
+    values = read_grid_row(text, where)
     if any(math.isinf(value) for value in values):
         raise InputError(f"{where}: inf is no sag error; write nan where nothing was measured")
     return values
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"{where}: {text[:40]!r} is not a number") from None

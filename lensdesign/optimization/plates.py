@@ -11,7 +11,8 @@ from typing import Any
 
 from lensdesign.analysis.report import CheckReport
 from lensdesign.common.input_files import TOML_BYTES
-from lensdesign.common.toml_files import read_text, read_toml
+from lensdesign.common.tables import read_list, read_number
+from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError, InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.optimization.asked.specification import Specification
@@ -84,7 +85,8 @@ class PlateFit:
 def load_plates(path: str | os.PathLike[str]) -> tuple[float, ...]:
     """Radii of test plates in mm, from a TOML file (``radii_mm = [...]``) or a list, one a line, of another.
 
-    Signs do not count, a pair has both; in a list, what follows a comma, semicolon or # is passed over.
+    Signs do not count, a pair has both. In a list a remark may follow a number, after a comma, semicolon or
+    #; lines with two numbers or a decimal comma are refused.
 
     Raises
     ------
@@ -97,26 +99,22 @@ def load_plates(path: str | os.PathLike[str]) -> tuple[float, ...]:
         listed = held.get("radii_mm")
         if not isinstance(listed, list) or set(held) != {"radii_mm"}:
             raise DesignError(f"{file}: must hold radii_mm, a list of radii, and nothing else")
-        items = [(f"radii_mm, number {n}", str(item)) for n, item in enumerate(listed, start=1)]
+        places = [f"{file}, radii_mm, number {n}" for n in range(1, len(listed) + 1)]
+        items = [
+            (read_number(str(item), where, "radius"), where)
+            for item, where in zip(listed, places, strict=True)
+        ]
     else:
-        lines = enumerate(read_text(file, TOML_BYTES).splitlines(), start=1)
-        cut = ((n, line.split("#")[0].replace(";", ",").split(",")[0].strip()) for n, line in lines)
-        items = [(f"line {n}", text) for n, text in cut if text]
-    return tuple(sorted({_radius(file, where, text) for where, text in items} or _none(file)))
+        items = read_list(file, "radius", TOML_BYTES)
+    if not items:
+        raise InputError(f"{file}: holds no radius")
+    return tuple(sorted({_magnitude(value, where) for value, where in items}))
 
 
-def _none(file: Path) -> set[float]:
-    raise InputError(f"{file}: holds no radius")
-
-
-def _radius(file: Path, where: str, text: str) -> float:
-    try:
-        value = abs(float(text))
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise InputError(f"{file}, {where}: {text[:40]!r}: must be a radius in mm, finite and not 0")
-    return value
+def _magnitude(value: float, where: str) -> float:
+    if not 0.0 < abs(value) < math.inf:
+        raise InputError(f"{where}: {value:g}: must be a radius in mm, finite and not 0")
+    return abs(value)
 
 
 def fit_plates(

@@ -25,6 +25,7 @@ from tolerancing.run.tasks import (
     missing_steps,
     missing_trials,
 )
+from tolerancing.store.creation import remove_empty_store
 from tolerancing.store.store import Store, create_store, open_store
 from tolerancing.study.evaluate import first_scores
 from tolerancing.study.files import LoadedStudy
@@ -135,28 +136,33 @@ def run_study(
     with pool, Rehearsal(loaded, workers == 1, pool) as rehearsal:
         rehearsal.get_ready()
         store, is_new = _ready_store(Path(store_path), loaded, planned, crew, fresh, rehearsal)
-        with store:
-            levels = {merit.label: merit.level for merit in store.merits()}
-            loaded = replace(loaded, study=loaded.study.with_levels(levels))
-            lacking = _lacking(loaded, store, planned)
-            size = chunk_size(loaded.study, planned, crew)
-            tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
-            processes = min(processes, max(1, tasks))
-            tally = _Tally(report, lacking)
-            if tasks:
-                if announce is not None:
-                    steps = tuple(missing_steps(loaded.study, store))
-                    asked = partial(estimate_run, loaded, lacking, steps, processes, size)
-                    early = all_tasks(loaded.study, planned, crew) if is_new else ()
-                    with suppress(EndedError):  # by one of the first trials; which, will show
-                        announce(rehearsal.do(asked, early, levels))
-                here = processes == 1 and rehearsal.here
-                rehearsal.close()
-                store.start_writing()
-                with _workers(loaded, levels, pool, cluster, here) as perform:
-                    trial_tasks = missing_trials(store, planned, size, crew, in_order=is_new)
-                    _score(loaded, store, perform, tally, trial_tasks, planned)
-                store.finish_writing()
+        try:
+            with store:
+                levels = {merit.label: merit.level for merit in store.merits()}
+                loaded = replace(loaded, study=loaded.study.with_levels(levels))
+                lacking = _lacking(loaded, store, planned)
+                size = chunk_size(loaded.study, planned, crew)
+                tasks = lacking["steps"] + -(-lacking["trials"] // size) + lacking["dear"]
+                processes = min(processes, max(1, tasks))
+                tally = _Tally(report, lacking)
+                if tasks:
+                    if announce is not None:
+                        steps = tuple(missing_steps(loaded.study, store))
+                        asked = partial(estimate_run, loaded, lacking, steps, processes, size)
+                        early = all_tasks(loaded.study, planned, crew) if is_new else ()
+                        with suppress(EndedError):  # by one of the first trials; which, will show
+                            announce(rehearsal.do(asked, early, levels))
+                    here = processes == 1 and rehearsal.here
+                    rehearsal.close()
+                    store.start_writing()
+                    with _workers(loaded, levels, pool, cluster, here) as perform:
+                        trial_tasks = missing_trials(store, planned, size, crew, in_order=is_new)
+                        _score(loaded, store, perform, tally, trial_tasks, planned)
+                    store.finish_writing()
+        except InputError:
+            if is_new:
+                remove_empty_store(Path(store_path))
+            raise
     done = tally.done
     return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
 

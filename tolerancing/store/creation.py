@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 from lensdesign.common.clusters import toolkit_version
-from lensdesign.errors import atomic_path
+from lensdesign.errors import InputError, atomic_path
 from tolerancing.store.file import nobody_else, remove_logs, reported, start_writing
 from tolerancing.store.schema import (
     APPLICATION_ID,
@@ -86,6 +86,19 @@ def create_store(
     except _Taken:
         return False
     return True
+
+
+def remove_empty_store(path: Path) -> None:
+    """Remove a store that holds no results and that nobody else has open; any other stays."""
+    with suppress(InputError, OSError, sqlite3.Error), nobody_else(path):
+        place = Path(os.path.realpath(path))
+        with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            held = any(
+                connection.execute(f"SELECT 1 FROM {table} LIMIT 1").fetchone()
+                for table in ("trial", "dear", "step", "picture")
+            )
+        if not held:
+            place.unlink()
 
 
 def _fill(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol
 
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, refuse_outside
 from lensdesign.common.section import Section
@@ -16,11 +16,12 @@ from lensdesign.common.toml_files import read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
+from tolerancing.merits.base import Merit
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations import draws
 from tolerancing.perturbations.dependence import Correlation
-from tolerancing.perturbations.parameters import perturbation_from_table
+from tolerancing.perturbations.parameters import Perturbation, perturbation_from_table
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
@@ -30,16 +31,6 @@ LONGEST_NAME = 255
 
 DEEPEST_PATH = 32
 """Most names in the path of a file that a store holds."""
-
-
-class _Item(Protocol):
-    @property
-    def file_name(self) -> str | None: ...
-
-    def loaded(self, folder: Path) -> Self: ...
-
-
-Item = TypeVar("Item", bound=_Item)
 
 
 class Checked(Protocol):
@@ -107,8 +98,7 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
         key, value and what is allowed.
     """
     path = Path(path)
-    study = study_from_tables(read_toml(path), str(path))
-    study = _with_files(study, path)
+    study = study_from_tables(read_toml(path), str(path), path.parent)
     design = path.parent / study.design
     if allowed_folder() is not None:  # of a store: its own, not a design of the reader
         refuse_outside(design, path, "design", DesignError)
@@ -139,29 +129,6 @@ def save_study(study: Study, path: str | os.PathLike[str]) -> None:
         table |= {"distribution": perturbation.distribution.kind} | table["distribution"]
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
-
-
-def _with_files(study: Study, path: Path) -> Study:
-    """The study with what its distributions' and merits' own files hold."""
-    faults, folder = [], path.parent
-
-    def loaded(items: Iterable[Item], key: str) -> tuple[Item, ...]:
-        found = []
-        for number, item in enumerate(items, start=1):
-            try:
-                if item.file_name is not None:
-                    refuse_outside(folder / item.file_name, path, f"{key} {number}")
-                found.append(item.loaded(folder))
-            except InputError as error:
-                told = str(error)
-                faults.append(told if told.startswith(f"{path}: ") else f"{path}: {key} {number}: {told}")
-        return tuple(found)
-
-    perturbations = loaded(study.perturbations, "perturbation")
-    merits = loaded(study.all_merits, "merit")
-    if faults:
-        raise DesignError("\n".join(faults))
-    return study.model_copy(update={"perturbations": perturbations, "all_merits": merits})
 
 
 def _gathered(path: Path, design: Path, study: Study, lens: Lens) -> tuple[str, dict[str, bytes]]:
@@ -241,8 +208,19 @@ def _check_file_name(name: object) -> None:
         )
 
 
-def study_from_tables(data: dict[str, Any], source: str) -> Study:
-    """A study from the tables of its file, all faults in one DesignError."""
+def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = None) -> Study:
+    """A study from the tables of its file, all faults in one DesignError.
+
+    Parameters
+    ----------
+    data
+        The tables.
+    source
+        What to call the study in messages.
+    folder
+        Folder of the study, from which the files of distributions and merits are read at once. Without it
+        the study names no files that can be read.
+    """
     faults: list[str] = []
     data = dict(data)
     readers: dict[str, Callable[[dict[str, Any], str], Section]] = {
@@ -260,15 +238,27 @@ def study_from_tables(data: dict[str, Any], source: str) -> Study:
             raise DesignError(f"{source}: {key}: must be tables, each headed [[{key}]]")
         items = []
         for number, table in enumerate(tables, start=1):
+            where = f"{source}: {key} {number}"
             try:
-                items.append(reader(table, f"{source}: {key} {number}"))
-            except DesignError as error:
-                faults.append(str(error))
+                item = reader(table, where)
+                items.append(item if folder is None else _with_its_file(item, folder, source, where))
+            except InputError as error:
+                told = str(error)
+                faults.append(told if told.startswith(f"{source}: ") else f"{where}: {told}")
         if key in data:
             data[key] = tuple(items)
     if faults:
         raise DesignError("\n".join(faults))
     return validate(Study, data, source)
+
+
+def _with_its_file(item: Section, folder: Path, source: str, where: str) -> Section:
+    """A perturbation or merit with what its own file holds; another section as it is."""
+    if not isinstance(item, Perturbation | Merit):
+        return item
+    if item.file_name is not None:
+        refuse_outside(folder / item.file_name, folder / Path(source).name, where.removeprefix(f"{source}: "))
+    return item.loaded(folder)
 
 
 def check_against(study: Study, lens: Lens, source: str) -> None:

@@ -35,7 +35,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 from lensdesign.fabrication.drawing.tolerances import GENERAL, DrawingTolerances, general_tolerances
@@ -274,16 +273,7 @@ def as_drawn_study(lens: Lens, study: Study, items: Sequence[SheetItem]) -> AsDr
     changes: dict[str, Any] = {"perturbations": tuple(kept)}
     if dropped:
         changes["correlations"] = correlations
-    return AsDrawnStudy(_changed(study, **changes), tuple(owners))
-
-
-def _changed(study: Study, **changes: Any) -> Study:
-    """The study with other values; what it has derived from the old ones is not taken along."""
-    made = study.model_copy(update=changes)
-    for name, value in vars(Study).items():
-        if isinstance(value, cached_property):
-            made.__dict__.pop(name, None)
-    return made
+    return AsDrawnStudy(study.model_copy(update=changes), tuple(owners))
 
 
 def _axes_left(item: SheetItem, own: Sequence[Perturbation]) -> tuple[Deviation, ...]:

@@ -4,7 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from places import DESIGNS
+from places import DESIGNS, GOLDEN
 
 from lensdesign.common.toml_files import validate
 from lensdesign.errors import InputError
@@ -79,10 +79,22 @@ def test_plates_are_read_from_lists_and_tables(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.csv", "12\nflat\n", "a.csv, line 2: 'flat': must be a radius in mm"),
-        ("a.csv", "0\n", "line 1: '0'"),
+        ("a.csv", "12\nflat\n", "a.csv, line 2: radius = 'flat' is not a number"),
+        ("a.csv", "0\n", "line 1: 0: must be a radius in mm, finite and not 0"),
         ("a.csv", "# none\n", "holds no radius"),
-        ("a.toml", "radii_mm = [1, inf]\n", "radii_mm, number 2: 'inf'"),
+        ("a.csv", "40\n37,5\n", "line 2: '37,5': holds more than one number, or a decimal comma"),
+        ("a.csv", "37;5\n", "line 1: '37;5': holds more than one number"),
+        ("a.csv", "1.234,5\n", "line 1: '1.234,5': holds more than one number"),
+        ("a.csv", "1,234.5\n", "line 1: '1,234.5': holds more than one number"),
+        ("a.csv", "37.5, 12.5, 50.25\n", "line 1: .* holds more than one number"),
+        ("a.csv", "37,5 mm\n", "line 1: .* holds more than one number"),
+        ("a.csv", "1 234.5\n", "line 1: radius = '1 234.5' is not a number: thousands separators"),
+        ("a.csv", "1'234\n", "thousands separators"),
+        ("a.csv", "37.5 mm\n", "radius = '37.5 mm' is not a number"),
+        ("a.csv", "1_000\n", "radius = '1_000' is not a number"),
+        ("a.csv", "\u221240\n", "its sign is a dash"),
+        ("a.toml", 'radii_mm = ["37,5"]\n', "number 1: radius = '37,5' is not a number: a comma may be"),
+        ("a.toml", "radii_mm = [1, inf]\n", "radii_mm, number 2: inf: must be"),
         ("a.toml", "radii = [1]\n", "must hold radii_mm"),
     ],
 )
@@ -90,3 +102,8 @@ def test_faulty_lists_are_refused(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=message):
         load_plates(tmp_path / name)
+
+
+def test_plates_with_decimal_commas_are_refused():
+    with pytest.raises(InputError, match=r"plates.txt, line 1: '37,5': .*decimal comma"):
+        load_plates(GOLDEN / "files" / "decimal_comma_plates" / "plates.txt")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from pydantic import PrivateAttr, field_validator
 
 from lensdesign.common.arrays import Array
 from lensdesign.common.section import as_path
-from lensdesign.common.toml_files import did_you_mean, read_text
+from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
@@ -33,13 +32,14 @@ class _Measured:
 class Empirical(Distribution):
     """Deviations as they were measured, a column of a CSV file with a header line; `mean` shifts them.
 
-    The values are read by :meth:`loaded`, after which the distribution can be drawn from. Between the
-    measured values, in rising order, quantiles are interpolated linearly.
+    A study file's reader reads the values together with the study (:meth:`loaded`). A distribution that is
+    made in Python reads them at their first use. Between the measured values, in rising order, quantiles are
+    interpolated linearly.
 
     Attributes
     ----------
     file
-        The CSV file, relative to the study file.
+        The CSV file, relative to the study file; in Python, to the current folder.
     column
         Name of the column, as the header line gives it.
     """
@@ -71,7 +71,7 @@ class Empirical(Distribution):
 
     @property
     def values(self) -> Array:
-        """The measured values in rising order; an InputError if they have not been read."""
+        """The measured values in rising order; read at their first use if they have not been read before."""
         return self._read().values
 
     @property
@@ -107,34 +107,25 @@ class Empirical(Distribution):
 
     def _read(self) -> _Measured:
         if self._measured is None:
-            raise InputError(f"{self.file}: column {self.column!r} has not been read")
+            self._measured = _measured(_read_column(self.file, self.column))
         return self._measured
 
     def _with(self, values: Array) -> Self:
-        ordered = np.sort(values) + 0.0  # there is one zero
-        ordered.flags.writeable = False
         changed = self.model_copy()
-        changed._measured = _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
+        changed._measured = _measured(values)
         return changed
 
 
+def _measured(values: Array) -> _Measured:
+    ordered = np.sort(values) + 0.0  # there is one zero
+    ordered.flags.writeable = False
+    return _Measured(hashlib.sha256(ordered.astype("<f8").tobytes()).hexdigest(), ordered)
+
+
 def _read_column(path: Path, column: str) -> Array:
-    """A column of a CSV file, whose first line names the columns; empty lines are passed over."""
-    reader = csv.reader(read_text(path, MOST_BYTES).splitlines(), skipinitialspace=True)
-    place: int | None = None
-    values = []
-    try:
-        for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            if place is None:
-                place = _place([cell.strip() for cell in row], column, path)
-            else:
-                values.append(_value(row, place, column, f"{path}, line {reader.line_num}"))
-    except csv.Error as error:
-        raise InputError(f"{path}, line {reader.line_num}: not a CSV file: {error}") from error
-    if place is None:
-        raise InputError(f"{path}: holds nothing; its first line must name the columns")
+    """A column of a table, whose first line names the columns."""
+    table = read_table(path, MOST_BYTES)
+    values = [_value(cell, column, where) for cell, where in table.column(column)]
     if len(values) < 2:
         raise InputError(f"{path}: column {column!r} holds {len(values)} values: must be at least 2")
     if min(values) == max(values):
@@ -142,24 +133,8 @@ def _read_column(path: Path, column: str) -> Array:
     return np.array(values)
 
 
-def _place(header: list[str], column: str, path: Path) -> int:
-    if header.count(column) == 1:
-        return header.index(column)
-    if column in header:
-        raise InputError(f"{path}: {header.count(column)} columns are called {column!r}; one must be")
-    listed = ", ".join(name[:40] for name in header[:20])
-    raise InputError(
-        f"{path}: there is no column {column!r}; allowed: {listed}{did_you_mean(column, header)}"
-    )
-
-
-def _value(row: list[str], place: int, column: str, where: str) -> float:
-    if place >= len(row):
-        raise InputError(f"{where}: no value in column {column!r}")
-    try:
-        value = float(row[place].replace("_", "no digit"))
-    except ValueError:
-        raise InputError(f"{where}: {column} = {row[place][:40]!r} is not a number") from None
+def _value(text: str, column: str, where: str) -> float:
+    value = read_number(text, where, column)
     if not abs(value) <= 1e9:
         raise InputError(f"{where}: {column} = {value}: must be a finite number, 1e9 at most either way")
     return value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.input_files import TABLE_BYTES, check_input
+from lensdesign.common.tables import read_number, read_table
 from lensdesign.errors import InputError
 from tolerancing.analysis.summary import Summary
 from tolerancing.report.blocks import (
@@ -59,14 +60,24 @@ def read_front(path: Path) -> Front:
     file = path / "front.csv" if path.is_dir() else path
     check_input(file, TABLE_BYTES)
     try:
-        with file.open(encoding="utf-8", newline="") as opened:
-            rows = csv.DictReader(opened)
-            names = [n for n in rows.fieldnames or () if n not in ("design", "glasses", "on_front")]
-            first, last = names[0], names[-1]
-            lenses = tuple((float(r[first]), float(r[last]), r["on_front"] == "1") for r in rows)
-    except (OSError, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+        read = read_table(file)
+        first, last = _objectives(read.names)
+        columns = (read.column(name) for name in (first, last, "on_front"))
+        lenses = tuple(
+            (read_number(x[0], x[1], first), read_number(y[0], y[1], last), shown[0] == "1")
+            for x, y, shown in zip(*columns, strict=True)
+        )
+    except InputError as error:
         raise InputError(f"{file}: is no front that lensdesign explore wrote: {error}") from None
     return Front((first, last), lenses)
+
+
+def _objectives(names: Sequence[str]) -> tuple[str, str]:
+    """The first and the last objective among the columns of a front."""
+    own = [name for name in names if name not in ("design", "glasses", "on_front")]
+    if not own:
+        raise InputError("no column of an objective")
+    return own[0], own[-1]
 
 
 def designed_section(

@@ -55,12 +55,14 @@ def test_measured_values_are_known_by_their_digest(tmp_path):
     assert first.digest == pickle.loads(pickle.dumps(first)).digest
 
 
-def test_values_that_were_not_read_cannot_be_drawn(tmp_path):
+def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
     unread = written(tmp_path, "radius_mm\n1.0\n2.0\n")
-    assert unread.loaded(tmp_path) != unread
     for use in (lambda: unread.digest, lambda: unread.quantile(np.array([0.5])), lambda: unread.largest):
-        with pytest.raises(InputError, match=r"shop.csv: column 'radius_mm' has not been read"):
+        with pytest.raises(InputError, match=r"cannot read shop.csv: No such file"):
             use()
+    monkeypatch.chdir(tmp_path)
+    assert unread.quantile(np.array([0.5]))[0] == 0.5 + 1.5
+    assert unread == unread.loaded(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,15 @@ def test_values_that_were_not_read_cannot_be_drawn(tmp_path):
         ("radius_mm\n1.0\nnan\n", r"line 3: radius_mm = nan: must be a finite number"),
         ("radius_mm\n1.0\n-inf\n", r"line 3: radius_mm = -inf: must be a finite number"),
         ("radius_mm\n1.0\n1e300\n", r"line 3: radius_mm = 1e\+300: must be a finite number"),
-        ("radius_mm\n1,0\n1_0\n", r"line 3: radius_mm = '1_0' is not a number"),
+        ("radius_mm\n1.0\n1_0\n", r"line 3: radius_mm = '1_0' is not a number"),
+        ("radius_mm\n1,0\n2,5\n", r"line 2: 2 cells, but the first line names 1 column: .*'1,0' may hold a"),
+        ("part,radius_mm\n1,1.0\n2,0,5\n", r"line 3: 3 cells, but the first line names 2"),
+        ("part;radius_mm\n1;0,012\n", r"line 2: radius_mm = '0,012' is not a number: a comma may be"),
+        ("part\tradius_mm\n1\t0,012\n", r"line 2: radius_mm = '0,012' is not a number: a comma may be"),
+        ('part,radius_mm\n1,"0,012"\n', r"line 2: radius_mm = '0,012' is not a number"),
+        ('part,radius_mm\n1,"1,234.5"\n', r"line 2: radius_mm = '1,234.5' is not a number: thousands"),
+        ("part;radius_mm\n1;1.234,5\n", r"line 2: radius_mm = '1.234,5' is not a number: thousands"),
+        ("part radius_mm\n1 0.5\n", r"no column 'radius_mm'; allowed: part radius_mm"),
         ("part,radius_mm\n1,1.0\n2\n", r"line 3: no value in column 'radius_mm'"),
         ("part,radius_mm\n1,1.0\n2,\n", r"line 3: radius_mm = '' is not a number"),
         ("radius_mm\n" + "1" * 200_000, r"line 2: not a CSV file: field larger"),
@@ -102,3 +112,9 @@ def test_files_that_are_none_are_refused(tmp_path):
         Empirical(file="raw.csv", column="x").loaded(tmp_path)
     with pytest.raises(ValidationError, match=r"cannot hold a NUL character"):
         Empirical(file="a\0b", column="x")
+
+
+def test_columns_may_be_separated_by_semicolons_and_tabs(tmp_path):
+    expected = written(tmp_path, "part,radius_mm\n1,1.5\n2,-2\n").loaded(tmp_path)
+    for text in ("part;radius_mm\n1;1.5\n2;-2\n", "part\tradius_mm\n1\t1.5\n\t-2\n"):
+        assert written(tmp_path, text).loaded(tmp_path) == expected
