@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from lensdesign.common.input_files import check_input
 from lensdesign.common.section import Finite, Positive, Section
 from lensdesign.common.toml_files import did_you_mean, validate
 from lensdesign.errors import InputError, atomic_path
 from wavesim.camera.pixels.maps import PixelMaps
+from wavesim.fields.picture_files import COUNT_MODES, FRAME_FORMATS, PictureFile
 from wavesim.scene.settings import SettingError
 
 Counts = NDArray[np.uint16]
@@ -33,11 +33,10 @@ NotNegative = Annotated[float, Setting(ge=0.0, le=1e9, allow_inf_nan=False)]
 
 KEY = "transferlens_frame"
 """Under which the settings stand in a file's ImageDescription."""
-DESCRIPTION, PHOTOMETRIC = 270, 262
-"""TIFF tags."""
-WHITE_IS_ZERO = 0
-GREY_MODES = ("L", "I;16", "I;16B")
-"""Pillow's names for whole numbers without sign, of 16 bits at most."""
+DESCRIPTION = 270
+"""TIFF tag."""
+LEAST_BITS = 8
+"""Bits of a stored count; readers scale those of fewer bits."""
 
 
 class AssumedWarning(UserWarning):
@@ -180,7 +179,9 @@ def write_frame(frame: Frame, path: str | os.PathLike[str]) -> None:
 
 
 def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None = None, **given: Any) -> Frame:
-    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits.
+    """Read a frame from a grey TIFF or PNG of 8, 12 or 16 bits that holds one picture.
+
+    The picture is turned upright by the orientation that its file states.
 
     Parameters
     ----------
@@ -228,43 +229,18 @@ def read_frame(path: str | os.PathLike[str], assumed: Mapping[str, Any] | None =
 
 def _read_picture(path: Path) -> tuple[Counts, str]:
     """Counts of a grey TIFF or PNG, and the ImageDescription of a TIFF."""
-    from PIL import Image, UnidentifiedImageError
-
-    check_input(path)
-    try:
-        data = path.open("rb")
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-    with data, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with Image.open(data, formats=["TIFF", "PNG"]) as image:
-                tags: Any = getattr(image, "tag_v2", {})
-                _refuse_foreign(image, tags, path)
-                description = tags.get(DESCRIPTION, "")
-                return np.array(image, dtype=np.uint16), description if isinstance(description, str) else ""
-        except InputError:
-            raise
-        except UnidentifiedImageError:
-            raise InputError(f"{path}: no TIFF or PNG picture, or damaged at its start") from None
-        except Image.DecompressionBombError as error:
-            raise InputError(f"{path}: {error}") from None
-        except Exception as error:  # Pillow raises errors of many kinds on damaged files
-            said = str(error) or type(error).__name__
-            raise InputError(f"{path}: damaged TIFF or PNG: {said}") from None
-
-
-def _refuse_foreign(image: Any, tags: Any, path: Path) -> None:
-    """Say what a picture is, if not one grey picture of counts."""
-    if image.mode not in GREY_MODES:
+    file = PictureFile(path, formats=FRAME_FORMATS)
+    picture = file.only()
+    if picture.mode not in COUNT_MODES or picture.bits < LEAST_BITS or picture.states_alpha:
+        bits = f" of {picture.bits} bits" if picture.bits < LEAST_BITS else ""
+        alpha = ", with transparent pixels" if picture.states_alpha else ""
         raise InputError(
-            f"{path}: a {image.format} of kind {image.mode!r}: must be grey, of whole numbers of 8, 12 or 16 "
-            "bits"
+            f"{path}: a {picture.format} of kind {picture.mode!r}{bits}{alpha}: must be grey, of whole "
+            "numbers of 8, 12 or 16 bits"
         )
-    if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
+    if picture.white_is_zero:
         raise InputError(f"{path}: a TIFF in which white is zero: must be one in which black is zero")
-    if getattr(image, "n_frames", 1) != 1:
-        raise InputError(f"{path}: holds {image.n_frames} pictures: must hold one")
+    return picture.values.astype(np.uint16), file.description
 
 
 def _written_settings(description: str, path: Path) -> dict[str, Any]:

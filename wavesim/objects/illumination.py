@@ -279,7 +279,7 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
         )
     if not np.all(np.isfinite(values)):
         raise InputError(f"measured field {path}: has values that are not finite")
-    stated = {}
+    stated: dict[str, float] = {}
     for key in ("pitch_um", "wavelength_um"):
         if key in held:
             if held[key].size != 1 or held[key].dtype.kind not in "fiu":

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.input_files import check_input
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive, refuse_not_whole, refuse_other
 from wavesim.fields.coverage import (
     ROUNDING,
@@ -31,12 +30,16 @@ from wavesim.fields.coverage import (
     refuse_outside,
 )
 from wavesim.fields.field import Grid, Orientation
+from wavesim.fields.picture_files import COUNT_MODES, PictureFile
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.arrays import fftn, ifftn
 from wavesim.runtime.threads import row_blocks
 
 ComplexArray = NDArray[np.complex128]
 Ground = Literal["bright", "dark"]
+
+LUMA_MODES = ("1", "LA", "P", "RGB", "RGBA")
+"""Pillow's names for kinds of picture whose luma keeps what they show."""
 
 
 def on_ground(coverage: Array, ground: Ground) -> ComplexArray:
@@ -297,48 +300,32 @@ def picture_pixel(
 
 
 def read_grey(path: str | os.PathLike[str]) -> Array:
-    """Grey values of a picture as parts of full scale, of shape (rows, columns).
+    """Grey values of a picture as parts of full scale (0: black), of shape (rows, columns).
 
     One channel of 8 or 16 bits is taken as it is; of colours, palettes and black and white the luma of ITU-R
-    BT.601, of 8 bits.
+    BT.601, of 8 bits. The picture is turned upright by the orientation that its file states, and looks as in
+    a viewer where white is zero.
 
     Raises
     ------
     InputError
         If the file cannot be read, or does not hold one picture of such kinds without transparency.
     """
-    from PIL import Image
-
     place = Path(path)
-    check_input(place, named="the picture")
-    full_scale = {"L": 255.0, "I;16": 65535.0, "I;16L": 65535.0, "I;16B": 65535.0}
-    try:
-        with Image.open(place) as picture:
-            mode, frames = picture.mode, getattr(picture, "n_frames", 1)
-            grey = picture if mode in full_scale or frames != 1 else _luma(picture)
-            values: Any = None if grey is None or frames != 1 else np.asarray(grey, float)
-            scale = full_scale.get(mode, 255.0)
-    # Of damaged files the readers below raise errors of many kinds.
-    except Exception as error:
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise InputError(f"cannot read the picture {place}: {reason}") from error
-    if frames != 1:
-        raise InputError(f"picture {place}: holds {frames} pictures; give a file with one")
-    if values is None:
+    picture = PictureFile(place, "the picture").only()
+    if picture.mode not in (*COUNT_MODES, *LUMA_MODES) or not picture.is_opaque:
         raise InputError(
-            f"picture {place}: has mode {mode}; give grey of 8 or 16 bits, or opaque colours of 8"
+            f"picture {place}: has mode {picture.mode}; give grey of 8 or 16 bits, or opaque colours of 8"
         )
-    return np.asarray(values / scale)
-
-
-def _luma(picture: Any) -> Any:
-    """Grey of 8 bits; None for kinds that it does not keep, and pictures that are not opaque."""
-    if picture.mode not in ("1", "LA", "P", "RGB", "RGBA"):
-        return None
-    clear = picture.mode in ("LA", "RGBA") or "transparency" in picture.info
-    if clear and picture.convert("RGBA").getextrema()[3][0] < 255:
-        return None
-    return picture.convert("L")
+    values = picture.values
+    if values.dtype == np.bool_:
+        full_scale = 1
+    elif picture.format == "TIFF" and picture.mode.startswith("I;16"):
+        full_scale = 2**picture.bits - 1
+    else:
+        full_scale = int(np.iinfo(values.dtype).max)
+    grey = values / full_scale
+    return np.asarray(1.0 - grey if picture.white_is_zero else grey, float)
 
 
 def band_limit(

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.array_files import read_arrays
 from lensdesign.common.arrays import Array
-from lensdesign.common.input_files import TABLE_BYTES, check_input
+from lensdesign.common.input_files import TABLE_BYTES
 from lensdesign.errors import InputError
+from wavesim.fields.picture_files import FRAME_FORMATS, Picture, PictureFile
 
 Mask = NDArray[np.bool_]
 
@@ -40,35 +40,71 @@ class PixelMaps:
     bad: Mask | None = None
 
 
-def read_map(path: str | os.PathLike[str]) -> Array:
-    """Values of a map: a grey TIFF or PNG of whole numbers, or an array in an .npy file.
+def read_map(path: str | os.PathLike[str], *, several: bool = True) -> Array:
+    """Values of a map: a grey TIFF or PNG of numbers, or an array in an .npy file.
+
+    Pictures are turned upright by the orientation that their file states.
+
+    Parameters
+    ----------
+    path
+        The file.
+    several
+        Whether the mean of several pictures is taken (pages of a TIFF, an array of shape (pictures, ny, nx)),
+        as of darks and flats; else the file must hold one.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no picture of finite numbers.
+        If the file cannot be read, or holds no pictures of finite numbers of one size.
     """
-    from PIL import Image
-
     place = Path(path)
-    check_input(place, TABLE_BYTES)
-    values: Any
-    try:
-        if place.suffix.lower() == ".npy":
-            (values,) = read_arrays(place, TABLE_BYTES, named="the map").values()
-        else:
-            with Image.open(place, formats=["TIFF", "PNG"]) as picture:
-                values = np.asarray(picture)
-        values = np.asarray(values, np.float64)
-    except InputError:
-        raise
-    # Of damaged files the readers raise errors of many kinds.
-    except Exception as error:
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise InputError(f"cannot read the map {place}: {reason}") from error
+    values = _array(place) if place.suffix.lower() == ".npy" else _mean_picture(place, several)
+    if values.ndim == 3 and len(values) and several:
+        values = values.mean(axis=0)
     if values.ndim != 2 or not values.size or not np.all(np.isfinite(values)):
         raise InputError(f"map {place}: of shape {values.shape}: must be one grey picture of finite numbers")
     return values
+
+
+def _array(path: Path) -> Array:
+    """The real numbers of an .npy file."""
+    (values,) = read_arrays(path, TABLE_BYTES, named="the map").values()
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"map {path}: holds {values.dtype}: must be an array of real numbers")
+    return np.asarray(values, np.float64)
+
+
+def _mean_picture(path: Path, several: bool) -> Array:
+    """The mean of the pictures of a file."""
+    file = PictureFile(path, "the map", FRAME_FORMATS)
+    if not several:
+        return _numbers(file.only())
+    total = _numbers(file.picture(0))
+    for index in range(1, file.count):
+        values = _numbers(file.picture(index))
+        if values.shape != total.shape:
+            raise InputError(
+                f"map {path}: picture {index + 1} has shape {values.shape}, the first {total.shape}: must be "
+                "equal"
+            )
+        total = total + values
+    return total / file.count
+
+
+def _numbers(picture: Picture) -> Array:
+    """Stored numbers of a grey picture."""
+    if not picture.is_grey:
+        alpha = ", with transparent pixels" if picture.states_alpha else ""
+        raise InputError(
+            f"map {picture.path}: a {picture.format} of kind {picture.mode!r}{alpha}: must be one grey "
+            "picture of finite numbers"
+        )
+    if picture.white_is_zero:
+        raise InputError(
+            f"map {picture.path}: a TIFF in which white is zero: must be one in which black is zero"
+        )
+    return np.asarray(picture.values, np.float64)
 
 
 def read_pixel_maps(
@@ -89,9 +125,9 @@ def read_pixel_maps(
     offset_counts, gain_electrons_per_count
         As of :class:`wavesim.FrameSettings`; those of the maps are the same.
     flat, dark
-        In counts; means of many frames serve best, as .npy.
+        In counts. Several pictures in a file are averaged.
     bad
-        Of bad pixels.
+        Of bad pixels; one picture.
 
     Raises
     ------
@@ -100,7 +136,7 @@ def read_pixel_maps(
     """
     if flat is None and dark is None and bad is None:
         return None
-    mask = None if bad is None else _of_shape(bad, shape) != 0.0
+    mask = None if bad is None else _of_shape(bad, shape, several=False) != 0.0
     if mask is not None and mask.mean() > MOST_BAD:
         raise InputError(
             f"{bad}: marks {100.0 * mask.mean():.3g} % of the pixels as bad; at most {100.0 * MOST_BAD:g} % "
@@ -112,8 +148,8 @@ def read_pixel_maps(
     return PixelMaps(gain, signal, mask)
 
 
-def _of_shape(path: Path, shape: tuple[int, ...]) -> Array:
-    values = read_map(path)
+def _of_shape(path: Path, shape: tuple[int, ...], *, several: bool = True) -> Array:
+    values = read_map(path, several=several)
     if values.shape != tuple(shape):
         (rows, columns), (down, across) = values.shape, shape
         raise InputError(

@@ -1,0 +1,118 @@
+"""Pictures in files: orientation, white that is zero, several pages, and files that state more than they hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image, ImageOps
+
+from lensdesign.errors import InputError
+from wavesim.camera.frames import read_frame
+from wavesim.camera.pixels.maps import read_map
+from wavesim.fields.picture_files import PictureFile, upright
+from wavesim.objects.targets import read_grey
+
+GOLDEN = Path("tests/golden/files")
+STATED = {
+    "plane_distance_mm": 1.0,
+    "exposure": 1.0,
+    "pixel_pitch_um": 3.2,
+    "wavelength_um": 0.532,
+    "bits": 16,
+    "offset_counts": 0.0,
+    "gain_electrons_per_count": 1.0,
+    "read_noise_electrons": 1.0,
+}
+
+
+def random_picture(dtype: type = np.uint16) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (24, 37)).astype(dtype)
+
+
+def test_a_tiff_that_lies_on_its_side_is_turned() -> None:
+    stored = np.load(GOLDEN / "tiff_orientation_grey" / "ref.npy")
+    grey = read_grey(GOLDEN / "tiff_orientation_grey" / "orient6.tif")
+    np.testing.assert_allclose(grey, np.rot90(stored, -1) / 65535.0)
+
+
+def test_a_map_that_is_transposed_is_turned() -> None:
+    stored = np.load(GOLDEN / "tiff_orientation_map" / "ref.npy")
+    np.testing.assert_array_equal(read_map(GOLDEN / "tiff_orientation_map" / "orient5.tif"), stored.T)
+
+
+def test_exif_turns_a_png() -> None:
+    turned, plain = (read_grey(GOLDEN / "exif_object" / f"L_{name}.png") for name in ("exif6", "plain"))
+    np.testing.assert_allclose(turned, plain)
+
+
+def test_white_that_is_zero_looks_as_in_a_viewer() -> None:
+    folder = GOLDEN / "white_is_zero_object"
+    black = read_grey(folder / "L_black0.tif")
+    np.testing.assert_allclose(read_grey(folder / "L_white0.tif"), black)
+    np.testing.assert_allclose(read_grey(folder / "L8_white0.tif"), black, atol=1 / 255)
+
+
+def test_a_stack_of_darks_is_averaged_and_one_of_frames_refused() -> None:
+    path = GOLDEN / "dark_stack" / "pages.tif"
+    np.testing.assert_allclose(read_map(path), tifffile.imread(path).mean(axis=0))
+    with pytest.raises(InputError, match="holds 3 pictures"):
+        read_map(path, several=False)
+    with pytest.raises(InputError, match="holds 3 pictures"):
+        read_frame(path, **STATED)
+
+
+@pytest.mark.parametrize("name", ["imagej_trunc.tif", "imagej_full.tif"])
+def test_a_stack_of_imagej_with_one_directory_is_a_stack(name: str) -> None:
+    with pytest.raises(InputError, match="holds 3 pictures"):
+        read_frame(GOLDEN / "imagej_one_ifd" / name, **STATED)
+
+
+def test_a_shaped_file_of_three_pictures_is_a_stack(tmp_path: Path) -> None:
+    stack = np.stack([random_picture()] * 3)
+    tifffile.imwrite(tmp_path / "a.tif", stack, photometric="minisblack")
+    assert PictureFile(tmp_path / "a.tif").count == 3
+    np.testing.assert_allclose(read_map(tmp_path / "a.tif"), stack.mean(axis=0))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("photometric", ["minisblack", "miniswhite"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_tiffs_of_all_orientations(tmp_path: Path, orientation: int, photometric: str, dtype: type) -> None:
+    stored, path = random_picture(dtype), tmp_path / "a.tif"
+    for tile, compression in ((None, None), ((16, 16), "zlib")):
+        tags = [(274, "H", 1, orientation, True)]
+        layout = {"tile": tile, "compression": compression, "extratags": tags}
+        tifffile.imwrite(path, stored, photometric=photometric, metadata=None, **layout)
+        grey = upright(stored, orientation) / np.iinfo(dtype).max
+        np.testing.assert_allclose(read_grey(path), grey if photometric == "minisblack" else 1.0 - grey)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["png", "jpg"])
+def test_exif_of_all_orientations_as_another_library_reads_it(
+    tmp_path: Path, orientation: int, kind: str
+) -> None:
+    exif, path = Image.Exif(), tmp_path / f"a.{kind}"
+    exif[274] = orientation
+    Image.fromarray(random_picture(np.uint8)).save(path, exif=exif)
+    with Image.open(path) as image:
+        seen = np.asarray(ImageOps.exif_transpose(image)) / 255.0
+    np.testing.assert_allclose(read_grey(path), seen)
+
+
+def test_a_frame_in_which_white_is_zero_is_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", random_picture(), photometric="miniswhite", metadata=None)
+    with pytest.raises(InputError, match="white is zero"):
+        read_frame(tmp_path / "a.tif", **STATED)
+
+
+def test_palette_indices_are_no_counts(tmp_path: Path) -> None:
+    image = Image.fromarray(random_picture(np.uint8)).convert("P")
+    image.save(tmp_path / "a.png")
+    with pytest.raises(InputError, match="must be grey"):
+        read_frame(tmp_path / "a.png", **STATED)
+    with pytest.raises(InputError, match="grey"):
+        read_map(tmp_path / "a.png")
