@@ -140,9 +140,14 @@ def test_a_disk_that_becomes_read_only_keeps_its_own_message(
 
 def test_results_are_written_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "b.txt").mkdir()
-    with pytest.raises(InputError, match=r"b\.txt: it is a folder"), new_results(tmp_path) as folder:
-        (folder / "a.txt").write_text("new")
-        (folder / "b.txt").write_text("new")
+
+    def write() -> None:
+        with new_results(tmp_path) as folder:
+            (folder / "a.txt").write_text("new")
+            (folder / "b.txt").write_text("new")
+
+    with pytest.raises(InputError, match=r"b\.txt: it is a folder"):
+        write()
     assert os.listdir(tmp_path) == ["b.txt"]
 
 

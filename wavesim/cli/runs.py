@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.console import progress_bar
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import finite_or_none, known_text
 
 if TYPE_CHECKING:
     from wavesim.camera.recording import Progress
@@ -48,7 +48,7 @@ def print_table(
     for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(known_text, row))
     Console(highlight=False, markup=False).print(table)
 
 
