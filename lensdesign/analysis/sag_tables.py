@@ -58,6 +58,13 @@ class SagTable:
     best_fit_radius_mm: float
     asymmetric_rms_mm: float
 
+    @property
+    def best_fit_text(self) -> str:
+        """The best-fit sphere in words; a plane has no radius."""
+        if math.isinf(self.best_fit_radius_mm):
+            return "a plane, which fits best"
+        return f"the best-fit sphere of {self.best_fit_radius_mm:.6g} mm"
+
 
 def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
     """Tabulate a surface's sag.
@@ -101,7 +108,7 @@ def sag_table(lens: Lens, surface: int, spacing_mm: float) -> SagTable:
 
 
 def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
-    """Write a table as CSV, with the radius of the best-fit sphere in each row.
+    """Write a table as CSV, with the radius of the best-fit sphere in each row; empty for a plane.
 
     Numbers are written in full, so that they read back as they were.
 
@@ -121,8 +128,9 @@ def write_sag_table(table: SagTable, path: str | os.PathLike[str]) -> None:
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
+        radius = "" if math.isinf(table.best_fit_radius_mm) else repr(float(table.best_fit_radius_mm))
         for row in zip(*columns, strict=True):
-            writer.writerow([repr(float(value)) for value in (*row, table.best_fit_radius_mm)])
+            writer.writerow([*(repr(float(value)) for value in row), radius])
 
 
 def _radial_heights(semi_mm: float, spacing_mm: float) -> Array:

@@ -13,7 +13,7 @@ import typer
 
 from lensdesign.common.console import print_json
 from lensdesign.common.outputs import output_file
-from lensdesign.common.text import visible
+from lensdesign.common.text import finite_or_none, visible
 from lensdesign.errors import InputError, atomic_path
 from lensdesign.fabrication.exports import ExportOptions, export_kinds, export_lens
 from lensdesign.files.formats import LENS_FORMATS, read_lens_file
@@ -274,7 +274,7 @@ def sag(
     figures = {
         "file": str(output),
         "rows": len(table.sag_mm),
-        "best_fit_radius_mm": table.best_fit_radius_mm,
+        "best_fit_radius_mm": finite_or_none(table.best_fit_radius_mm),
         "largest_departure_mm": float(abs(table.departure_mm).max()),
         "asymmetric_rms_mm": table.asymmetric_rms_mm,
     }
@@ -283,8 +283,7 @@ def sag(
         return
     departure_um = 1e3 * float(abs(table.departure_mm).max())
     typer.echo(
-        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from the best-fit sphere "
-        f"of {table.best_fit_radius_mm:.6g} mm"
+        f"wrote {output}: {len(table.sag_mm)} rows, at most {departure_um:.4g} um from {table.best_fit_text}"
     )
 
 

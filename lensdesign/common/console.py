@@ -6,10 +6,11 @@ import atexit
 import errno
 import gc
 import json
+import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from typer.core import TyperGroup
 from lensdesign.common.input_files import files_from
 from lensdesign.common.interrupts import stop_status, stoppable
 from lensdesign.common.text import visible
-from lensdesign.errors import TransferLensError
+from lensdesign.errors import InputError, TransferLensError
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -92,6 +93,8 @@ def run_app(app: typer.Typer) -> None:
                     sys.stdout.flush()
     except TransferLensError as error:
         fail(str(error))
+    except OverflowError as error:
+        fail(f"a number of the input is too large or too small to compute with: {error.args[-1]}")
     except MemoryError as error:
         fail(f"not enough memory: {error or 'the machine has none left'}; ask for less at a time")
     except OSError as error:
@@ -133,7 +136,26 @@ def fail(message: str) -> None:
 
 def print_json(data: dict[str, Any]) -> None:
     """Print one JSON object, and nothing else, on standard output."""
-    print(json.dumps(data, indent=2, allow_nan=False))
+    try:
+        text = json.dumps(data, indent=2, allow_nan=False)
+    except ValueError:
+        where = ", ".join(_not_finite(data)[:5])
+        raise InputError(
+            f"no finite result for {where}: numbers of the input are too large or too small to compute with"
+        ) from None
+    print(text)
+
+
+def _not_finite(data: Any, name: str = "") -> list[str]:
+    """Names of the numbers that are not finite."""
+    if isinstance(data, float):
+        return [] if math.isfinite(data) else [name]
+    inner: Iterable[tuple[Any, Any]] = ()
+    if isinstance(data, dict):
+        inner = data.items()
+    elif isinstance(data, list | tuple):
+        inner = enumerate(data)
+    return [found for key, value in inner for found in _not_finite(value, f"{name}.{key}".lstrip("."))]
 
 
 @contextmanager

@@ -7,13 +7,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from lensdesign.errors import DesignError, InputError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False)]
-"""Sizes of any unit; the upper end keeps what is computed from them finite."""
+SMALLEST = 1e-60
+"""Smallest size of any unit that is not 0: its square and its reciprocal are still numbers."""
+
+
+def _no_trace(value: float) -> float:
+    if value < SMALLEST:
+        raise ValueError(f"must be at least {SMALLEST:g}")
+    return value
+
+
+Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False), AfterValidator(_no_trace)]
+"""Sizes of any unit; both ends keep what is computed from them finite."""
 
 
 class Section(BaseModel):

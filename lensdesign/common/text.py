@@ -42,6 +42,11 @@ def decimals_text(value: float, places: int = 3) -> str:
     return f"{round(value, places) + 0.0:.{places}f}"
 
 
+def known_text(cell: str) -> str:
+    """The text of a cell of a table, where a number that is none reads "not known"."""
+    return "not known" if cell.split(" ")[0] in ("nan", "+nan", "-nan") else cell
+
+
 def finite_or_none(value: T) -> T | None:
     """JSON knows no infinity, and nothing that is not a number; whatever is no float stays as it is."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from lensdesign.common.console import print_whole
-from lensdesign.common.text import visible
+from lensdesign.common.text import known_text, visible
 
 
 def print_table(
@@ -37,8 +37,8 @@ def print_table(
     for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(known_text, row))
     if last:
         table.add_section()
-        table.add_row(*last)
+        table.add_row(*map(known_text, last))
     print_whole(table)

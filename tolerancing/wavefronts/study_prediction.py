@@ -7,6 +7,7 @@ trials; they are named, and the predicted yield is that of the limits that are p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,4 +142,17 @@ def predict_study(
             f"no merit of the study can be predicted without trials ({', '.join(not_predicted)}): add one of "
             "kind rms_waves, strehl, largest_spread_deg or footprint_radius_mm, or run the study"
         )
+    _refuse_not_finite(waves, rays)
     return StudyPrediction(tuple(limits), tuple(not_predicted), waves, rays)
+
+
+def _refuse_not_finite(waves: WavefrontPrediction | None, rays: tuple[RayPrediction, ...]) -> None:
+    """Refuse a prediction that is no number: a yield counted from it would be wrong."""
+    points = () if waves is None else waves.points
+    wrong = [f"the wavefront at {p.judged.field_mm} mm" for p in points if not math.isfinite(p.rms_waves)]
+    wrong += [r.merit.label for r in rays if not math.isfinite(r.mean + r.deviation)]
+    if wrong:
+        raise InputError(
+            f"no finite prediction for {', '.join(wrong)}: a tolerance of the study is too large or too "
+            "small to compute with"
+        )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lensdesign.common.console import print_whole, progress_bar
-from lensdesign.common.text import finite_or_none
+from lensdesign.common.text import finite_or_none, known_text
 
 if TYPE_CHECKING:
     from wavesim.camera.recording import Progress
@@ -62,7 +62,7 @@ def print_table(
     if notes is not None:
         table.add_column(notes, overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(known_text, row))
     print_whole(table)
 
 

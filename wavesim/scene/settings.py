@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -47,16 +47,47 @@ class SettingError(InputError):
         return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
 
 
+LARGEST, SMALLEST = 1e12, 1e-12
+"""Sizes of any unit that settings may have unless they are 0: what is computed from them is finite."""
+
+
+class Settings(Section):
+    """A section whose numbers are of a size with which can be computed."""
+
+    @field_validator("*")
+    @classmethod
+    def _of_usable_size(cls, value: Any) -> Any:
+        for number in _floats(value):
+            if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
+                raise ValueError(f"must be 0 or of a size from {SMALLEST:g} to {LARGEST:g}")
+        return value
+
+
+def _floats(value: Any) -> Iterator[float]:
+    """The numbers of a setting."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _floats(part)
+
+
 def _finite_positive(value: float) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError("must be finite and greater than 0")
     return value
 
 
+LONGEST_EXPOSURE = 1e9
+"""Longest exposure, as a multiple of the one for the brightest pixel; the shortest is its reciprocal."""
+
+
 def _bracket(exposures: tuple[float, ...]) -> tuple[float, ...]:
     """In order."""
     if not exposures or min(exposures) <= 0.0:
         raise ValueError("must be greater than 0")
+    if max(exposures) > LONGEST_EXPOSURE or min(exposures) < 1.0 / LONGEST_EXPOSURE:
+        raise ValueError(f"must be from {1.0 / LONGEST_EXPOSURE:g} to {LONGEST_EXPOSURE:g}")
     return tuple(sorted(exposures))
 
 
@@ -93,7 +124,7 @@ def _pixels(value: Any) -> Any:
     return sides[0] if len(sides) == 1 else (sides[0], sides[1])
 
 
-class PatchSettings(Section):
+class PatchSettings(Settings):
     """The square of the object plane that is looked at, its field stop, and the light on it."""
 
     patch_mm: float | None = Field(None, description="Side of the object patch; left out, the whole field.")
@@ -116,7 +147,7 @@ class PatchSettings(Section):
         return value
 
 
-class PoseSettings(Section):
+class PoseSettings(Settings):
     """The lens as mounted, as of :class:`lensdesign.Pose`."""
 
     decenter_x_mm: float = Field(0.0, description="Shift of the lens as mounted, along x.")
@@ -132,7 +163,7 @@ class PoseSettings(Section):
         return Pose(**{name: getattr(self, name) for name in PoseSettings.model_fields})
 
 
-class EngineDetails(Section):
+class EngineDetails(Settings):
     """What engines let one set; None leaves it to the engine."""
 
     tile_width_mm: Size | None = Field(None, description="eikonal, two-level: width of a tile of the object.")
@@ -164,7 +195,7 @@ class EngineSettings(EngineDetails):
     error: float | None = Field(None, description="Relative error that the engine may have; left out: 0.05.")
 
 
-class MachineSettings(Section):
+class MachineSettings(Settings):
     """What a run may take, and where its parts are done."""
 
     memory_gb: Size | None = Field(None, description="Most memory; left out, 80 % of what is free.")
@@ -174,7 +205,7 @@ class MachineSettings(Section):
     device: str | None = Field(None, description="two-level: cpu or gpu.")
 
 
-class CameraSettings(Section):
+class CameraSettings(Settings):
     """The sensor, its stage, and its exposures."""
 
     model_config = ConfigDict(loc_by_alias=False)
@@ -185,10 +216,10 @@ class CameraSettings(Section):
     )
     noise: bool = Field(True, description="Shot noise and read noise.")
     seed: int = Field(0, ge=0, description="Of noise, and of tissue.")
-    full_well_electrons: float = Field(10_000.0, alias="full_well", description="Electrons.")
-    read_noise_electrons: float = Field(2.0, alias="read_noise", description="Electrons.")
-    bits: int = Field(12, description="Of a count.")
-    brightest_share: float = Field(0.8, description="Of full well, in the brightest pixel.")
+    full_well_electrons: float = Field(10_000.0, alias="full_well", ge=1.0, le=1e9, description="Electrons.")
+    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, le=1e9, description="Electrons.")
+    bits: int = Field(12, ge=1, le=16, description="Of a count.")
+    brightest_share: float = Field(0.8, ge=1e-6, le=1e6, description="Of full well, in the brightest pixel.")
     exposures: Numbers = Field(
         (1.0,), description="Of each plane, as multiples of what gives the brightest share."
     )
@@ -208,7 +239,7 @@ class CameraSettings(Section):
     _lit = field_validator("exposures")(_bracket)
 
 
-class ObjectSettings(Section):
+class ObjectSettings(Settings):
     """An object on the patch, and the wavelength of its light."""
 
     wavelength_um: float | None = Field(None, description="Left out: the design's first.")
@@ -239,7 +270,7 @@ class ChoiceSettings(PatchSettings, ObjectSettings):
     patch_mm: float = Field(0.1, description="Side of the object patch.")
 
 
-class FrameSetSettings(Section):
+class FrameSetSettings(Settings):
     """What frames should say of themselves and do not; all of them alike, or one for each."""
 
     plane_distance_mm: Numbers | None = Field(None, description="Of each frame, as its file should say.")
@@ -363,7 +394,7 @@ class ReconstructionSettings(PoseSettings, MachineSettings, FramedSettings):
         return self.refocus_mm or (PAPER_REFOCUS_MM if self.method == "paper" else None)
 
 
-class FreeSpaceSettings(Section):
+class FreeSpaceSettings(Settings):
     """Frames that no lens stands before, and what is written of planes that have none."""
 
     free_space: bool = Field(False, description="No lens: the object on z = 0, with the frames' pitch.")
@@ -384,7 +415,7 @@ class FreeSpaceSettings(Section):
         return value
 
 
-class PlanSettings(Section):
+class PlanSettings(Settings):
     """All settings of :func:`wavesim.calibration.plan_frames`."""
 
     model_config = ConfigDict(loc_by_alias=False)
@@ -398,9 +429,9 @@ class PlanSettings(Section):
         (1.0, 30.0, 1000.0), description="A bracket, to be compared with its first alone."
     )
     correlation: float = Field(0.99, gt=0.0, lt=1.0, description="That is asked of the object.")
-    full_well_electrons: Size = Field(10_000.0, alias="full_well", description="Electrons.")
-    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, description="Electrons.")
-    bits: int = Field(12, description="Of a count.")
+    full_well_electrons: Size = Field(10_000.0, alias="full_well", ge=1.0, le=1e9, description="Electrons.")
+    read_noise_electrons: float = Field(2.0, alias="read_noise", ge=0.0, le=1e9, description="Electrons.")
+    bits: int = Field(12, ge=1, le=16, description="Of a count.")
     seed: int = Field(0, ge=0, description="Of object and noise.")
 
     @field_validator("planes_mm")

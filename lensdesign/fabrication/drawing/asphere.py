@@ -120,7 +120,8 @@ def _sags(table: SagTable, area: Area, top: float) -> list[Item]:
             items.append(cell(Area(x, y - LINE_MM, x + width, y), text, size, "end"))
     items.append(line(area.left + 1.5, top - LINE_MM, area.right - 1.5, top - LINE_MM, 0.2))
     y = top - (len(rows) + 2.1) * LINE_MM
-    note = f"Δ: from the best-fit sphere of R = {table.best_fit_radius_mm:.7g} mm"
+    sphere = f"the best-fit sphere of R = {table.best_fit_radius_mm:.7g} mm"
+    note = f"Δ: from {'the plane' if math.isinf(table.best_fit_radius_mm) else sphere}"
     shown, size = fitted(note, area.width - 3.0, 2.4)
     items.append(Text(area.left + 1.5, y + 0.3 * LINE_MM, shown, size))
     return items

@@ -1,4 +1,4 @@
-"""Pictures in files: orientation, white that is zero, several pages, and files that state more than they hold."""
+"""Pictures in files: orientation, white that is zero, several pages, files that hold less than they state."""
 
 from __future__ import annotations
 
