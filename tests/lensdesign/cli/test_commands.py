@@ -166,7 +166,8 @@ def test_testplates_writes_a_lens_whose_sphere_has_a_plate(command: Command, tmp
     plates.write_text("flat\n")
     code, out, told = command("testplates", spec, "--plates", plates, "-o", tmp_path / "no.toml")
     assert (code, out) == (2, "")
-    assert "line 1: 'flat': must be a radius" in told
+    assert "line 1" in told
+    assert "'flat'" in told
     assert not (tmp_path / "no.toml").exists()
 
 
@@ -330,10 +331,10 @@ def test_scene_drawing_and_sag_table(command: Command, paper_design: Path, tmp_p
         refused(ran, f"cannot write {taken}: it is {what}; give another file name")
     in_a_file = drawn / "drawn.toml"
     ran = command("drawing", paper_design, "-o", tmp_path / "second.svg", "--as-drawn", in_a_file)
-    refused(ran, f"cannot write {in_a_file}: a file stands where a folder is needed")
+    refused(ran, f"cannot write {in_a_file}", "no folder")
     assert not (tmp_path / "second.svg").exists()
     ran = command("drawing", paper_design, "-o", in_a_file.with_suffix(".svg"), "--as-drawn", own)
-    refused(ran, "a file stands where a folder is needed")
+    refused(ran, "no folder")
     assert own.read_text().startswith('number = "TL-001"')
     assert (drawn.read_bytes(), sheet.read_bytes()) == before
     own.write_text("thicknes = 3\n")

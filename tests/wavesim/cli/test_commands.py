@@ -89,7 +89,7 @@ def test_table_and_picture(
         ((DESIGN, "--samples", "2"), "samples = 2"),
         ((DESIGN, "-o", "x.txt"), "must end in one of .png"),
         ((DESIGN, "--plane-distance-mm", "200"), "caustic"),
-        ((DESIGN, "--tilt-x-deg", "nan"), "tilt_x_deg"),
+        ((DESIGN, "--tilt-x-deg", "nan"), "tilt-x-deg = nan"),
         (("no-such-file.toml",), "cannot read no-such-file.toml"),
     ],
 )

@@ -113,11 +113,11 @@ def test_results_are_replaced_and_what_else_is_there_stays(
         (("--chart-at-mm", "0,0"), "chart at 0, 0 mm: even of group 9 alone"),
         (("--chart-at-mm", "0.024,0"), "reaches beyond the field stop of 0.05 mm"),
         (("--bits", 20), "bits = 20"),
-        (("--full-well", 0), "full_well_electrons = 0.0"),
+        (("--full-well", 0), "full-well = 0"),
         (("--seed", -1), "--seed = -1"),
         (("--engine", "eiconal"), "engine = 'eiconal': there is no such engine"),
         (("--engine", "eikonal", "--slices", 3), "engine eikonal: slices = 3"),
-        (("--tilt-x-deg", "nan"), "tilt_x_deg"),
+        (("--tilt-x-deg", "nan"), "tilt-x-deg = nan"),
     ],
 )
 def test_bad_input_is_one_message_status_two_and_nothing_written(
