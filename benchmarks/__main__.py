@@ -37,6 +37,7 @@ SCRIPTS = (
     "uncertainty",
     "verdicts",
     "plan_outcomes",
+    "calibration_pulls",
     "bench_sets",
     "patch_chain",
     "focus_rule",

@@ -66,7 +66,7 @@ def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
     assert measured.explained
     assert measured.deviations is not None
     for name, value, deviation in zip(measured.parameters, measured.values, measured.deviations, strict=True):
-        assert abs(value - TRUE.get(name, 0.0)) < 3.0 * deviation, (name, value, deviation)
+        assert abs(value - TRUE.get(name, 0.0)) < 4.0 * deviation, (name, value, deviation)
     told = dict(zip(measured.parameters, measured.values, strict=True))
     assert told["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
     assert told["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)

@@ -58,8 +58,8 @@ def read_front(path: Path) -> Front:
         If there is none.
     """
     file = path / "front.csv" if path.is_dir() else path
-    check_input(file, TABLE_BYTES)
     try:
+        check_input(file, TABLE_BYTES)
         read = read_table(file)
         first, last = _objectives(read.names)
         columns = (read.column(name) for name in (first, last, "on_front"))
