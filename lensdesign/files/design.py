@@ -19,6 +19,9 @@ from lensdesign.lens.surface import Surface
 PITCHES_UM = (0.1, 1000.0)
 """Pixel pitches beyond these are given in another unit than micrometres."""
 
+WAVELENGTHS_UM = (0.05, 50.0)
+"""Wavelengths beyond these are given in another unit than micrometres, or are those of no lens."""
+
 
 def load_design(path: str | os.PathLike[str]) -> Lens:
     """Read a lens from a design file.
@@ -129,20 +132,29 @@ def refuse_doubtful(lens: Lens, path: Path) -> None:
     Raises
     ------
     DesignError
-        If no surface is marked as the stop, or the pixel pitch is that of no sensor.
+        If no surface is marked as the stop, or a pixel pitch or wavelength is given in another unit.
     """
     if not any(surface.stop for surface in lens.surfaces):
         raise DesignError(
             f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
             "bounds the beam, normally surface 1"
         )
-    pitch, (low, high) = lens.sensor.pixel_pitch_um, PITCHES_UM
-    if not low <= pitch <= high:
-        meant = next((p for p in (1e3 * pitch, 1e6 * pitch, 1e-3 * pitch) if 0.5 <= p <= 50.0), None)
-        hint = "" if meant is None else f"; {meant:g} um may be meant"
-        raise DesignError(
-            f"{path}: sensor, pixel_pitch_um = {pitch:g}: must be {low:g} to {high:g}, in micrometres{hint}"
-        )
+    _refuse_other_unit(path, "sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PITCHES_UM, (0.5, 50.0))
+    for wavelength in lens.wavelengths_um:
+        _refuse_other_unit(path, "wavelengths_um", wavelength, WAVELENGTHS_UM, (0.19, 20.0))
+
+
+def _refuse_other_unit(
+    path: Path, key: str, value: float, allowed: tuple[float, float], usual: tuple[float, float]
+) -> None:
+    """Refuse a length in micrometres outside a range; if another unit would make it usual, say so."""
+    low, high = allowed
+    if low <= value <= high:
+        return
+    others = (1e3 * value, 1e6 * value, 1e-3 * value, 1e-4 * value)
+    meant = next((one for one in others if usual[0] <= one <= usual[1]), None)
+    hint = "" if meant is None else f"; {meant:g} um may be meant"
+    raise DesignError(f"{path}: {key} = {value:g}: must be {low:g} to {high:g}, in micrometres{hint}")
 
 
 def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:

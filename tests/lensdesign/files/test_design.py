@@ -115,6 +115,16 @@ FAULTS = [
         r"pixel_pitch_um = 0.0032: must be 0.1 to 1000, in micrometres; 3.2 um may be meant",
     ),
     ("pixel_pitch_um = 3.2", "pixel_pitch_um = 3200.0", r"pixel_pitch_um = 3200: .*; 3.2 um may be meant"),
+    (
+        "wavelengths_um = [0.532]",
+        "wavelengths_um = [532.0]",
+        r"wavelengths_um = 532: .*; 0.532 um may be meant",
+    ),
+    (
+        "wavelengths_um = [0.532]",
+        "wavelengths_um = [0.000532]",
+        r"wavelengths_um = 0.000532: .*; 0.532 um may be",
+    ),
     ("stop = true", "stop = 1", "surface 1, stop = 1: must be a valid boolean"),
     ('material = "N-BK7"', "material = 0.5", "surface 1, material = 0.5: must be"),
     ('material = "N-BK7"', "material = true", "surface 1, material = True: must be"),
