@@ -74,7 +74,7 @@ class FrameSettings(Section):
     pixel_pitch_um: Positive
     plane_distance_mm: Finite
     wavelength_um: Positive
-    exposure: Annotated[float, Setting(ge=1e-30, le=1e30, allow_inf_nan=False)]
+    exposure: Annotated[float, Setting(ge=1e-150, le=1e150, allow_inf_nan=False)]
     bits: Bits
     offset_counts: Offset
     gain_electrons_per_count: Positive

@@ -23,6 +23,10 @@ RING = 0.1
 SURE = 2.0
 """Standard deviations of the mean over such pixels by which it may be larger."""
 
+FEW, BRIGHTEST = 5, 0.002
+"""Number of such pixels, and fraction of them, that count no more than the next brightest: hot pixels, cosmic
+rays and damaged files must not decide which engine is taken."""
+
 ROWS = 64
 
 
@@ -57,23 +61,29 @@ def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) 
 
 
 class _Ring:
-    """Mean of pixels, how well it is known, and how many of them were clipped."""
+    """Light of the pixels next to the footprint's border, and how many of them were clipped."""
 
     def __init__(self) -> None:
-        self.pixels, self.clipped = 0, 0
-        self._sum, self._squares = 0.0, 0.0
+        self.clipped = 0
+        self._values: list[Array] = []
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels."""
+        return sum(len(values) for values in self._values)
 
     def add(self, values: Array, clipped: int) -> None:
-        self.pixels += len(values)
         self.clipped += clipped
-        self._sum += float(values.sum())
-        self._squares += float((values * values).sum())
+        self._values.append(values.astype(np.float32))
 
     @property
     def most(self) -> float:
-        """The mean, as large as it may well be."""
-        mean = self._sum / self.pixels
-        return mean + SURE * math.sqrt(max(self._squares / self.pixels - mean * mean, 0.0) / self.pixels)
+        """The mean, as large as it may well be; a few pixels brighter than all others do not change it."""
+        values = np.concatenate(self._values)
+        few = min(max(FEW, int(BRIGHTEST * len(values))), len(values) - 1)
+        limit = np.partition(values, len(values) - 1 - few)[len(values) - 1 - few]
+        values = np.minimum(values, limit).astype(float)
+        return float(values.mean() + SURE * values.std() / math.sqrt(len(values)))
 
 
 def _of_footprint(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:

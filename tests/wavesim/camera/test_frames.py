@@ -38,13 +38,13 @@ def frames(draw: st.DrawFn) -> Frame:
     shape = draw(arrays.array_shapes(min_dims=2, max_dims=2, max_side=9))
     counts = draw(arrays.arrays(np.uint16, shape, elements=st.integers(0, 2**bits - 1)))
     said = FrameSettings(
-        pixel_pitch_um=draw(numbers(0.0, 1e9)),
+        pixel_pitch_um=draw(numbers(1e-60, 1e9)),
         plane_distance_mm=draw(st.floats(allow_nan=False, allow_infinity=False)),
-        wavelength_um=draw(numbers(0.0, 1e9)),
-        exposure=draw(numbers(0.0, 1e300)),
+        wavelength_um=draw(numbers(1e-60, 1e9)),
+        exposure=draw(numbers(1e-150, 1e150)),
         bits=bits,
         offset_counts=draw(st.floats(0.0, 2**bits - 1)),
-        gain_electrons_per_count=draw(numbers(0.0, 1e9)),
+        gain_electrons_per_count=draw(numbers(1e-60, 1e9)),
         read_noise_electrons=draw(st.floats(0.0, 1e9)),
         saturation_counts=draw(st.none() | st.integers(1, 2**bits - 1)),
         title=draw(st.text(st.characters(codec="utf-8"))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,3 +61,19 @@ def test_where_no_pixel_sees_the_border_all_light_may_be_scattered(twin: Lens) -
     scene = exit_scene(twin, patch, narrow, made.recording.plane_distances_mm[0])
     frames = [type(frame)(frame.counts[few, few], frame.settings) for frame in made.frames]
     assert light_of_frames(scene, frames, light).even == 1.0
+
+
+def test_a_few_changed_pixels_do_not_change_it(twin: Lens) -> None:
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2)
+    scene = exit_scene(twin, patch, made.sensor, made.recording.plane_distances_mm[0])
+    before = light_of_frames(scene, made.frames, light).even
+    first, *others = made.frames
+    counts = first.counts.copy()
+    rows, columns = np.indices(counts.shape) - 0.5 * (np.array(counts.shape) - 1.0)[:, None, None]
+    dark = np.flatnonzero(counts.ravel() < np.quantile(counts, 0.6))
+    outermost = dark[np.argsort(np.hypot(rows, columns).ravel()[dark])]
+    for place in (0.3, 0.5, 0.6, 0.7):
+        counts.ravel()[outermost[int(place * len(outermost))]] = 4000
+    changed = light_of_frames(scene, (replace(first, counts=counts), *others), light).even
+    assert changed == pytest.approx(before, rel=0.2)
