@@ -119,7 +119,7 @@ def test_goal_is_met_from_a_plate_and_told_beside_the_studys_lens(wavefront_stud
     output = path.with_suffix(".out.toml")
     shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1", "--json"])
     assert shown.exit_code == 0, shown.output
-    found = json.loads(shown.output)
+    found = json.loads(shown.stdout)
     before, after = found["as_built"]["rows"]
     assert (before["name"], after["name"]) == ("lens of the study", "result")
     assert after["good"] > before["good"] + 0.2
@@ -152,7 +152,7 @@ def test_compensators_are_searched_and_predicted_as_trials_take_them(
     output = tmp_path / "found.toml"
     shown = CliRunner().invoke(app, ["optimize", str(path), "-o", str(output), "--starts", "1", "--json"])
     assert shown.exit_code == 0, shown.output
-    found = json.loads(shown.output)
+    found = json.loads(shown.stdout)
     before, after = found["as_built"]["rows"]
     assert before["good"] < after["good"] < 0.99
     for row in (before, after):
