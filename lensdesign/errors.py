@@ -99,16 +99,30 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         UNFINISHED.discard(temporary)
 
 
+def writable_place(target: Path) -> Path:
+    """The place of a file to write, without symbolic links.
+
+    Raises
+    ------
+    InputError
+        If a folder or another thing that is no regular file stands there, or links lead back to themselves.
+    OSError, ValueError
+        What the system says of the name.
+    """
+    if target.is_dir():
+        raise InputError(f"cannot write {target}: it is a folder; give a file name")
+    if target.exists() and not target.is_file():
+        raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
+    place = Path(os.path.realpath(target))
+    if place.is_symlink():
+        raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
+    return place
+
+
 def _temporary_for(target: Path) -> tuple[Path, Path]:
     """An empty file beside the one that is to be written, and that one without symbolic links."""
     try:
-        if target.is_dir():
-            raise InputError(f"cannot write {target}: it is a folder; give a file name")
-        if target.exists() and not target.is_file():
-            raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
-        place = Path(os.path.realpath(target))
-        if place.is_symlink():
-            raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
+        place = writable_place(target)
         place.parent.mkdir(parents=True, exist_ok=True)
         # The start of the name will do: with all of a long one, the temporary name would be too long.
         start, end = f".{place.stem[:32]}.", place.suffix

@@ -7,7 +7,7 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from lensdesign.errors import InputError
+from lensdesign.errors import InputError, writable_place
 
 
 def check_output_file(path: str | os.PathLike[str]) -> None:
@@ -29,13 +29,7 @@ def check_output_file(path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     try:
-        if target.is_dir():
-            raise InputError(f"cannot write {target}: it is a folder; give a file name")
-        if target.exists() and not target.is_file():
-            raise InputError(f"cannot write {target}: it is no regular file, and would be lost")
-        place = Path(os.path.realpath(target))
-        if place.is_symlink():
-            raise InputError(f"cannot write {target}: a symbolic link that leads back to itself")
+        place = writable_place(target)
         _try_name(place)
         _try_folder(place.parent)
     except OSError as error:

@@ -14,6 +14,7 @@ from lensdesign.errors import InputError
 
 if TYPE_CHECKING:
     from wavesim.scene.engine import Engine
+    from wavesim.scene.scene import Scene
 
 ENGINES: dict[str, str] = {
     "eikonal": "wavesim.engines.tiles.engine:EikonalTiles",
@@ -45,6 +46,11 @@ def engine_class(name: str) -> type[Engine]:
     module, _, attribute = ENGINES[name].partition(":")
     found: type[Engine] = getattr(import_module(module), attribute)
     return found
+
+
+def engine_on(engine: Engine, scene: Scene) -> Engine:
+    """An engine of another scene with the same settings, so that it errs alike."""
+    return engine_class(engine.name)(scene, **engine.settings())
 
 
 def settings_of(name: str) -> tuple[str, ...]:

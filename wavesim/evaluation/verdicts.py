@@ -70,10 +70,8 @@ ADVICE = {
     "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
     "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
-    "bandwidth": "use a narrower filter: the model has one wavelength",
     "vibration": "mount the camera more firmly, or expose for a shorter time",
     "iterations": "give more --iterations",
-    "engine": "give a smaller --error, or leave --engine and --error to the program",
     "noise parameters": "compare read noise, gain and offset with the camera's data sheet; use raw pictures",
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
     "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "

@@ -318,11 +318,12 @@ def _object(
                     engine, case.light, case.recorded, settings.active_width, found, case.modes
                 )
             curve += found.misfit
-            finer = more_accurate_case(case, settings, maps, found.misfit[-1], told.step)
+            limited = is_engine_limited(case, maps, found.misfit[-1])
+            finer = more_accurate_case(case, told.step) if limited else None
             if finer is None or settings.error is not None or settings.engine != AUTO:
                 if finer is not None:
                     errors = engine_errors(finer, case, settings, found, maps)
-                elif is_engine_limited(case, maps, found.misfit[-1]):
+                elif limited:
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
                 agreement = agreement_of_starts(
                     engine,

@@ -240,17 +240,9 @@ def excess_of(case: FramesCase, maps: Sequence[Array]) -> float:
     return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
 
 
-def more_accurate_case(
-    case: FramesCase,
-    settings: ReconstructionSettings,
-    maps: Sequence[Array],
-    misfit: float,
-    progress: Progress,
-) -> FramesCase | None:
-    """The case with a more accurate engine, where the engine's error may be what is left; else None."""
-    if isinstance(case.engine, Tiled) or settings.method == "paper":
-        return None
-    if case.predicted_error <= FINEST or not is_engine_limited(case, maps, misfit):
+def more_accurate_case(case: FramesCase, progress: Progress) -> FramesCase | None:
+    """The case with a more accurate engine; None where there is none that is worth it."""
+    if isinstance(case.engine, Tiled) or case.predicted_error <= FINEST:
         return None
     target = max(case.predicted_error / FINER, FINEST)
     progress(f"engine with an error of at most {target:.2g} in place of {case.predicted_error:.2g}")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.camera.recorded import Recorded, weights_of
-from wavesim.engines.registry import engine_class
+from wavesim.engines.registry import engine_on
 from wavesim.evaluation.verdicts import Undetected
 from wavesim.fields.field import Field
 from wavesim.reconstruction.from_field import agreement
@@ -210,7 +210,7 @@ def _of_scene(linear: Linearised, scene: Scene, step: float) -> RealArray:
     """Change of the modelled amplitudes for a unit of a displacement."""
     engine, lit = linear.model.engine, linear.lit
     assert isinstance(engine, Engine)
-    displaced = engine_class(engine.name)(scene, **engine.settings())
+    displaced = engine_on(engine, scene)
     after = displaced.forward(replace(lit, grid=scene.object_grid)).values
     return linear.of_exit(((after - engine.forward(lit).values) / step).astype(after.dtype))
 

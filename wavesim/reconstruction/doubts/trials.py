@@ -21,7 +21,7 @@ import numpy as np
 
 from lensdesign.errors import TransferLensError
 from wavesim.camera.recorded import Array, Recorded, noise_misfit
-from wavesim.engines.registry import engine_class
+from wavesim.engines.registry import engine_on
 from wavesim.evaluation.verdicts import LEAST_GAIN, Trial
 from wavesim.fields.field import Field
 from wavesim.reconstruction.doubts.guesses import (
@@ -39,7 +39,6 @@ from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.reconstruction.source_width import coherent_deg
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine, Tiled
-from wavesim.scene.scene import Scene
 from wavesim.scene.source import Source, SourceMode
 
 Shifts = Sequence[tuple[float, float]]
@@ -281,7 +280,7 @@ class Doubts:
 
         def at(x: float, y: float) -> Engine:
             there = replace(pose, decenter_x_mm=pose.decenter_x_mm + x, decenter_y_mm=pose.decenter_y_mm + y)
-            return self._engine(replace(self.engine.scene, pose=there))
+            return engine_on(self.engine, replace(self.engine.scene, pose=there))
 
         here, aside = ([centre(one)[0] for one in self._of_light(e)] for e in (self.engine, at(step_mm, 0.0)))
         moves = np.subtract(aside, here) / step_mm
@@ -320,13 +319,18 @@ class Doubts:
             grid, distance_mm = scene.object_grid, scene.lens.object.working_distance_mm
             grid = replace(grid, z_mm=grid.z_mm - step * distance_mm)
             said = f"object {1e3 * step * distance_mm:+.2g} um farther from the lens"
-            light, engine = replace(self.light, grid=grid), self._engine(replace(scene, object_grid=grid))
+            light, engine = (
+                replace(self.light, grid=grid),
+                engine_on(self.engine, replace(scene, object_grid=grid)),
+            )
             return self._change("working distance", said, engine=engine, light=light)
 
         def pixels(step: float) -> Change:
             grid = replace(scene.exit_grid, pitch_mm=(1.0 + step) * scene.exit_grid.pitch_mm)
             said = f"pixels of {1e3 * grid.pitch_mm:.4g} um in place of {1e3 * scene.exit_grid.pitch_mm:.4g}"
-            return self._change("pixel pitch", said, engine=self._engine(replace(scene, exit_grid=grid)))
+            return self._change(
+                "pixel pitch", said, engine=engine_on(self.engine, replace(scene, exit_grid=grid))
+            )
 
         def lens(step: float) -> Change:
             surfaces = tuple(
@@ -335,7 +339,7 @@ class Doubts:
             )
             other = replace(scene, lens=scene.lens.replaced(surfaces=surfaces))
             said = f"radii of all surfaces {100.0 * step:+.2g} %"
-            return self._change("lens", said, engine=self._engine(other))
+            return self._change("lens", said, engine=engine_on(self.engine, other))
 
         if len(self.recorded) > 1:
             yield from self._best(planes, min(WAVES / self.diversity, 0.1))
@@ -364,10 +368,6 @@ class Doubts:
                 best = min((best, *middles), key=ratio)
         if math.isfinite(ratio(best)):
             yield tried[best]
-
-    def _engine(self, scene: Scene) -> Engine:
-        """Of the same settings, so that it errs alike."""
-        return engine_class(self.engine.name)(scene, **self.engine.settings())
 
     def _left(self, change: Change) -> Shifts:
         """Shifts that a few iterations leave."""
