@@ -250,9 +250,13 @@ def _soft(distance: Array, half: float, edge: float) -> Array:
     return np.asarray(0.5 - 0.5 * np.sin(np.pi * np.clip((distance - half) / edge, -0.5, 0.5)))
 
 
+NUMBERS = ("pitch_um", "wavelength_um")
+"""Numbers that a measured field may state beside its values."""
+
+
 def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
     """The complex array, and the numbers stated beside it."""
-    held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
+    held = read_arrays(path, named="the measured field", only=("values", *NUMBERS))
     if "values" not in held:
         names = sorted(array_names(path))
         raise InputError(f"measured field {path}: has no array `values`; it holds {names}")
@@ -264,13 +268,13 @@ def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
         )
     if not np.all(np.isfinite(values)):
         raise InputError(f"measured field {path}: has values that are not finite")
-    stated = {}
-    for key in ("pitch_um", "wavelength_um"):
+    stated = dict[str, float]()
+    for key in NUMBERS:
         if key in held:
             if held[key].size != 1 or held[key].dtype.kind not in "fiu":
                 raise InputError(f"measured field {path}: `{key}` must be one number")
             stated[key] = float(held[key].item())
-    return np.asarray(values, complex), stated
+    return np.asarray(values, np.complex128), stated
 
 
 def _pitch_um(path: Path, stated: dict[str, float], given: float | None) -> float:
