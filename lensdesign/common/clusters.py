@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -29,6 +30,13 @@ LARGE_GRAPH = "distributed.admin.large-graph-warning-threshold"
 
 COUNT_SECONDS = 2.0
 """How often to ask how many workers there are."""
+
+TELL_SECONDS, WAIT_SECONDS = 3.0, 15.0
+"""How long a cluster may have no worker before that is reported, and before work in it ends: a worker that
+died may be started anew."""
+
+LOOK_SECONDS = 0.5
+"""How often whoever waits for a result looks whether there are workers."""
 
 RETRIES = 2
 """How often a task is tried again that failed for reasons of the machine."""
@@ -59,6 +67,8 @@ class Cluster:
         self._client = client
         self._executor = client.get_executor(retries=RETRIES, pure=False)
         self._threads, self._asked = 0, -COUNT_SECONDS
+        self._alone_since: float | None = None
+        self._is_told = False
 
     def send(self, parcel: Result) -> Held[Result]:
         """Keep something in the cluster, from where each worker that needs it fetches it once."""
@@ -78,14 +88,63 @@ class Cluster:
         ClusterError
             As :func:`result_of`.
         """
-        from distributed import wait
-
         waiting = list(held)
         with _in_plain_words(), self._client.as_current():
-            wait(waiting)
+            while any(one.status in ("pending", "lost") for one in waiting):
+                self.check_workers()
+                self._wait(waiting)
             for one in waiting:
-                if one.status == "error":
+                if one.status != "finished":
                     one.result()
+
+    def _wait(self, waiting: list[Held[Any]]) -> None:
+        """Wait until all results are there, but no longer than until workers are to be looked for again."""
+        from distributed import wait
+
+        with suppress(TimeoutError):
+            wait(waiting, timeout=LOOK_SECONDS)
+
+    def result(self, future: Future[Result] | Held[Result]) -> Result:
+        """What a task came to; as :func:`result_of`, as long as there are workers.
+
+        Raises
+        ------
+        ClusterError
+            As :func:`result_of`, and if the cluster has had no worker for a while.
+        """
+        from concurrent.futures import Future, wait
+
+        if isinstance(future, Future):
+            while not wait((future,), timeout=LOOK_SECONDS).done:
+                self.check_workers()
+        else:
+            self.finish((future,))
+        return result_of(future)
+
+    def check_workers(self) -> None:
+        """Say so where the cluster has had no worker for some seconds, and give up after some more.
+
+        Raises
+        ------
+        ClusterError
+            If it has had none for `WAIT_SECONDS`.
+        """
+        if self.threads() > 0:
+            self._alone_since, self._is_told = None, False
+            return
+        now = time.monotonic()
+        self._alone_since = now if self._alone_since is None else self._alone_since
+        if now - self._alone_since > WAIT_SECONDS:
+            raise ClusterError(
+                f"the cluster's last worker is gone, and none has joined within {WAIT_SECONDS:g} s"
+            )
+        if now - self._alone_since > TELL_SECONDS and not self._is_told:
+            self._is_told = True
+            print(
+                f"the cluster's last worker is gone; waiting {WAIT_SECONDS:g} s for another one",
+                file=sys.stderr,
+                flush=True,
+            )
 
     def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
         """Hand out a task; what the cluster holds may stand among its arguments."""
@@ -94,8 +153,10 @@ class Cluster:
 
     def threads(self) -> int:
         """How many tasks the cluster can do at a time; it is asked now and then."""
-        if time.monotonic() - self._asked > COUNT_SECONDS:
-            self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+        if time.monotonic() - self._asked > (COUNT_SECONDS if self._threads else LOOK_SECONDS):
+            with suppress(OSError):  # the scheduler is gone, as the results that are waited for will tell
+                self._threads = sum(self._client.nthreads().values())
+            self._asked = time.monotonic()
         return self._threads
 
     def close(self) -> None:

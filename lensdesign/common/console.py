@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
+LONGEST_LINE, MOST_LINES = 4000, 60
+"""Most characters of a line of an error message, and most lines of it."""
+
+
 class _Group(TyperGroup):
     """Commands that say so when they are stopped, and exit with the status that shells expect."""
 
@@ -130,6 +134,10 @@ def _drop_output() -> None:
 def fail(message: str) -> None:
     """Print an error message, plainly, and exit with status 2."""
     lines = [visible(line) for line in message.split("\n")]
+    # Names and values of files stand in messages, and files may hold anything.
+    lines = [line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..." for line in lines]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more lines"]
     print("error: " + "\n".join(lines), file=sys.stderr)
     raise SystemExit(2)
 

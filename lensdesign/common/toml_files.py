@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +23,9 @@ MOST_PARTS = 8
 _LONG_KEY = re.compile(
     r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){8}"""  # as many as MOST_PARTS
 )
+
+LONGEST_FAULT = 1000
+"""Most characters of the line of a fault."""
 
 MOST_FAULTS = 50
 """Told of one file."""
@@ -98,6 +101,20 @@ def pick(registry: Mapping[str, Entry], table: Mapping[str, Any], key: str, sour
         return registry[name]
     hint = did_you_mean(str(name), registry)
     raise DesignError(f"{source}: {key} = {name!r}: there is no such {key}; allowed: {allowed}{hint}")
+
+
+def joined_faults(faults: Sequence[str]) -> str:
+    """Faults of a file, one a line; of very many, the first ones, and how many more there are.
+
+    Each line is cut where it is longer than anybody reads.
+    """
+    lines = [line for fault in faults for line in fault.splitlines()]
+    shown = [
+        line if len(line) <= LONGEST_FAULT else f"{line[:LONGEST_FAULT]}..." for line in lines[:MOST_FAULTS]
+    ]
+    if len(lines) > MOST_FAULTS:
+        shown.append(f"and {len(lines) - MOST_FAULTS} more faults")
+    return "\n".join(shown)
 
 
 def unknown_key(key: str, allowed: Iterable[str]) -> str:

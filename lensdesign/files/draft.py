@@ -21,6 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lensdesign.common.input_files import LENS_FILE_BYTES, read_input
+from lensdesign.common.toml_files import joined_faults
 from lensdesign.errors import InputError, MaterialError
 from lensdesign.lens.glass import get_material, list_glasses
 from lensdesign.lens.lens import Lens
@@ -42,7 +43,7 @@ class LossyImportError(InputError):
 
     def __init__(self, source: str, dropped: Sequence[str]) -> None:
         self.dropped = tuple(dropped)
-        listed = "\n".join(f"  {entry}" for entry in dropped)
+        listed = joined_faults([f"  {entry}" for entry in dropped])
         super().__init__(f"{source}: a design cannot hold all of it; a lossy import leaves out\n{listed}")
 
 

@@ -9,12 +9,19 @@ import uuid
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from lensdesign.errors import InputError
 from studio.model.bench import Workbench
 from studio.model.document import Aside
 
 ADDRESS = "127.0.0.1"
+
+HOSTS = (ADDRESS, "localhost", "[::1]")
+"""Names under which the workbench is asked for; it listens on the first."""
+
+PING_SECONDS = 20.0
+"""After which a page that has not answered counts as closed, and its session goes."""
 
 
 def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool = True) -> None:
@@ -64,7 +71,7 @@ def server_of(bench: Workbench, port: int, token: str) -> Any:
     from studio.page.frame import page
 
     pn.extension(inline=True)
-    return pn.serve(
+    server = pn.serve(
         {"/": lambda: page(bench)},
         port=port,
         address=ADDRESS,
@@ -81,6 +88,50 @@ def server_of(bench: Workbench, port: int, token: str) -> Any:
         admin=False,
         liveness=False,
     )
+    _guard(server, token)
+    return server
+
+
+def _guard(server: Any, token: str) -> None:
+    """Refuse requests before any handler of the server sees them, and end connections that nobody answers.
+
+    Answered is what lies behind the token, under a name of this machine: a page of another site can make its
+    own name lead here (DNS rebinding), but the browser still sends that name as the host.
+    """
+    from tornado.web import ErrorHandler
+
+    application = server._tornado
+    application.settings |= {"websocket_ping_interval": PING_SECONDS, "websocket_ping_timeout": PING_SECONDS}
+    found = application.find_handler
+
+    def find_handler(request: Any, **kwargs: Any) -> Any:
+        status = _refusal(request.headers.get("Host"), request.uri or "", token)
+        if status is None:
+            return found(request, **kwargs)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
+
+    application.find_handler = find_handler
+
+
+def _refusal(host: str | None, uri: str, token: str) -> int | None:
+    """The status with which a request is refused; None if it is answered."""
+    if host is not None and _name_of(host) not in HOSTS:
+        return 403
+    path, _, query = uri.partition("?")
+    # As a handler will read it; some unquote once more.
+    names = unquote(unquote(path)).split("/")
+    if not secrets.compare_digest(names[1].encode() if len(names) > 1 else b"", token.encode()):
+        return 404
+    shown = "".join(names) + unquote(unquote(query))
+    if any(ord(c) < 32 or ord(c) == 127 for c in shown) or max(len(n.encode()) for n in names) > 255:
+        return 404
+    return None
+
+
+def _name_of(host: str) -> str:
+    """The name in a Host header, without its port."""
+    name, colon, port = host.strip().rpartition(":")
+    return (name if colon and port.isdecimal() else host.strip()).lower()
 
 
 def _alive() -> type:

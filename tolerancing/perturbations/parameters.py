@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from lensdesign.common.section import Finite, Section
-from lensdesign.common.toml_files import pick, unknown_key, validate
+from lensdesign.common.toml_files import joined_faults, pick, unknown_key, validate
 from lensdesign.errors import DesignError, MaterialError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import SURFACE_DELTAS, Pose
@@ -352,7 +352,7 @@ def perturbation_from_table(table: dict[str, Any], source: str) -> Perturbation:
     unknown = [key for key in table if key not in allowed]
     if unknown:
         lines = [f"{source}: {key}: {unknown_key(key, allowed)}" for key in unknown]
-        raise DesignError("\n".join(lines))
+        raise DesignError(joined_faults(lines))
     distribution = validate(shape, {k: v for k, v in table.items() if k in shape.model_fields}, source)
     return validate(
         Perturbation, {k: v for k, v in table.items() if k in own} | {"distribution": distribution}, source

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, TypeVar
 
-from lensdesign.common.clusters import ClusterError, open_cluster, result_of, toolkit_version
+from lensdesign.common.clusters import LOOK_SECONDS, ClusterError, open_cluster, result_of, toolkit_version
 from lensdesign.errors import TransferLensError
 from tolerancing.run.tasks import Task, perform
 
@@ -74,7 +74,12 @@ def cluster_workers(loaded: LoadedStudy, levels: Mapping[str, str], address: str
         )
 
         def batches(tasks: Iterable[Task]) -> Batches:
-            return in_flight(lambda task: cluster.submit(work_in_cluster, sent, task), tasks, cluster.threads)
+            return in_flight(
+                lambda task: cluster.submit(work_in_cluster, sent, task),
+                tasks,
+                cluster.threads,
+                check=cluster.check_workers,
+            )
 
         yield batches
 
@@ -84,6 +89,7 @@ def in_flight(
     tasks: Iterable[Task],
     workers: Callable[[], int],
     died: Died | None = None,
+    check: Callable[[], None] | None = None,
 ) -> Batches:
     """Results of tasks as they come, a few tasks for each worker handed out at a time.
 
@@ -97,11 +103,14 @@ def in_flight(
         How many do them at a time.
     died
         Does the tasks that had been handed out when a worker of a pool died, which breaks the pool.
+    check
+        Called now and then while tasks are under way; raises ClusterError where nobody does them any more.
 
     Raises
     ------
     RunError, InputError
-        If a worker dies or cannot do its task; what others have finished is handed over first.
+        If a worker dies or cannot do its task, or no worker is left; what others have finished is handed
+        over first.
     """
     from concurrent.futures import FIRST_COMPLETED, wait
 
@@ -112,7 +121,12 @@ def in_flight(
             pending[submitted(submit, task)] = task
         if not pending:
             return
-        finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+        finished, _ = wait(pending, timeout=LOOK_SECONDS if check else None, return_when=FIRST_COMPLETED)
+        if not finished and check is not None:
+            try:
+                check()
+            except ClusterError as error:
+                raise RunError(f"{error}; {KEPT}") from error
         failed = [future for future in finished if future.cancelled() or future.exception() is not None]
         good = [(pending.pop(future), future.result()) for future in finished if future not in failed]
         if good:

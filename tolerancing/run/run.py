@@ -39,6 +39,10 @@ MANY_WORKERS = 32
 """As many are taken to be in a cluster, for the size of tasks."""
 
 
+MOST_PER_PROCESSOR = 4
+"""Most processes of a run for each processor: more of them only take memory from each other."""
+
+
 @dataclass(frozen=True)
 class RunOutcome:
     """What a run did.
@@ -105,8 +109,8 @@ def run_study(
     store_path
         The store; made if it is not there, gone on with if it holds the same study.
     workers
-        Number of processes; as many as there are processors where left out. One that is asked for is this
-        process.
+        Number of processes; as many as there are processors where left out. There are never more than
+        trials, nor than four for each processor. One that is asked for is this process.
     trials
         Number of trials that the store is to hold in the end; the study's where left out.
     fresh
@@ -130,9 +134,9 @@ def run_study(
     start = time.perf_counter()
     planned = loaded.study.trials if trials is None else trials
     _check_counts(planned, workers, cluster)
-    processes = 0 if cluster else workers or len(os.sched_getaffinity(0))
+    processes = 0 if cluster else _process_count(workers, planned)
     crew = processes or MANY_WORKERS
-    pool = LocalPool(loaded, min(processes, planned))
+    pool = LocalPool(loaded, processes)
     with pool, Rehearsal(loaded, workers == 1, pool) as rehearsal:
         rehearsal.get_ready()
         store, is_new = _ready_store(Path(store_path), loaded, planned, crew, fresh, rehearsal)
@@ -165,6 +169,12 @@ def run_study(
             raise
     done = tally.done
     return RunOutcome(done["trials"], done["steps"], done["dear"], processes, time.perf_counter() - start)
+
+
+def _process_count(workers: int | None, planned: int) -> int:
+    """Processes for a run: no more than it has trials, and than processors do well with."""
+    processors = len(os.sched_getaffinity(0))
+    return min(workers or processors, planned, MOST_PER_PROCESSOR * processors)
 
 
 def _check_counts(planned: int, workers: int | None, cluster: str | None) -> None:

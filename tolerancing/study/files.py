@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from lensdesign.common.input_files import TABLE_BYTES, allowed_folder, files_from, read_input, refuse_outside
 from lensdesign.common.section import Section
-from lensdesign.common.toml_files import read_toml, validate
+from lensdesign.common.toml_files import joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.design import load_design
 from lensdesign.lens.lens import Lens
@@ -248,7 +248,7 @@ def study_from_tables(data: dict[str, Any], source: str, folder: Path | None = N
         if key in data:
             data[key] = tuple(items)
     if faults:
-        raise DesignError("\n".join(faults))
+        raise DesignError(joined_faults(faults))
     return validate(Study, data, source)
 
 
@@ -273,7 +273,7 @@ def check_against(study: Study, lens: Lens, source: str) -> None:
         *_faults_of_merits(study),
     ]
     if faults:
-        raise DesignError("\n".join(f"{source}: {fault}" for fault in faults))
+        raise DesignError(joined_faults([f"{source}: {fault}" for fault in faults]))
 
 
 def _faults_of_merits(study: Study) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,9 +24,8 @@ RING = 0.1
 SURE = 2.0
 """Standard deviations of the mean over such pixels by which it may be larger."""
 
-FEW, BRIGHTEST = 5, 0.002
-"""Number of such pixels, and fraction of them, that count no more than the next brightest: hot pixels, cosmic
-rays and damaged files must not decide which engine is taken."""
+MOST_FAULTY, FAULTY_FRACTION = 4, 0.002
+"""Number of pixels that may be faulty, and besides these the fraction of the pixels on the ring."""
 
 ROWS = 64
 
@@ -50,7 +50,7 @@ def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) 
     rim = trace_bundle(scene, np.asarray(middle), pupil.rim, scene.exit_grid.z_mm)
     plane = sorted(frames_by_plane(frames)[0], key=lambda frame: frame.settings.exposure)
     read = [_of_footprint(frame, scene, rim.sensor_mm) for frame in plane]
-    clear = [ring for _, ring in read if ring.clipped == 0] or [read[0][1]]
+    clear = [ring for _, ring in read if ring.is_clear] or [read[0][1]]
     total, ring = read[0][0], clear[-1]
     if ring.pixels == 0 or total <= 0.0:
         return Light(illumination, 1.0)
@@ -60,47 +60,56 @@ def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) 
     return Light(illumination, min(max(ring.most / border * _area(rim.cosines) / total, 0.0), 1.0))
 
 
+@dataclass(frozen=True)
 class _Ring:
-    """Light of the pixels next to the footprint's border, and how many of them were clipped."""
+    """Light of the pixels next to the border.
 
-    def __init__(self) -> None:
-        self.clipped = 0
-        self._values: list[Array] = []
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels.
+    most : float
+        Mean light of a pixel, as large as it may well be.
+    is_clear : bool
+        Whether no more pixels are clipped than may be faulty.
+    """
 
-    @property
-    def pixels(self) -> int:
-        """Number of pixels."""
-        return sum(len(values) for values in self._values)
+    pixels: int
+    most: float
+    is_clear: bool
 
-    def add(self, values: Array, clipped: int) -> None:
-        self.clipped += clipped
-        self._values.append(values.astype(np.float32))
 
-    @property
-    def most(self) -> float:
-        """The mean, as large as it may well be; a few pixels brighter than all others do not change it."""
-        values = np.concatenate(self._values)
-        few = min(max(FEW, int(BRIGHTEST * len(values))), len(values) - 1)
-        limit = np.partition(values, len(values) - 1 - few)[len(values) - 1 - few]
-        values = np.minimum(values, limit).astype(float)
-        return float(values.mean() + SURE * values.std() / math.sqrt(len(values)))
+def _ring_of(light: Array, clipped: int) -> _Ring:
+    """The mean over pixels, of which a few may hold anything.
+
+    Faulty pixels, hits of cosmic rays or damaged bytes would otherwise pass for light at the rim. The
+    brightest pixels count as the brightest one behind them (a winsorized mean). Light that is spread over
+    more pixels loses next to nothing by that.
+    """
+    count = len(light)
+    faulty = min(MOST_FAULTY + round(FAULTY_FRACTION * count), count // 2)
+    if count == 0:
+        return _Ring(0, 0.0, clipped == 0)
+    held = np.partition(light, count - 1 - faulty)
+    held = np.minimum(held, held[count - 1 - faulty])
+    mean, deviation = float(held.mean()), float(held.std())
+    return _Ring(count, mean + SURE * deviation / math.sqrt(count), clipped <= faulty)
 
 
 def _of_footprint(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
     """Light of a frame for an exposure of 1: all within the footprint, and on the ring inside its border."""
     width = RING * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
     y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
-    total, ring = 0.0, _Ring()
+    total, clipped, lights = 0.0, 0, list[Array]()
     for start in range(0, len(y), ROWS):
         rows = slice(start, start + ROWS)
         inside, within = (inside_border(moved(border_mm, by), (y[rows], x)) for by in (0.0, -width))
         # Negative where noise is: dark pixels must be dark in the mean.
         light, near = electrons_of(frame, rows) / frame.settings.exposure, inside & ~within
         total += float(light[inside].sum())
-        ring.add(
-            light[near], int(np.count_nonzero(frame.counts[rows][near] >= frame.settings.clipped_counts))
-        )
-    return total, ring
+        lights.append(light[near])
+        clipped += int(np.count_nonzero(frame.counts[rows][near] >= frame.settings.clipped_counts))
+    return total, _ring_of(np.concatenate(lights), clipped)
 
 
 def _area(border: Array) -> float:

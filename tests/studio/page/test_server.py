@@ -5,10 +5,12 @@ Without Chromium the tests that need one are skipped; what stands behind the pag
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import urllib.error
@@ -110,10 +112,108 @@ def test_only_who_knows_the_token_is_answered(serve: Callable[..., Served]) -> N
     assert len(token) == 32
     with urllib.request.urlopen(f"{root}/{token}/alive") as answer:
         assert answer.status == 200
-    for path in ("", "alive", "ws", "static/js/bokeh.min.js", f"{'0' * 32}/", f"{token[:-1]}/"):
+    others = (
+        "favicon.ico",
+        "index.html",
+        f"{token}x/",
+        "%00",
+        f"static/..%2f{token}/alive",
+        f"/{token}/alive",
+    )
+    for path in ("", "alive", "ws", "static/js/bokeh.min.js", f"{'0' * 32}/", f"{token[:-1]}/", *others):
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(f"{root}/{path}")
         assert refused.value.code == 404
+
+
+def asked(address: str, path: str, host: str | None = None) -> int:
+    request = urllib.request.Request(
+        f"{address.rstrip('/')}/{path}", headers={} if host is None else {"Host": host}
+    )
+    try:
+        with urllib.request.urlopen(request) as answer:
+            return int(answer.status)
+    except urllib.error.HTTPError as refused:
+        return refused.code
+
+
+def test_names_of_other_machines_are_refused(serve: Callable[..., Served]) -> None:
+    """As DNS rebinding brings them."""
+    served = serve()
+    port = served.address.split(":")[2].split("/")[0]
+    for host in (
+        f"127.0.0.1:{port}",
+        "127.0.0.1",
+        f"localhost:{port}",
+        "LOCALHOST",
+        f"[::1]:{port}",
+        "[::1]",
+    ):
+        assert asked(served.address, "alive", host) == 200, host
+    wrong = ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", "0.0.0.0", "evil.localhost")
+    for host in (
+        *wrong,
+        "127.0.0.1@evil.example",
+        "evil.example#127.0.0.1",
+        "",
+        "localhost,evil.example",
+        "[::2]",
+    ):
+        assert asked(served.address, "alive", host) in (400, 403), host
+        assert asked(served.address, "", host) in (400, 403), host
+
+
+def test_odd_paths_are_not_found(serve: Callable[..., Served]) -> None:
+    served = serve()
+    parts = (
+        "%00",
+        "static/%00",
+        "static/js/%00.js",
+        "static/extensions/panel/%00",
+        "components/%00/x",
+        "%2500",
+    )
+    odd = (
+        *parts,
+        "static/%0a",
+        "%1b[2J",
+        f"static/{'x' * 3000}",
+        "?bokeh-session-id=%00",
+        "static/..%2f..%2fx",
+    )
+    for path in odd:
+        assert 400 <= asked(served.address, path) < 500, path
+    assert asked(served.address, "alive") == 200
+
+
+def test_sessions_go_when_pages_are_closed() -> None:
+    """Each has a listener and a document in memory."""
+    from studio.model.bench import Workbench
+    from studio.page.server import server_of
+
+    held: list[int] = []
+
+    async def opened_and_left() -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        bench = Workbench(DESIGNS / "paper_singlet.toml")
+        server = server_of(bench, port, "a" * 32)
+        server.start()
+        turn = asyncio.get_running_loop().run_in_executor
+        for _ in range(3):
+            assert await turn(None, asked, f"http://127.0.0.1:{port}/{'a' * 32}/", "") == 200
+        held.append(len(server.get_sessions()))
+        for _ in range(60):
+            await asyncio.sleep(0.5)
+            if not server.get_sessions():
+                break
+        held.extend([len(server.get_sessions()), len(bench._listeners)])
+        server.stop()
+        bench.close()
+
+    asyncio.run(opened_and_left())
+    assert held == [3, 0, 0]
 
 
 @needs_browser

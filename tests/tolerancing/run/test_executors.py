@@ -14,9 +14,10 @@ import lensdesign.common.clusters as module
 import tolerancing.run.workers as workers
 from lensdesign import InputError
 from lensdesign.common.clusters import toolkit_version
-from tolerancing.run.run import run_study
+from tolerancing.run.run import RunError, run_study
 from tolerancing.run.tasks import Task
 from tolerancing.run.workers import StudyParcel, work_in_cluster
+from tolerancing.store.store import open_store
 from tolerancing.study.files import load_study
 
 distributed = pytest.importorskip("distributed")
@@ -141,3 +142,34 @@ def test_a_worker_refuses_what_it_would_score_otherwise(parcel, monkeypatch, cha
     monkeypatch.setattr(workers, "_by_thread", type("Empty", (), {})())
     with pytest.raises(InputError, match=message):
         work_in_cluster(replace(parcel, **change), Task(trials=(0,)))
+
+
+def test_when_the_last_worker_dies_the_run_says_so_and_ends(loaded, cluster, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(module, "TELL_SECONDS", 0.5)
+    monkeypatch.setattr(module, "WAIT_SECONDS", 2.0)
+    only = cluster.worker()
+
+    def report(done, total):
+        if done > 100:
+            only.kill()
+
+    with pytest.raises(RunError, match="last worker is gone, and none has joined within 2 s; what was"):
+        run_study(loaded, tmp_path / "store", trials=2000, cluster=cluster.address, report=report)
+    assert "the cluster's last worker is gone; waiting 2 s" in capsys.readouterr().err
+    with open_store(tmp_path / "store") as store:
+        held = store.trial_count()
+    assert 0 < held < 2000
+    assert run_study(loaded, tmp_path / "store", trials=2000, workers=2).trials_run == 2000 - held
+
+
+def test_a_worker_that_comes_in_time_goes_on(loaded, cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "WAIT_SECONDS", 60.0)
+    first, killed = cluster.worker(), []
+
+    def report(done, total):
+        if done > 100 and not killed:
+            first.kill()
+            killed.append(cluster.worker())
+
+    outcome = run_study(loaded, tmp_path / "store", trials=300, cluster=cluster.address, report=report)
+    assert (outcome.trials_run, len(killed)) == (300, 1)

@@ -15,6 +15,8 @@ from wavesim.camera.windows import exit_scene
 from wavesim.evaluation.comparison import random_field
 from wavesim.fields.field import Field
 from wavesim.objects.patch import lit_patch
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.scene.light import Light
 from wavesim.scene.settings import PatchSettings
 
@@ -77,3 +79,38 @@ def test_a_few_changed_pixels_do_not_change_it(twin: Lens) -> None:
         counts.ravel()[outermost[int(place * len(outermost))]] = 4000
     changed = light_of_frames(scene, (replace(first, counts=counts), *others), light).even
     assert changed == pytest.approx(before, rel=0.2)
+
+
+@pytest.mark.parametrize("kind", ["single", "neighbours", "scattered", "dark", "all exposures"])
+def test_a_few_changed_pixels_change_little(twin: Lens, kind: str) -> None:
+    """Whatever they hold: damaged bytes, hot pixels, hits of cosmic rays."""
+    patch, light = lit_patch(twin, PatchSettings(patch_mm=WIDTH_MM))
+    made = image(twin, "usaf", patch_mm=WIDTH_MM, engine="eikonal", error=0.2, exposures=(1.0, 30.0, 1000.0))
+    scene = exit_scene(twin, patch, made.sensor, made.recording.plane_distances_mm[0])
+    whole = light_of_frames(scene, made.frames, light).even
+    ys, xs = _ring(scene)
+    rng = np.random.default_rng(3)
+    picked = {
+        "single": [len(ys) // 3],
+        "neighbours": np.arange(len(ys) // 2, len(ys) // 2 + 6),
+        "scattered": rng.choice(len(ys), 10, replace=False),
+        "dark": rng.choice(len(ys), 10, replace=False),
+        "all exposures": rng.choice(len(ys), 5, replace=False),
+    }[kind]
+    frames = []
+    for number, frame in enumerate(made.frames):
+        counts = frame.counts.copy()
+        if kind == "all exposures" or number in (0, 2):
+            counts[ys[picked], xs[picked]] = 0 if kind == "dark" else frame.settings.top_counts
+        frames.append(type(frame)(counts, frame.settings))
+    assert light_of_frames(scene, frames, light).even == pytest.approx(whole, rel=0.25)
+
+
+def _ring(scene: Any) -> tuple[Any, Any]:
+    """Rows and columns of the pixels next to the border of the footprint, inside."""
+    pupil = open_pupil(scene, scene.object_grid.centre_mm, scene.exit_grid.z_mm, RIM_ARMS)
+    rim = trace_bundle(scene, np.zeros(2), pupil.rim, scene.exit_grid.z_mm).sensor_mm
+    width = 0.08 * float(np.mean(np.linalg.norm(rim - rim.mean(axis=0), axis=1)))
+    axes = (scene.exit_grid.y_mm, scene.exit_grid.x_mm)
+    inside, within = (inside_border(moved(rim, by), axes) for by in (-0.2 * width, -width))
+    return np.nonzero(inside & ~within)

@@ -26,7 +26,6 @@ from lensdesign.common.clusters import (
     Held,
     open_cluster,
     refuse_other_version,
-    result_of,
     toolkit_version,
 )
 from lensdesign.errors import InputError
@@ -96,7 +95,7 @@ class ClusterExecutor:
     def plane(self, parts: Iterable[Part], tell: Tell) -> Values:
         plane = np.empty(self.shape, np.complex64)
         for place, total in self._totals(map(self._carried, parts), 1, lambda number, field: tell()):
-            plane[place] = result_of(total)
+            plane[place] = self.cluster.result(total)
         return plane
 
     def bands(self, parts: Iterable[Part], sums: Sums, rows: int, tell: Tell) -> Iterator[Band]:
@@ -106,11 +105,11 @@ class ClusterExecutor:
 
         def keep(number: int, field: Held[Values]) -> None:
             if number not in kept:
-                sums[number] = result_of(field)
+                sums[number] = self.cluster.result(field)
                 tell()
 
         for place, total in self._totals(fields, rows, keep):
-            values = result_of(total)
+            values = self.cluster.result(total)
             for start in range(place.start, place.stop, rows):
                 stop = min(start + rows, place.stop)
                 yield slice(start, stop), values[start - place.start : stop - place.start]
@@ -126,7 +125,7 @@ class ClusterExecutor:
                 if not pending:
                     return
                 number, future = pending.popleft()
-                yield number, result_of(future)
+                yield number, self.cluster.result(future)
                 tell()
         finally:
             for _, future in pending:

@@ -137,6 +137,24 @@ def test_a_scheduler_that_goes_away_is_told_and_what_was_kept_stays(scene: Scene
     assert 0 < len(sums) < len(engine.groups)
 
 
+@pytest.mark.usefixtures("in_rounds")
+def test_a_last_worker_that_dies_is_told_and_what_was_kept_stays(
+    scene: Scene, cluster: Cluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lensdesign.common.clusters.TELL_SECONDS", 0.5)
+    monkeypatch.setattr("lensdesign.common.clusters.WAIT_SECONDS", 2.0)
+    only = cluster.worker()
+    engine, field = engine_on(scene), noise(scene.object_grid)
+    engine.report = lambda done, _: only.kill() if done == 2 else None
+    sums: dict[int, Any] = {}
+    with tiles_in(cluster.address) as take:
+        take(engine)
+        with pytest.raises(ClusterError, match="last worker is gone"):
+            next(engine.forward_in_bands(field, 100, sums))
+    assert 0 < len(sums) < len(engine.groups)
+    assert "last worker is gone; waiting" in capsys.readouterr().err
+
+
 def test_only_tiles_in_two_levels_go_to_a_cluster(scene: Scene) -> None:
     with pytest.raises(InputError, match="a cluster needs engine two-level"):
         refuse_no_tiles(engine_for(scene, "no-lens"))
