@@ -57,7 +57,7 @@ def test_equation_1_is_met_with_equality_by_a_relay_at_unit_magnification(
 def test_what_is_too_small_to_compute_with_is_named(
     paper_lens: Lens, section: str, change: dict[str, float]
 ) -> None:
-    lens = paper_lens.replaced(**{section: getattr(paper_lens, section).replaced(**change)})
+    """Either when the lens is stated or when it is matched."""
     ((name, _),) = change.items()
-    with pytest.raises(DesignError, match=f"{name} = 1e-300.* too small"):
-        match(lens, 0.532)
+    with pytest.raises(DesignError, match=name):
+        match(paper_lens.replaced(**{section: getattr(paper_lens, section).replaced(**change)}), 0.532)
