@@ -9,21 +9,22 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from lensdesign.common.number_limits import LARGEST_IN_FILES, SMALLEST_IN_FILES
 from lensdesign.errors import DesignError, InputError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-SMALLEST = 1e-60
-"""Smallest size of any unit that is not 0: its square and its reciprocal are still numbers."""
 
 
 def _no_trace(value: float) -> float:
-    if value < SMALLEST:
-        raise ValueError(f"must be at least {SMALLEST:g}")
+    if value < SMALLEST_IN_FILES:
+        raise ValueError(f"must be at least {SMALLEST_IN_FILES:g}")
     return value
 
 
-Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False), AfterValidator(_no_trace)]
-"""Sizes of any unit; both ends keep what is computed from them finite."""
+Positive = Annotated[
+    float, Field(gt=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False), AfterValidator(_no_trace)
+]
+"""Sizes of any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
 
 class Section(BaseModel):

@@ -6,9 +6,10 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from lensdesign.common.number_limits import LARGEST_IN_FILES
 from lensdesign.common.section import Finite, Positive, Section
 
-NotNegative = Annotated[float, Field(ge=0.0, le=1e9, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 
 
 class Flange(Section):

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
+from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
 from lensdesign.common.section import Section, tuples
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
@@ -47,10 +48,6 @@ class SettingError(InputError):
         return re.sub(r"{(\w+)}", lambda found: name(found[1]), self.text)
 
 
-LARGEST, SMALLEST = 1e12, 1e-12
-"""Sizes of any unit that settings may have unless they are 0: what is computed from them is finite."""
-
-
 class Settings(Section):
     """A section whose numbers are of a size with which can be computed."""
 
@@ -58,8 +55,8 @@ class Settings(Section):
     @classmethod
     def _of_usable_size(cls, value: Any) -> Any:
         for number in _floats(value):
-            if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
-                raise ValueError(f"must be 0 or of a size from {SMALLEST:g} to {LARGEST:g}")
+            if number != 0.0 and not SMALLEST_SETTING <= abs(number) <= LARGEST_SETTING:
+                raise ValueError(f"must be 0 or of a size from {SMALLEST_SETTING:g} to {LARGEST_SETTING:g}")
         return value
 
 
