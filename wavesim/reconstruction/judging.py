@@ -131,18 +131,18 @@ def judge_result(
         if not first.within:
             progress("what may differ")
             trials = Doubts(
-                engine,
-                case.light,
-                case.given,
-                maps,
-                settings.kind,
-                settings.tv_weight,
-                settings.scale,
-                settings.active_width,
-                case.diversity,
-                case.modes,
-                stop_search(case, settings, engine, progress),
-                FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
+                engine=engine,
+                light=case.light,
+                recorded=case.given,
+                maps=maps,
+                kind=settings.kind,
+                tv_weight=settings.tv_weight,
+                scale=settings.scale,
+                active_width=settings.active_width,
+                diversity=case.diversity,
+                modes=case.modes,
+                stops=stop_search(case, settings, engine, progress),
+                stop=FieldStop(case.patch.field_stop_mm, case.patch.field_stop_at_mm),
             ).trials()
     return judged(trials, undetected)
 

@@ -81,7 +81,7 @@ class Change(NamedTuple):
     modes: Sequence[SourceMode]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Doubts:
     """What is doubted, and how a trial is made.
 
