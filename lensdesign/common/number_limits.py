@@ -13,7 +13,7 @@ One pair for both would refuse legitimate tolerances, or let through settings wh
 from __future__ import annotations
 
 SMALLEST_IN_FILES, LARGEST_IN_FILES = 1e-60, 1e9
-"""Sizes of any unit in design and study files: the fifth power of either end is finite in double precision."""
+"""Sizes of any unit in design and study files: fifth powers of both ends are finite in double precision."""
 
 SMALLEST_SETTING, LARGEST_SETTING = 1e-12, 1e12
 """Absolute values of settings that are not 0: the cube of either end is a number in single precision."""

@@ -5,22 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 
 from lensdesign.common.input_files import refuse_outside
-from lensdesign.common.toml_files import read_toml, validate
+from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, validate
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
-from lensdesign.lens.lens import Lens
+from lensdesign.lens.edges import Edge, Flange
+from lensdesign.lens.lengths import doubted_lengths
+from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 
-PITCHES_UM = (0.1, 1000.0)
-"""Pixel pitches beyond these are given in another unit than micrometres."""
-
-WAVELENGTHS_UM = (0.05, 50.0)
-"""Wavelengths beyond these are given in another unit than micrometres, or are those of no lens."""
+OfLens = TypeVar("OfLens", bound=Lens)
 
 
 def load_design(path: str | os.PathLike[str]) -> Lens:
@@ -62,8 +60,7 @@ def lens_of(data: dict[str, Any], path: Path) -> Lens:
         name it.
     """
     refuse_other_kind(data, path, "design")
-    lens = validate(Lens, data, path)
-    refuse_doubtful(lens, path)
+    lens = validated_lens(Lens, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in lens.glass_catalogs)
     surfaces = tuple(_with_resolved_figure(surface, path.parent) for surface in lens.surfaces)
     for catalog in catalogs:
@@ -126,35 +123,57 @@ def _kind(data: Mapping[str, object]) -> str:
     return "design" if {"surface", "object", "sensor"} <= data.keys() else ""
 
 
-def refuse_doubtful(lens: Lens, path: Path) -> None:
-    """Refuse what a file may leave out or hold, and no lens that was meant does.
+def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfLens:
+    """A lens or a specification from its tables, with a stop and with lengths that go together.
+
+    A length in another unit often breaks a rule of geometry, too: surfaces cross, or end within their
+    aperture. The message then names the length first.
 
     Raises
     ------
     DesignError
-        If no surface is marked as the stop, or a pixel pitch or wavelength is given in another unit.
+        If the tables are not valid, no surface is marked as the stop, or a length seems to be given in
+        another unit.
     """
+    try:
+        lens = validate(model, data, path)
+    except DesignError as error:
+        doubts = [f"{path}: {doubt}" for doubt in _doubts_of_tables(data)]
+        raise DesignError("\n".join([*doubts, str(error)])) from None
     if not any(surface.stop for surface in lens.surfaces):
         raise DesignError(
             f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
             "bounds the beam, normally surface 1"
         )
-    _refuse_other_unit(path, "sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PITCHES_UM, (0.5, 50.0))
-    for wavelength in lens.wavelengths_um:
-        _refuse_other_unit(path, "wavelengths_um", wavelength, WAVELENGTHS_UM, (0.19, 20.0))
+    doubts = [f"{path}: {doubt}" for doubt in doubted_lengths(lens)]
+    if doubts:
+        raise DesignError(joined_faults(doubts))
+    return lens
 
 
-def _refuse_other_unit(
-    path: Path, key: str, value: float, allowed: tuple[float, float], usual: tuple[float, float]
-) -> None:
-    """Refuse a length in micrometres outside a range; if another unit would make it usual, say so."""
-    low, high = allowed
-    if low <= value <= high:
-        return
-    others = (1e3 * value, 1e6 * value, 1e-3 * value, 1e-4 * value)
-    meant = next((one for one in others if usual[0] <= one <= usual[1]), None)
-    hint = "" if meant is None else f"; {meant:g} um may be meant"
-    raise DesignError(f"{path}: {key} = {value:g}: must be {low:g} to {high:g}, in micrometres{hint}")
+def _doubts_of_tables(data: Mapping[str, Any]) -> list[str]:
+    """Sentences that question lengths of tables that are no valid lens; none where they cannot be read."""
+    try:
+        edges = [
+            Edge.model_construct(
+                **edge | {"flange": Flange.model_construct(**edge["flange"]) if "flange" in edge else None}
+            )
+            for edge in data.get("edge", ())
+        ]
+        surfaces = [
+            Surface.model_construct(**{key: table[key] for key in table if key != "figure"})
+            for table in data["surface"]
+        ]
+        lens = Lens.model_construct(
+            wavelengths_um=tuple(data["wavelengths_um"]),
+            object=ObjectSpace.model_construct(**data["object"]),
+            sensor=Sensor.model_construct(**data["sensor"]),
+            surfaces=tuple(surfaces),
+            edges=tuple(edges),
+        )
+        return list(doubted_lengths(lens))[:MOST_FAULTS]
+    except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
+        return []  # the fault that is reported anyway is of another kind
 
 
 def _with_resolved_figure(surface: Surface, folder: Path) -> Surface:

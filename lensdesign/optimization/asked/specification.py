@@ -15,9 +15,9 @@ from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.input_files import refuse_outside
 from lensdesign.common.section import tuples
-from lensdesign.common.toml_files import read_toml, validate
+from lensdesign.common.toml_files import read_toml
 from lensdesign.errors import DesignError
-from lensdesign.files.design import refuse_doubtful, refuse_other_kind
+from lensdesign.files.design import refuse_other_kind, validated_lens
 from lensdesign.lens.glass import refractive_index
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.temperature import check_heat, lens_at_temperature
@@ -160,8 +160,7 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
     path = Path(path)
     data = read_toml(path)
     refuse_other_kind(data, path, "specification")
-    specification = validate(Specification, data, path)
-    refuse_doubtful(specification, path)
+    specification = validated_lens(Specification, data, path)
     catalogs = tuple((path.parent / c).resolve() for c in specification.glass_catalogs)
     for catalog in catalogs:
         refuse_outside(catalog, path, "glass_catalogs", DesignError)

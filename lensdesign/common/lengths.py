@@ -1,0 +1,83 @@
+"""Lengths that are given in another unit than they should be: the one test of all files and settings.
+
+A length is questioned where no real design has it, and where it would be usual after a change of unit. What
+is plausible is an absolute range (wavelengths, pixel pitches), or a range relative to the lens
+(:mod:`lensdesign.lens.lengths`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
+"""Ratios of the units in which lengths are given by mistake, the likely ones first; the last one is that of
+angstroms and micrometres."""
+
+UNITS = {"mm": "millimetres", "um": "micrometres"}
+
+
+@dataclass(frozen=True)
+class PlausibleLength:
+    """What a length may be, and what it usually is, in one unit.
+
+    Attributes
+    ----------
+    lowest, highest
+        No real design has a length outside this range.
+    usual
+        Range in which a length lies after a change of unit, if another unit was meant.
+    reason
+        What is wrong with a length outside the range, as a part of a sentence; made of the range if empty.
+    always
+        Whether a length outside the range is refused even where no other unit makes it usual.
+    """
+
+    lowest: float
+    highest: float
+    usual: tuple[float, float]
+    reason: str = ""
+    always: bool = False
+
+    def doubt(self, value: float, unit: str) -> str | None:
+        """The reason to question a length, with the value that may be meant; None where it is plausible.
+
+        Parameters
+        ----------
+        value
+            The length; of a signed one, either sign is judged alike. 0 is plausible.
+        unit
+            ``mm`` or ``um``, the unit of the length and of this range.
+        """
+        size = abs(value)
+        if size == 0.0 or not math.isfinite(size) or self.lowest <= size <= self.highest:
+            return None
+        low, high = self.usual
+        steps = [step for step in UNIT_STEPS if (step < 1.0) == (size > self.highest)]
+        meant = next((step * value for step in steps if low <= step * size <= high), None)
+        if meant is None and not self.always:
+            return None
+        hint = "" if meant is None else f"; {meant:g} {unit} may be meant"
+        reason = self.reason or f"must be {self.lowest:g} to {self.highest:g}, in {UNITS[unit]}"
+        return f"{reason}{hint}"
+
+
+PIXEL_PITCH_UM = PlausibleLength(0.1, 1000.0, (0.5, 50.0), always=True)
+"""Pixel pitches beyond these are given in another unit than micrometres."""
+
+WAVELENGTH_UM = PlausibleLength(0.05, 50.0, (0.19, 20.0), always=True)
+"""Wavelengths beyond these are given in another unit than micrometres, or are those of no lens."""
+
+
+def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
+    """A sentence that questions a length; None where it is plausible.
+
+    Parameters
+    ----------
+    what
+        Where the length stands, and its name.
+    value, unit, plausible
+        As of :meth:`PlausibleLength.doubt`.
+    """
+    doubt = plausible.doubt(value, unit)
+    return None if doubt is None else f"{what} = {value:g}: {doubt}"

@@ -1,0 +1,392 @@
+"""Which lengths go with a lens: of its own file, of a simulation of it, and of the tolerances of it.
+
+Ranges are relative to the lens, so that a lens of any size is judged alike. They are wide: a length is
+questioned where nothing real has it, such as a decenter beyond the clear diameter.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, doubted_length
+from lensdesign.lens.lens import Lens
+
+FAR = 50.0
+"""A length is too long if it is so many times all lengths of other kinds."""
+
+WIDE = 12.0
+"""The same of the field: seen from the lens, so wide a field reaches 80 degrees off the axis."""
+
+LENS_MM = PlausibleLength(0.01, 2000.0, (0.1, 500.0))
+"""Median length of a lens: a smaller one would be a few wavelengths wide, and none of glass is larger."""
+
+ANY = math.inf
+
+
+@dataclass(frozen=True)
+class LensLengths:
+    """Lengths by which others are judged.
+
+    Attributes
+    ----------
+    median_mm
+        Of diameters, field, thicknesses of glass and working distance; a single wrong one moves it little.
+    largest_mm
+        Of the same and all distances; radii apart, which may have any length.
+    clear_diameter_mm
+        Of the widest surface.
+    field_mm
+        Diameter of the field.
+    across_mm
+        The larger one of the two.
+    resolved_mm
+        Finest line width that the numerical aperture passes.
+    focal_depth_mm
+        Wavelength over the square of the numerical aperture.
+    wavelength_mm
+        Of the light.
+    working_distance_mm
+        From the object to the lens.
+    planes_mm
+        Distances of the sensor planes.
+    sensor_mm
+        Longer side of the sensor.
+    """
+
+    median_mm: float
+    largest_mm: float
+    clear_diameter_mm: float
+    field_mm: float
+    resolved_mm: float
+    focal_depth_mm: float
+    wavelength_mm: float
+    working_distance_mm: float
+    planes_mm: tuple[float, ...]
+    sensor_mm: float
+
+    @classmethod
+    def of(cls, lens: Lens, wavelength_um: float | None = None) -> LensLengths:
+        """Those of a lens, in its first wavelength where none is given."""
+        wavelength = 1e-3 * (lens.wavelengths_um[0] if wavelength_um is None else wavelength_um)
+        aperture = lens.object.numerical_aperture
+        diameters = _diameters(lens)
+        field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
+        glass = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is not None]
+        spaces = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is None]
+        common = (*diameters, field, *glass, distance)
+        planes = lens.sensor.plane_distances_mm
+        return cls(
+            median_mm=math.exp(statistics.median(map(math.log, common))),
+            largest_mm=max(*common, *spaces, *planes),
+            clear_diameter_mm=max(diameters),
+            field_mm=field,
+            resolved_mm=0.5 * wavelength / aperture,
+            focal_depth_mm=wavelength / aperture**2,
+            wavelength_mm=wavelength,
+            working_distance_mm=distance,
+            planes_mm=planes,
+            sensor_mm=max(lens.sensor.size_mm),
+        )
+
+    @property
+    def across_mm(self) -> float:
+        return max(self.clear_diameter_mm, self.field_mm)
+
+    def plausible_mm(self, name: str) -> PlausibleLength | None:
+        """What a length of a simulation or a merit may be, by the name of the setting without its unit.
+
+        None where the name is that of no length.
+        """
+        lens = "the lens and its field" if self.field_mm > self.clear_diameter_mm else "the lens"
+        across, fine, wave = self.across_mm, self.resolved_mm, self.wavelength_mm
+        if name in ("patch", "field_stop", "picture_width", "region_size", "tile_width"):
+            least = 2.0 * fine
+            most = 20.0 * across if name == "tile_width" else 5.0 * across
+            said = (
+                f"must be {least:.3g} mm (two lines that the aperture passes) to {most:.3g} mm, a multiple of "
+                "lens and field"
+            )
+            return PlausibleLength(least, most, (4.0 * fine, 2.0 * across), said)
+        if name in ("field_stop_at", "chart_at", "region_at", "field", "field_points", "field_height"):
+            return _at_most(5.0 * across, f"must lie within {5.0 * across:.3g} mm, five times {lens}")
+        if name in ("object_pitch", "pitch", "step", "line_width", "line_widths", "linewidths"):
+            scale = wave if name in ("pitch", "step") else fine
+            least, most = 1e3 * scale / 100.0, 1e3 * scale * (50.0 if scale == wave else 300.0)
+            said = f"must be {least:.3g} to {most:.3g} um, for light of {1e3 * wave:g} um"
+            return PlausibleLength(1e-3 * least, 1e-3 * most, (scale / 20.0, 20.0 * scale), said)
+        if name in ("picture_pixel", "light_pitch"):
+            least, most = fine / 100.0, 0.25 * across
+            said = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a lens {across:.3g} mm wide"
+            return PlausibleLength(least, most, (fine / 20.0, across / 10.0), said)
+        if name == "waist":
+            return _at_most(20.0 * across, f"must be at most {20.0 * across:.3g} mm, twenty times {lens}")
+        if name in ("planes", "plane_distance", "predict"):
+            return self._plane()
+        if name == "pivot_z":
+            return _at_most(200.0 * self.median_mm, f"lies more than 200 times {lens} away")
+        if name in ("decenter_x", "decenter_y"):
+            most = self.clear_diameter_mm
+            return _at_most(most, f"must be within the clear diameter of {most:.3g} mm")
+        if name == "despace":
+            most = max(self.working_distance_mm, *self.planes_mm)
+            return _at_most(most, f"must be within {most:.3g} mm, between object and last sensor plane")
+        if name == "working_distance_error":
+            most = 0.5 * self.working_distance_mm
+            return _at_most(most, f"must be within {most:.3g} mm, half of the working distance")
+        if name == "stage_error":
+            most = min(self.planes_mm)
+            return _at_most(most, f"must be within {most:.3g} mm, the distance of the nearest plane")
+        if name in ("shift", "plane_shift"):
+            most = self.sensor_mm
+            return _at_most(most, f"must be within the sensor of {1e3 * most:.4g} um")
+        if name == "refocus":
+            shortest, distance = self.focal_depth_mm, self.working_distance_mm
+            most = min(distance, max(0.2 * distance, 300.0 * shortest))
+            least = shortest / 200.0
+            said = (
+                f"must be {least:.3g} to {most:.3g} mm, for a depth of focus of {shortest:.3g} mm and a "
+                f"working distance of {distance:.3g} mm"
+            )
+            return PlausibleLength(least, most, (shortest / 50.0, most), said)
+        return None
+
+    def _plane(self) -> PlausibleLength:
+        others = max(self.clear_diameter_mm, self.field_mm, self.working_distance_mm, self.median_mm)
+        least = min(self.median_mm / 250.0, 0.1)
+        most = FAR * others
+        said = f"must be {least:.3g} to {most:.4g} mm for a lens of this size"
+        return PlausibleLength(least, most, (10.0 * least, 3.0 * others), said)
+
+    def of_parameter_mm(
+        self, lens: Lens, target: str, parameter: str, surface: int | None, plane: int | None = None
+    ) -> PlausibleLength | None:
+        """What a deviation of one parameter of a lens may be; None where it is no length.
+
+        Parameters
+        ----------
+        lens
+            The nominal lens.
+        target
+            ``lens``, ``surface``, ``element``, ``object`` or ``sensor``.
+        parameter
+            Its name with the unit, as tolerance studies have it.
+        surface, plane
+            Index of the surface or the sensor plane, if it is of one.
+        """
+        if not parameter.endswith("_mm"):
+            return None
+        if parameter.startswith("radius") and surface is not None:
+            radius = abs(getattr(lens.surfaces[surface], parameter, None) or 0.0)
+            if not radius:
+                return None
+            said = f"must be from 5e-06 to 0.3 of the nominal {radius:.4g} mm"
+            return PlausibleLength(5e-6 * radius, 0.3 * radius, (1e-4 * radius, 0.1 * radius), said)
+        nominal, what = self._nominal(lens, target, parameter, surface, plane)
+        least = min(1e-4, 1e-5 * self.clear_diameter_mm)
+        said = f"must be from {least:.2g} to {nominal:.3g} mm, {what}"
+        return PlausibleLength(least, nominal, (20.0 * least, 0.5 * nominal), said)
+
+    def _nominal(
+        self, lens: Lens, target: str, parameter: str, surface: int | None, plane: int | None
+    ) -> tuple[float, str]:
+        """Largest deviation of a parameter, and what it is."""
+        if parameter == "thickness_mm" and surface is not None:
+            nominal = lens.surfaces[surface].thickness_mm or self.median_mm
+            return max(0.5 * nominal, 0.02 * self.median_mm), "half of the nominal thickness"
+        if parameter in ("working_distance_mm", "despace_mm"):
+            return 0.5 * self.working_distance_mm, "half of the working distance"
+        if target == "sensor" and "distance" in parameter:
+            nominal = self.planes_mm[plane] if plane is not None else min(self.planes_mm)
+            return nominal, "the distance of the sensor plane"
+        if target == "sensor":
+            return 0.5 * self.sensor_mm, "half of the sensor"
+        if target == "object":
+            return self.across_mm, "the width of lens and field"
+        return 0.2 * self.clear_diameter_mm, "a fifth of the clear diameter"
+
+
+def doubted_lengths(lens: Lens) -> Iterator[str]:
+    """Sentences that question lengths of a lens file.
+
+    Pixel pitch and wavelengths are judged by themselves, all other lengths by the lengths of other kinds.
+    Very long radii are those of weak surfaces, thin layers between glasses those of cement: neither is
+    questioned.
+
+    Parameters
+    ----------
+    lens
+        A lens, which need not be valid: its surfaces may cross, and its planes be out of order.
+    """
+    yield from _said("sensor, pixel_pitch_um", lens.sensor.pixel_pitch_um, PIXEL_PITCH_UM, "um")
+    for wavelength in lens.wavelengths_um:
+        yield from _said("wavelengths_um", wavelength, WAVELENGTH_UM, "um")
+    own = [*_of_object_and_sensor(lens), *_of_surfaces(lens), *_of_edges(lens)]
+    yield from own
+    if not own:
+        yield from _of_the_whole(lens)
+
+
+def _of_the_whole(lens: Lens) -> Iterator[str]:
+    """All lengths in another unit: they go together, and no lens is of their size."""
+    reason = "no lens is of this size"
+    whole = PlausibleLength(LENS_MM.lowest, LENS_MM.highest, LENS_MM.usual, reason)
+    if whole.doubt(LensLengths.of(lens).median_mm, "mm") is None:
+        return
+    semi = lens.stop_semi_diameter_mm
+    meant = (1e-3 if semi > 1.0 else 1e3) * semi
+    yield (
+        f"surface {lens.stop_index + 1}, semi_diameter_mm = {semi:g}: {reason}; {meant:g} mm may be meant, "
+        "and the same change of all other lengths"
+    )
+
+
+def _said(what: str, value: float, plausible: PlausibleLength, unit: str = "mm") -> Iterator[str]:
+    sentence = doubted_length(what, value, unit, plausible)
+    if sentence is not None:
+        yield sentence
+
+
+def _at_most(most_mm: float, reason: str) -> PlausibleLength:
+    return PlausibleLength(0.0, most_mm, (0.0, most_mm), reason)
+
+
+def _diameters(lens: Lens) -> list[float]:
+    """Clear diameters of all surfaces that have one, and the one that the aperture needs in front."""
+    own = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm is not None]
+    return own or [2.0 * lens.stop_semi_diameter_mm]
+
+
+def _between(others: list[float], least: float, times: float = FAR) -> PlausibleLength:
+    """What a length may be that is judged by those of other kinds: not far more than the longest of them.
+
+    Parameters
+    ----------
+    others
+        Lengths of other kinds.
+    least
+        Shortest length that is plausible.
+    times
+        How many times the longest other length it may be.
+    """
+    longest = max(others)
+    most = times * longest
+    reason = f"must be {least:.2g} to {most:.4g} mm beside the other lengths of the lens"
+    return PlausibleLength(least, most, (_middle(others) / 100.0, 5.0 * longest), reason)
+
+
+def _kinds(lens: Lens) -> dict[str, list[float]]:
+    """Lengths of a lens by their kinds, without radii."""
+    return {
+        "diameters": _diameters(lens),
+        "field": [lens.object.field_diameter_mm],
+        "thicknesses": [s.thickness_mm for s in lens.surfaces if s.thickness_mm is not None],
+        "working distance": [lens.object.working_distance_mm],
+        "planes": list(lens.sensor.plane_distances_mm),
+    }
+
+
+def _others(lens: Lens, *left_out: str) -> list[float]:
+    """Lengths of all kinds but some."""
+    return [length for kind, lengths in _kinds(lens).items() if kind not in left_out for length in lengths]
+
+
+def _middle(lengths: list[float]) -> float:
+    return math.exp(statistics.median(map(math.log, lengths)))
+
+
+def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
+    field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
+    # A far object is legitimate where its light fills the lens: the beam has the lens's diameter then.
+    aperture = lens.object.numerical_aperture
+    beam = 2.0 * distance * aperture / math.sqrt(1.0 - aperture**2)
+    widths = [*_diameters(lens), field]
+    if not min(widths) / 20.0 <= beam <= 20.0 * max(widths):
+        others = _others(lens, "working distance")
+        yield from _said("object, working_distance_mm", distance, _between(others, _middle(others) / 100.0))
+    others = _others(lens, "field")
+    yield from _said("object, field_diameter_mm", field, _between(others, _middle(others) / 300.0, WIDE))
+    others = _others(lens, "planes")
+    nearest = min(_middle(others) / 250.0, 0.1)
+    for number, plane in enumerate(lens.sensor.plane_distances_mm, start=1):
+        what = f"sensor, plane_distances_mm {number}"
+        yield from _said(what, plane, _between(others, nearest))
+    pitch, (across, down) = lens.sensor.pixel_pitch_um, lens.sensor.size_mm
+    if max(across, down) > FAR * max(_others(lens)) and pitch > PIXEL_PITCH_UM.usual[1]:
+        said = f"gives a sensor of {across:.4g} x {down:.4g} mm, more than {FAR:g} times all other lengths"
+        usual = PIXEL_PITCH_UM.usual
+        yield from _said("sensor, pixel_pitch_um", pitch, PlausibleLength(0.0, usual[1], usual, said), "um")
+
+
+def _of_surfaces(lens: Lens) -> Iterator[str]:
+    before = False
+    for number, surface in enumerate(lens.surfaces, start=1):
+        where = f"surface {number}"
+        semi, thickness, is_glass = (
+            surface.semi_diameter_mm,
+            surface.thickness_mm,
+            surface.material is not None,
+        )
+        if semi is not None:
+            yield from _semi_diameter(lens, f"{where}, semi_diameter_mm", semi)
+        if thickness is not None:
+            others = _others(lens, "thicknesses")
+            behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
+            yield from _said(
+                f"{where}, thickness_mm", thickness, _thickness(others, before, is_glass, behind)
+            )
+        half = semi if semi is not None else 0.5 * _middle(_diameters(lens))
+        for key in ("radius_mm", "radius_x_mm"):
+            radius, conic = getattr(surface, key), getattr(surface, f"conic{key[6:-3]}")
+            if radius is not None and conic > -1.5:  # an axicon is a hyperbola with a small radius
+                said = f"is far less than the semi-diameter of {half:g} mm"
+                short = PlausibleLength(half / 10.0, ANY, (0.5 * half, 500.0 * half), said)
+                yield from _said(f"{where}, {key}", radius, short)
+        if surface.figure is not None and surface.figure.semi_diameter_mm is not None:
+            known = surface.figure.semi_diameter_mm
+            yield from _said(f"{where}, figure, semi_diameter_mm", known, _between([half], 0.0))
+        before = is_glass
+
+
+def _semi_diameter(lens: Lens, what: str, semi: float) -> Iterator[str]:
+    others = _others(lens, "diameters")
+    middle = _middle(others)
+    yield from _said(what, semi, _between(others, 0.005 * middle))
+
+
+def _thickness(others: list[float], before: bool, is_glass: bool, behind: bool) -> PlausibleLength:
+    """What a thickness may be, by what lies before, within and behind it."""
+    middle = _middle(others)
+    if is_glass and (before or behind):
+        least = 0.0  # cement, or a layer on glass
+    elif is_glass:
+        least = middle / 200.0
+    else:
+        least = min(middle / 1000.0, 0.01)
+    long = _between(others, least)
+    return long if is_glass else PlausibleLength(least, 4.0 * long.highest, long.usual, long.reason)
+
+
+def _of_edges(lens: Lens) -> Iterator[str]:
+    others, diameters = _others(lens), _diameters(lens)
+    middle, narrow = _middle(others), 0.01 * _middle(diameters)
+    for number, edge in enumerate(lens.edges, start=1):
+        where = f"edge {number}"
+        for key in ("semi_diameter_mm", "front_flat_from_mm", "back_flat_from_mm"):
+            value = getattr(edge, key)
+            if value is not None:
+                yield from _said(f"{where}, {key}", value, _between(diameters, narrow))
+        least = 1e-4 * middle
+        reason = f"must be 0, or {least:.2g} to {middle:.3g} mm beside the other lengths of the lens"
+        bevel = PlausibleLength(least, middle, (3.0 * least, middle), reason)
+        for key in ("front_bevel_mm", "back_bevel_mm"):
+            yield from _said(f"{where}, {key}", getattr(edge, key), bevel)
+        if edge.flange is not None:
+            for key, plausible in (
+                ("semi_diameter_mm", _between(diameters, narrow)),
+                ("distance_mm", _between(others, 5e-4 * middle)),
+                ("thickness_mm", _between(others, 1e-3 * middle)),
+            ):
+                yield from _said(f"{where}, flange, {key}", getattr(edge.flange, key), plausible)
