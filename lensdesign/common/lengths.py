@@ -8,7 +8,8 @@ is plausible is an absolute range (wavelengths, pixel pitches), or a range relat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
 """Ratios of the units in which lengths are given by mistake, the likely ones first; the last one is that of
@@ -61,6 +62,23 @@ class PlausibleLength:
         reason = self.reason or f"must be {self.lowest:g} to {self.highest:g}, in {UNITS[unit]}"
         return f"{reason}{hint}"
 
+    def at_most(self) -> PlausibleLength:
+        """The same without a lower end, for lengths that may be as small as one likes."""
+        return replace(self, lowest=0.0)
+
+
+def in_unit(plausible_mm: PlausibleLength, unit: str) -> PlausibleLength:
+    """A range of millimetres in a unit."""
+    if unit == "mm":
+        return plausible_mm
+    low, high = plausible_mm.usual
+    return replace(
+        plausible_mm,
+        lowest=1e3 * plausible_mm.lowest,
+        highest=1e3 * plausible_mm.highest,
+        usual=(1e3 * low, 1e3 * high),
+    )
+
 
 PIXEL_PITCH_UM = PlausibleLength(0.1, 1000.0, (0.5, 50.0), always=True)
 """Pixel pitches beyond these are given in another unit than micrometres."""
@@ -81,3 +99,12 @@ def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLengt
     """
     doubt = plausible.doubt(value, unit)
     return None if doubt is None else f"{what} = {value:g}: {doubt}"
+
+
+def numbers_of(value: object) -> Iterator[float]:
+    """The numbers of a setting, however deep its tuples; none of what is no number."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        yield float(value)
+    elif isinstance(value, tuple | list):
+        for part in value:
+            yield from numbers_of(part)

@@ -100,58 +100,62 @@ class LensLengths:
 
         None where the name is that of no length.
         """
-        lens = "the lens and its field" if self.field_mm > self.clear_diameter_mm else "the lens"
-        across, fine, wave = self.across_mm, self.resolved_mm, self.wavelength_mm
+        field, fine, wave = self.field_mm, self.resolved_mm, self.wavelength_mm
         if name in ("patch", "field_stop", "picture_width", "region_size", "tile_width"):
-            least = 2.0 * fine
-            most = 20.0 * across if name == "tile_width" else 5.0 * across
-            said = (
-                f"must be {least:.3g} mm (two lines that the aperture passes) to {most:.3g} mm, a multiple of "
-                "lens and field"
-            )
-            return PlausibleLength(least, most, (4.0 * fine, 2.0 * across), said)
-        if name in ("field_stop_at", "chart_at", "region_at", "field", "field_points", "field_height"):
-            return _at_most(5.0 * across, f"must lie within {5.0 * across:.3g} mm, five times {lens}")
-        if name in ("object_pitch", "pitch", "step", "line_width", "line_widths", "linewidths"):
-            scale = wave if name in ("pitch", "step") else fine
-            least, most = 1e3 * scale / 100.0, 1e3 * scale * (50.0 if scale == wave else 300.0)
-            said = f"must be {least:.3g} to {most:.3g} um, for light of {1e3 * wave:g} um"
-            return PlausibleLength(1e-3 * least, 1e-3 * most, (scale / 20.0, 20.0 * scale), said)
+            least, most = 2.0 * fine, (1.5 if name == "patch" else 5.0) * field
+            said = f"must be from {least:.3g} mm, two lines that the aperture passes, to {most:.3g} mm"
+            return PlausibleLength(least, most, (4.0 * fine, 2.0 * field), said)
+        if name in ("field_stop_at", "chart_at", "region_at"):
+            return _at_most(3.0 * field, f"must lie within {3.0 * field:.3g} mm, three times the field")
+        if name in ("field", "field_points", "field_height"):
+            half = 0.5 * field
+            said = f"must be 0, or from {0.002 * half:.2g} to {half:.3g} mm, half of the field"
+            return PlausibleLength(0.002 * half, 1.01 * half, (0.02 * half, 1.01 * half), said)
+        if name in ("object_pitch", "line_width", "line_widths", "linewidths"):
+            return _fineness(fine, 300.0, "lines that the aperture passes")
+        if name in ("pitch", "step"):
+            return _fineness(wave, 50.0, "light")
         if name in ("picture_pixel", "light_pitch"):
-            least, most = fine / 100.0, 0.25 * across
-            said = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a lens {across:.3g} mm wide"
-            return PlausibleLength(least, most, (fine / 20.0, across / 10.0), said)
+            least, most = 0.01 * fine, field / 8.0
+            said = f"must be {1e3 * least:.3g} to {1e3 * most:.3g} um, for a field of {field:g} mm"
+            return PlausibleLength(least, most, (0.05 * fine, field / 10.0), said)
         if name == "waist":
-            return _at_most(20.0 * across, f"must be at most {20.0 * across:.3g} mm, twenty times {lens}")
+            least, most = 2.0 * wave, 20.0 * field
+            said = f"must be {least:.3g} to {most:.3g} mm, for a field of {field:g} mm"
+            return PlausibleLength(least, most, (4.0 * wave, 2.0 * field), said)
         if name in ("planes", "plane_distance", "predict"):
             return self._plane()
         if name == "pivot_z":
-            return _at_most(200.0 * self.median_mm, f"lies more than 200 times {lens} away")
+            most = 200.0 * self.median_mm
+            return _at_most(most, f"must lie within {most:.3g} mm, 200 times the size of the lens")
         if name in ("decenter_x", "decenter_y"):
-            most = self.clear_diameter_mm
-            return _at_most(most, f"must be within the clear diameter of {most:.3g} mm")
+            return self._error(self.clear_diameter_mm, "the clear diameter")
         if name == "despace":
-            most = max(self.working_distance_mm, *self.planes_mm)
-            return _at_most(most, f"must be within {most:.3g} mm, between object and last sensor plane")
+            farthest = max(self.working_distance_mm, *self.planes_mm)
+            return self._error(farthest, "the distance of object or sensor")
         if name == "working_distance_error":
-            most = 0.5 * self.working_distance_mm
-            return _at_most(most, f"must be within {most:.3g} mm, half of the working distance")
+            return self._error(0.5 * self.working_distance_mm, "half of the working distance")
         if name == "stage_error":
-            most = min(self.planes_mm)
-            return _at_most(most, f"must be within {most:.3g} mm, the distance of the nearest plane")
+            return self._error(min(self.planes_mm), "the distance of the nearest plane")
         if name in ("shift", "plane_shift"):
-            most = self.sensor_mm
-            return _at_most(most, f"must be within the sensor of {1e3 * most:.4g} um")
+            most = 0.1 * self.sensor_mm
+            said = f"must be from 0.01 to {1e3 * most:.4g} um, a tenth of the sensor"
+            return PlausibleLength(1e-5, most, (5e-4, most), said)
         if name == "refocus":
-            shortest, distance = self.focal_depth_mm, self.working_distance_mm
-            most = min(distance, max(0.2 * distance, 300.0 * shortest))
-            least = shortest / 200.0
+            depth, distance = self.focal_depth_mm, self.working_distance_mm
+            most = min(distance, max(0.2 * distance, 300.0 * depth))
             said = (
-                f"must be {least:.3g} to {most:.3g} mm, for a depth of focus of {shortest:.3g} mm and a "
+                f"must be {0.02 * depth:.3g} to {most:.3g} mm, for a depth of focus of {depth:.3g} mm and a "
                 f"working distance of {distance:.3g} mm"
             )
-            return PlausibleLength(least, most, (shortest / 50.0, most), said)
+            return PlausibleLength(0.02 * depth, most, (0.1 * depth, most), said)
         return None
+
+    def _error(self, most: float, what: str) -> PlausibleLength:
+        """What an error of assembly may be: what can be measured, up to a length of the lens."""
+        least = min(1e-4, 1e-5 * self.clear_diameter_mm)
+        said = f"must be from {least:.2g} to {most:.3g} mm, {what}"
+        return PlausibleLength(least, most, (20.0 * least, 0.5 * most), said)
 
     def _plane(self) -> PlausibleLength:
         others = max(self.clear_diameter_mm, self.field_mm, self.working_distance_mm, self.median_mm)
@@ -176,18 +180,17 @@ class LensLengths:
         surface, plane
             Index of the surface or the sensor plane, if it is of one.
         """
-        if not parameter.endswith("_mm"):
+        beyond = (surface or 0) >= len(lens.surfaces) or (plane or 0) >= len(self.planes_mm)
+        if not parameter.endswith("_mm") or beyond:
             return None
         if parameter.startswith("radius") and surface is not None:
             radius = abs(getattr(lens.surfaces[surface], parameter, None) or 0.0)
             if not radius:
                 return None
-            said = f"must be from 5e-06 to 0.3 of the nominal {radius:.4g} mm"
-            return PlausibleLength(5e-6 * radius, 0.3 * radius, (1e-4 * radius, 0.1 * radius), said)
-        nominal, what = self._nominal(lens, target, parameter, surface, plane)
-        least = min(1e-4, 1e-5 * self.clear_diameter_mm)
-        said = f"must be from {least:.2g} to {nominal:.3g} mm, {what}"
-        return PlausibleLength(least, nominal, (20.0 * least, 0.5 * nominal), said)
+            bent = min(radius, 5.0 * self.clear_diameter_mm)  # a weak surface may have any radius
+            said = f"must be from {5e-6 * bent:.2g} to {0.3 * radius:.3g} mm, 30 % of the nominal radius"
+            return PlausibleLength(5e-6 * bent, 0.3 * radius, (1e-4 * bent, 0.1 * radius), said)
+        return self._error(*self._nominal(lens, target, parameter, surface, plane))
 
     def _nominal(
         self, lens: Lens, target: str, parameter: str, surface: int | None, plane: int | None
@@ -247,6 +250,13 @@ def _said(what: str, value: float, plausible: PlausibleLength, unit: str = "mm")
     sentence = doubted_length(what, value, unit, plausible)
     if sentence is not None:
         yield sentence
+
+
+def _fineness(scale_mm: float, most: float, what: str) -> PlausibleLength:
+    """What samples and lines may be, beside the scale of what they resolve."""
+    low, high = 0.01 * scale_mm, most * scale_mm
+    said = f"must be {1e3 * low:.3g} to {1e3 * high:.3g} um, for {what} of {1e3 * scale_mm:.3g} um"
+    return PlausibleLength(low, high, (0.05 * scale_mm, 20.0 * scale_mm), said)
 
 
 def _at_most(most_mm: float, reason: str) -> PlausibleLength:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -22,6 +22,7 @@ from tolerancing.merits.registry import merit_from_table
 from tolerancing.perturbations import draws
 from tolerancing.perturbations.dependence import Correlation
 from tolerancing.perturbations.parameters import Perturbation, perturbation_from_table
+from tolerancing.study.lengths import doubted_study_lengths
 from tolerancing.study.slice_counts import SliceCounts
 from tolerancing.study.study import Study
 from tolerancing.study.sweep import ParameterGrid, Sweep
@@ -103,7 +104,8 @@ def load_study(path: str | os.PathLike[str]) -> LoadedStudy:
     if allowed_folder() is not None:  # of a store: its own, not a design of the reader
         refuse_outside(design, path, "design", DesignError)
     lens = load_design(design)
-    check_against(study, lens, str(path))
+    # A length in another unit often is the cause of other faults: it comes first.
+    _refuse([*doubted_study_lengths(study, lens), *_faults_against(study, lens)], str(path))
     return LoadedStudy(study, lens, *_gathered(path, design, study, lens))
 
 
@@ -263,7 +265,16 @@ def _with_its_file(item: Section, folder: Path, source: str, where: str) -> Sect
 
 def check_against(study: Study, lens: Lens, source: str) -> None:
     """Refuse what this lens does not have, with all faults in one DesignError."""
-    faults = [
+    _refuse(_faults_against(study, lens), source)
+
+
+def _refuse(faults: Sequence[str], source: str) -> None:
+    if faults:
+        raise DesignError(joined_faults([f"{source}: {fault}" for fault in faults]))
+
+
+def _faults_against(study: Study, lens: Lens) -> list[str]:
+    return [
         *_faults(study.perturbations, "perturbation", lens),
         *_faults(study.all_merits, "merit", lens),
         *_faults(study.compensators, "compensator", lens),
@@ -272,8 +283,6 @@ def check_against(study: Study, lens: Lens, source: str) -> None:
         *_faults(study.slice_counts, "slice_count", lens),
         *_faults_of_merits(study),
     ]
-    if faults:
-        raise DesignError(joined_faults([f"{source}: {fault}" for fault in faults]))
 
 
 def _faults_of_merits(study: Study) -> list[str]:

@@ -20,6 +20,7 @@ from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at, refuse_parameters
+from wavesim.camera.patch_of_frames import refuse_doubtful_frames
 from wavesim.camera.recording import Progress
 from wavesim.evaluation.verdicts import PlaneResidual, verdict
 from wavesim.fields.field import Field
@@ -104,6 +105,7 @@ def calibrate_frames(
         If empty frames are not quite explained.
     """
     chosen = (settings or CalibrationSettings()).replaced(**changes)
+    refuse_doubtful_frames(lens, frames, chosen)
     tell = progress or (lambda what, done, count: None)
     settings = _with_stop(lens, frames, chosen, tell)
     found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
@@ -205,6 +207,7 @@ def calibrate_empty(
         If the frames are not quite explained.
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
+    refuse_doubtful_frames(lens, empty, settings)
     seen = Seen(lens, empty, settings, priors)
     tell = progress or (lambda what, done, count: None)
     everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)

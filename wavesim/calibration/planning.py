@@ -42,6 +42,7 @@ from wavesim.reconstruction.doubts.held_out import hold_out
 from wavesim.reconstruction.from_object import reconstruct
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import ITERATIONS, Kind, PatchSettings, PlanSettings
 
 SIDE, SAMPLES = 144, 192
@@ -316,6 +317,7 @@ def plan_frames(
         If a value is not usable.
     """
     settings = (settings or PlanSettings()).replaced(**changes)
+    refuse_doubtful_lengths(lens, settings)
     near, far = _range(lens, settings)
     patch_mm = lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm
     patch = object_patch(lens, patch_mm, wavelength_um=settings.wavelength_um)

@@ -30,6 +30,7 @@ from wavesim.camera.pixels.bad import found_bad
 from wavesim.camera.pixels.maps import PixelMaps, read_pixel_maps
 from wavesim.camera.recorded import Recorded, recorded_intensity
 from wavesim.runtime.threads import for_blocks, row_blocks
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import FrameSetSettings, SettingError
 
 SATURATED_TOLD, SATURATED_REFUSED = 1e-5, 0.02
@@ -129,6 +130,8 @@ def read_frames(
         For each frame, what was taken of the design.
     """
     settings = (settings or FrameSetSettings()).replaced(**changes)
+    if lens is not None:
+        refuse_doubtful_lengths(lens, settings)
     given = _given(len(paths), settings)
     for number, path in enumerate(paths):
         if path in paths[:number]:

@@ -34,6 +34,7 @@ from wavesim.runtime.memory import Memory, memory_limit
 from wavesim.runtime.scratch import scratch_in
 from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene
@@ -140,6 +141,7 @@ def image(
         If a setting is not usable, or samples or memory do not hold what is asked for.
     """
     settings = (settings or ImageSettings()).replaced(**changes)
+    refuse_doubtful_lengths(lens, settings)
     recording = _recording(lens, settings, placement)
     place, planes = recording.bench.placement, recording.plane_distances_mm
     patch, light = _patch_and_light(lens, thing, settings)

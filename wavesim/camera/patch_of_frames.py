@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from lensdesign.common.section import Section
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
@@ -15,6 +16,7 @@ from wavesim.camera.windows import LEAST_DIVERSITY, check_diversity, check_footp
 from wavesim.fields.field import Field
 from wavesim.objects.patch import Patch, lit_patch
 from wavesim.runtime.checkpoint import digest_of, key_of
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import PatchSettings
 
 
@@ -54,6 +56,21 @@ def framed_patch(lens: Lens, frames: Sequence[Frame], settings: PatchSettings, p
     figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
     refuse_same_pictures(by_plane, diverse=figure >= LEAST_DIVERSITY)
     return Framed(tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure)
+
+
+def refuse_doubtful_frames(lens: Lens, frames: Sequence[Frame], settings: Section) -> None:
+    """Refuse lengths of frames and settings that another unit would explain.
+
+    Raises
+    ------
+    SettingError
+        As of :func:`wavesim.scene.lengths.refuse_doubtful_lengths`.
+    """
+    light = frames[0].settings.wavelength_um if frames else None
+    refuse_doubtful_lengths(lens, {"wavelength_um": light})
+    planes = [frame.settings.plane_distance_mm for frame in frames]
+    refuse_doubtful_lengths(lens, {"plane_distance_mm": planes}, light)
+    refuse_doubtful_lengths(lens, settings, light)
 
 
 def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *told: str | bytes) -> str:

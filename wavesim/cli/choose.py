@@ -14,6 +14,7 @@ from lensdesign.lens.lens import Lens
 from wavesim.cli.options import AsJson, Design
 from wavesim.cli.resolve import PlaneDistanceMm
 from wavesim.cli.runs import print_table
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import DEFAULT_ERROR, ChoiceSettings
 
 if TYPE_CHECKING:
@@ -48,6 +49,10 @@ def choose(
     from wavesim.scene.patches import patch_scene
 
     lens = load_design(design)
+    refuse_doubtful_lengths(lens, settings)
+    refuse_doubtful_lengths(
+        lens, {"field_mm": field_mm, "plane_distance_mm": plane_distance_mm}, settings.wavelength_um
+    )
     scene = patch_scene(
         lens,
         settings.patch_mm,

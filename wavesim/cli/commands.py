@@ -24,6 +24,7 @@ from wavesim.cli.reconstruct import reconstruct
 from wavesim.cli.resolve import resolve
 from wavesim.cli.runs import print_table
 from wavesim.cli.view import view
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import PoseSettings
 
 app = make_app("Waves through spatial information transfer lenses.")
@@ -64,6 +65,16 @@ def pupil(
     widths = numbers(linewidths_um, "--linewidths-um")
     refuse_no_picture(output)
     lens = load_design(design)
+    refuse_doubtful_lengths(
+        lens,
+        {
+            "wavelength_um": wavelength_um,
+            "field_mm": field,
+            "plane_distance_mm": plane_distance_mm,
+            "linewidths_um": widths,
+        },
+    )
+    refuse_doubtful_lengths(lens, mounted, wavelength_um)
     if math.hypot(*field) > lens.half_field_mm * (1.0 + 1e-9):
         raise InputError(
             f"--field-mm = {field_mm!r}: lies {math.hypot(*field):g} mm from the axis; allowed: up to "

@@ -14,6 +14,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design
 from wavesim.cli.runs import print_table
+from wavesim.scene.lengths import refuse_doubtful_lengths
 
 PICTURE_DPI = 110
 
@@ -58,6 +59,7 @@ def compare(
     from wavesim.pictures.result_files import write_csv
 
     lens = scaled(load_design(design), scale)
+    refuse_doubtful_lengths(lens, {"patch_mm": patch_mm, "field_mm": field_mm})
     if output.exists() and not output.is_dir():
         raise InputError(f"--output = {str(output)!r}: is no folder")
     try:

@@ -15,6 +15,7 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import load_design
 from wavesim.cli.options import AsJson, Design, numbers, print_warnings, refuse_no_picture, settings_text
 from wavesim.cli.runs import print_table
+from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import SingleEngineDetails
 
 PlaneDistanceMm = Annotated[float, typer.Option(help="From the exit vertex to the exit plane.")]
@@ -58,6 +59,16 @@ def resolve(
     refuse_no_picture(output)
     lens = load_design(design)
     widths, heights = numbers(linewidths_um, "--linewidths-um"), numbers(field_mm, "--field-mm")
+    refuse_doubtful_lengths(
+        lens,
+        {
+            "wavelength_um": wavelength_um,
+            "linewidths_um": widths,
+            "field_mm": heights,
+            "plane_distance_mm": plane_distance_mm,
+        },
+    )
+    refuse_doubtful_lengths(lens, details, wavelength_um)
     engines = _engines(engine or ["slices"], details.details())
     common = {
         "reference": reference,

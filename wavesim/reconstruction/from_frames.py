@@ -12,6 +12,7 @@ from typing import Any, Literal
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
+from wavesim.camera.patch_of_frames import refuse_doubtful_frames
 from wavesim.camera.recording import Progress
 from wavesim.camera.windows import imaging_engine
 from wavesim.engines.registry import AUTO
@@ -113,6 +114,7 @@ def reconstruct_frames(
         Where frames tell less than they might.
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
+    refuse_doubtful_frames(lens, frames, settings)
     case = frames_case(lens, frames, settings, truth, calibration, folder)
     told = _Told(progress, settings, case.engine)
     if settings.field_stop == "find":

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
+from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
 from lensdesign.common.section import Section, tuples
 from lensdesign.errors import InputError
@@ -57,6 +58,15 @@ class Settings(Section):
         for number in _floats(value):
             if number != 0.0 and not SMALLEST_SETTING <= abs(number) <= LARGEST_SETTING:
                 raise ValueError(f"must be 0 or of a size from {SMALLEST_SETTING:g} to {LARGEST_SETTING:g}")
+        return value
+
+    @field_validator("wavelength_um", "pixel_pitch_um", check_fields=False)
+    @classmethod
+    def _in_micrometres(cls, value: float | None, info: ValidationInfo) -> float | None:
+        plausible = WAVELENGTH_UM if info.field_name == "wavelength_um" else PIXEL_PITCH_UM
+        doubt = None if value is None else plausible.doubt(value, "um")
+        if doubt is not None:
+            raise ValueError(doubt)
         return value
 
 

@@ -1,0 +1,69 @@
+"""Lengths of lenses: no legitimate lens is questioned, whatever its size and its layers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+
+from lensdesign import DesignError, Lens, Surface, load_design, save_design, scaled
+from lensdesign.common.toml_files import read_toml
+from lensdesign.files.design import lens_of
+from lensdesign.lens.lengths import doubted_lengths
+
+LENSES = [path for path in sorted(DESIGNS.glob("*.toml")) if "[sensor]" in path.read_text("utf-8")]
+LENSES = [path for path in LENSES if "[[variable]]" not in path.read_text("utf-8")]
+
+
+@pytest.mark.parametrize("path", LENSES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("factor", [1 / 48, 1 / 8, 1.0, 20.0])
+def test_twins_of_all_designs_are_plausible(path: Path, factor: float) -> None:
+    lens = load_design(path)
+    if any(surface.figure is not None and surface.figure.file is not None for surface in lens.surfaces):
+        return  # a measured figure cannot be scaled
+    assert list(doubted_lengths(scaled(lens, factor))) == []
+
+
+def with_surfaces(lens: Lens, *surfaces: Surface) -> Lens:
+    return lens.replaced(surfaces=surfaces)
+
+
+def test_weak_and_flat_surfaces_cement_and_far_objects_are_plausible(paper_lens: Lens) -> None:
+    front, back = paper_lens.surfaces
+    weak = back.replaced(radius_mm=-1e4, conic=0.0)
+    assert list(doubted_lengths(with_surfaces(paper_lens, front, weak))) == []
+    flat = back.replaced(radius_mm=None, conic=0.0)
+    assert list(doubted_lengths(with_surfaces(paper_lens, front, flat))) == []
+    cement = Surface(radius_mm=-30.0, thickness_mm=0.01, material=1.56)
+    rear = Surface(radius_mm=-30.0, thickness_mm=2.0, material="N-SF11")
+    assert list(doubted_lengths(with_surfaces(paper_lens, front, cement, rear, weak))) == []
+    far = paper_lens.object.replaced(
+        working_distance_mm=5000.0, numerical_aperture=0.0016, field_diameter_mm=500.0
+    )
+    assert list(doubted_lengths(paper_lens.replaced(object=far))) == []
+    pinhole = paper_lens.object.replaced(numerical_aperture=0.002)
+    stopped = with_surfaces(paper_lens, front.replaced(semi_diameter_mm=0.1), back)
+    assert list(doubted_lengths(stopped.replaced(object=pinhole))) == []
+
+
+@pytest.mark.parametrize(("factor", "meant"), [(1e3, "8.26 mm may be meant"), (1e-3, "8.26 mm may be meant")])
+def test_a_whole_lens_in_another_unit_is_questioned(paper_lens: Lens, factor: float, meant: str) -> None:
+    (doubt,) = doubted_lengths(scaled(paper_lens, factor))
+    assert meant in doubt
+
+
+def test_lengths_of_edges_are_questioned() -> None:
+    tables = read_toml(DESIGNS / "moulded_pair.toml")
+    for key, factor in (("distance_mm", 1e-3), ("thickness_mm", 1e3), ("semi_diameter_mm", 1e3)):
+        changed = [dict(edge, flange=dict(edge["flange"])) for edge in tables["edge"]]
+        value = changed[0]["flange"][key]
+        changed[0]["flange"][key] = factor * value
+        with pytest.raises(DesignError, match=rf"edge 1, flange, {key} = .*; {value:g} mm may be meant"):
+            lens_of(tables | {"edge": changed}, Path("lens.toml"))
+
+
+def test_a_lens_that_was_saved_is_read(tmp_path: Path, paper_lens: Lens) -> None:
+    weak = paper_lens.with_surface(0, radius_mm=1e6)
+    save_design(weak, tmp_path / "weak.toml")
+    assert load_design(tmp_path / "weak.toml") == weak

@@ -1,0 +1,68 @@
+"""Lengths of studies in another unit are refused with the value that may be meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from places import DESIGNS
+from tests_studies import DECENTER, DESIGN, FULL_STUDY, HEAD, RADIUS, SPREAD, STREHL, SWEEP
+
+from lensdesign import DesignError
+from tolerancing.study.files import load_study
+from tolerancing.study.lengths import doubted_study_lengths
+
+THICKNESS = DECENTER.replace('"lens"', '"surface 1"').replace("decenter_y_mm", "thickness_mm")
+PLANE = DECENTER.replace('"lens"', '"sensor"').replace("decenter_y_mm", "plane_distance_2_mm")
+LIGHT = DECENTER.replace('"lens"', '"light"').replace("decenter_y_mm", "wavelength_um")
+HALF_WIDTH = DECENTER.replace('"normal"', '"uniform"').replace("sigma", "half_width")
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    (tmp_path / "design.toml").write_text(DESIGN)
+    return tmp_path / "study.toml"
+
+
+@pytest.mark.parametrize("path", sorted(DESIGNS.glob("*tolerances.toml")), ids=lambda path: path.stem)
+def test_studies_of_the_designs_are_plausible(path: Path) -> None:
+    loaded = load_study(path)
+    assert list(doubted_study_lengths(loaded.study, loaded.lens)) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "old", "new", "message"),
+    [
+        (DECENTER, "0.02", "20.0", r"perturbation 1: lens_decenter_y_mm, sigma = 20: .*; 0\.02 mm may be"),
+        (DECENTER, "0.02", "2e-5", r"perturbation 1: lens_decenter_y_mm, sigma = 2e-05: .*; 0\.02 mm may be"),
+        (HALF_WIDTH, "0.02", "20.0", r"perturbation 1: lens_decenter_y_mm, half_width = 20: .*; 0\.02 mm"),
+        (
+            THICKNESS,
+            "0.02",
+            "20.0",
+            r"surface_1_thickness_mm, sigma = 20: .* thickness; 0\.02 mm may be",
+        ),
+        (PLANE, "0.02", "50.0", r"sensor_plane_distance_2_mm, sigma = 50: .*; 0\.05 mm may be meant"),
+        (LIGHT, "0.02", "2.0", r"light_wavelength_um, sigma = 2: .*; 0\.002 um may be meant"),
+        (SWEEP, "0.04", "40.0", r"sweep 1: decenter_mm, values = 40: .*; 0\.04 mm may be meant"),
+        (RADIUS, "0.0", "1", r"shop_radius_mm, sigma = 11: .*; 0\.011 mm may be meant"),
+        (STREHL, "[[merit]]", "[[merit]]\nfield_mm = [0.0, 500.0]", r"merit 2, field_mm = 500: .*; 0\.5 mm"),
+        (
+            STREHL,
+            "[[merit]]",
+            "[[merit]]\nwavelength_um = 532.0",
+            r"merit 2, wavelength_um = 532: .*; 0\.5",
+        ),
+    ],
+)
+def test_another_unit_is_questioned(study: Path, table: str, old: str, new: str, message: str) -> None:
+    first = "" if "perturbation" in table else DECENTER
+    study.write_text(HEAD + first + SPREAD + table.replace(old, new))
+    with pytest.raises(DesignError, match=message):
+        load_study(study)
+
+
+def test_a_far_pivot_is_questioned(study: Path) -> None:
+    study.write_text(FULL_STUDY.replace("seed = 7", "seed = 7\npivot_z_mm = 4850.0"))
+    with pytest.raises(DesignError, match=r"pivot_z_mm = 4850: .*; 4\.85 mm may be meant"):
+        load_study(study)
