@@ -40,8 +40,6 @@ class LensLengths:
         Of the widest surface.
     field_mm
         Diameter of the field.
-    across_mm
-        The larger one of the two.
     resolved_mm
         Finest line width that the numerical aperture passes.
     focal_depth_mm
@@ -90,10 +88,6 @@ class LensLengths:
             planes_mm=planes,
             sensor_mm=max(lens.sensor.size_mm),
         )
-
-    @property
-    def across_mm(self) -> float:
-        return max(self.clear_diameter_mm, self.field_mm)
 
     def plausible_mm(self, name: str) -> PlausibleLength | None:
         """What a length of a simulation or a merit may be, by the name of the setting without its unit.
@@ -207,7 +201,7 @@ class LensLengths:
         if target == "sensor":
             return 0.5 * self.sensor_mm, "half of the sensor"
         if target == "object":
-            return self.across_mm, "the width of lens and field"
+            return max(self.clear_diameter_mm, self.field_mm), "the width of lens and field"
         return 0.2 * self.clear_diameter_mm, "a fifth of the clear diameter"
 
 
@@ -236,7 +230,9 @@ def _of_the_whole(lens: Lens) -> Iterator[str]:
     """All lengths in another unit: they go together, and no lens is of their size."""
     reason = "no lens is of this size"
     whole = PlausibleLength(LENS_MM.lowest, LENS_MM.highest, LENS_MM.usual, reason)
-    if whole.doubt(LensLengths.of(lens).median_mm, "mm") is None:
+    size = LensLengths.of(lens)
+    under_its_sensor = size.median_mm < 10.0 * LENS_MM.lowest and size.sensor_mm > 200.0 * size.largest_mm
+    if whole.doubt(size.median_mm, "mm") is None and not under_its_sensor:
         return
     semi = lens.stop_semi_diameter_mm
     meant = (1e-3 if semi > 1.0 else 1e3) * semi
