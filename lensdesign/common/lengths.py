@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
-"""Ratios of the units in which lengths are given by mistake, the likely ones first; the last one is that of
-angstroms and micrometres."""
+"""Ratios of the units in which lengths are given by mistake: the first two are those of millimetres and
+micrometres, which alone explain a length that is judged by others; the last one is that of angstroms."""
 
 UNITS = {"mm": "millimetres", "um": "micrometres"}
 
@@ -53,14 +53,19 @@ class PlausibleLength:
         size = abs(value)
         if size == 0.0 or not math.isfinite(size) or self.lowest <= size <= self.highest:
             return None
-        low, high = self.usual
-        steps = [step for step in UNIT_STEPS if (step < 1.0) == (size > self.highest)]
-        meant = next((step * value for step in steps if low <= step * size <= high), None)
-        if meant is None and not self.always:
+        hint = self.hint(value, unit)
+        if not hint and not self.always:
             return None
-        hint = "" if meant is None else f"; {meant:g} {unit} may be meant"
         reason = self.reason or f"must be {self.lowest:g} to {self.highest:g}, in {UNITS[unit]}"
         return f"{reason}{hint}"
+
+    def hint(self, value: float, unit: str) -> str:
+        """The end of a message on a length outside the range: the value that may be meant, if there is one."""
+        size, (low, high) = abs(value), self.usual
+        steps = UNIT_STEPS if self.always else UNIT_STEPS[:2]
+        right_way = [step for step in steps if (step < 1.0) == (size > self.highest)]
+        meant = next((step * value for step in right_way if low <= step * size <= high), None)
+        return "" if meant is None else f"; {meant:g} {unit} may be meant"
 
     def at_most(self) -> PlausibleLength:
         """The same without a lower end, for lengths that may be as small as one likes."""

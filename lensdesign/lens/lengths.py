@@ -96,9 +96,9 @@ class LensLengths:
         """
         field, fine, wave = self.field_mm, self.resolved_mm, self.wavelength_mm
         if name in ("patch", "field_stop", "picture_width", "region_size", "tile_width"):
-            least, most = 2.0 * fine, (1.5 if name == "patch" else 5.0) * field
-            said = f"must be from {least:.3g} mm, two lines that the aperture passes, to {most:.3g} mm"
-            return PlausibleLength(least, most, (4.0 * fine, 2.0 * field), said)
+            least, most = fine, (1.5 if name == "patch" else 5.0) * field
+            said = f"must be from {least:.3g} mm, the finest line that the aperture passes, to {most:.3g} mm"
+            return PlausibleLength(least, most, (4.0 * fine, field), said)
         if name in ("field_stop_at", "chart_at", "region_at"):
             return _at_most(3.0 * field, f"must lie within {3.0 * field:.3g} mm, three times the field")
         if name in ("field", "field_points", "field_height"):

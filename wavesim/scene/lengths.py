@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from lensdesign.common.lengths import (
@@ -58,6 +59,9 @@ def refuse_doubtful_lengths(
             _refuse(name, value[2:], size.plausible_mm("region_size"))
         elif name == "refocus_mm":
             _refuse(name, max(value, key=abs), size.plausible_mm("refocus"))
+        elif name == "patch_mm":  # one wider than the field is refused where it is made, with a hint
+            plausible = size.plausible_mm("patch")
+            _refuse(name, value, None if plausible is None else replace(plausible, highest=math.inf))
         elif unit in UNITS and name not in ABSOLUTE_UM:
             _refuse(name, value, size.plausible_mm(quantity))
     _refuse_perturbations(lens, size, given.get("perturb"))

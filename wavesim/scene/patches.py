@@ -8,6 +8,7 @@ import scipy.fft
 
 from lensdesign.analysis.spread import footprint, largest_spread
 from lensdesign.errors import InputError, SamplingError, refuse_not_positive
+from lensdesign.lens.lengths import LensLengths
 from lensdesign.lens.lens import Lens
 from wavesim.fields.field import Grid
 from wavesim.scene.scene import Scene, wavelength_of
@@ -130,9 +131,11 @@ def refuse_wider_than_field(lens: Lens, patch_mm: float) -> None:
         If its side is not above 0, or beyond `FIELD_MARGIN` times the field.
     """
     if not 0.0 < patch_mm <= FIELD_MARGIN * lens.object.field_diameter_mm:
+        plausible = LensLengths.of(lens).plausible_mm("patch")
+        hint = plausible.hint(patch_mm, "mm") if plausible is not None and patch_mm > 0.0 else ""
         raise InputError(
             f"patch_mm = {patch_mm:g}: must be above 0 and at most {FIELD_MARGIN:g} times the design's "
-            f"field_diameter_mm = {lens.object.field_diameter_mm:g}"
+            f"field_diameter_mm = {lens.object.field_diameter_mm:g}{hint}"
         )
 
 

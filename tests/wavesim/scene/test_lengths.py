@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lensdesign import Lens, scaled
+from lensdesign import InputError, Lens, scaled
 from wavesim.camera.imaging import image
 from wavesim.scene.lengths import refuse_doubtful_lengths
 from wavesim.scene.settings import FrameSetSettings, ImageSettings, SettingError
@@ -60,7 +60,6 @@ def times(value: Any, factor: float) -> Any:
 @pytest.mark.parametrize(
     ("name", "value", "meant"),
     [
-        ("patch_mm", 100.0, "0.1 mm"),
         ("patch_mm", 0.0001, "0.1 mm"),
         ("field_stop_mm", 80.0, "0.08 mm"),
         ("field_stop_at_mm", (10.0, 20.0), "0.01 mm"),
@@ -99,7 +98,9 @@ def test_perturbed_surfaces_are_judged_by_their_parameter(paper_lens: Lens) -> N
 
 
 def test_settings_are_refused_before_anything_is_computed(paper_lens: Lens) -> None:
-    with pytest.raises(SettingError, match=r"patch_mm = 50: .*; 0\.05 mm may be meant"):
+    with pytest.raises(SettingError, match=r"object_pitch_um = 400: .*; 0\.4 um may be meant"):
+        image(paper_lens, "star", object_pitch_um=400.0)
+    with pytest.raises(InputError, match=r"patch_mm = 50: must be .*; 0\.05 mm may be meant"):
         image(paper_lens, "star", patch_mm=50.0)
 
 
