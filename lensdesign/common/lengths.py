@@ -60,7 +60,7 @@ class PlausibleLength:
         return f"{reason}{hint}"
 
     def hint(self, value: float, unit: str) -> str:
-        """The end of a message on a length outside the range: the value that may be meant, if there is one."""
+        """The value that may be meant, as the end of a message on a length outside the range; or nothing."""
         size, (low, high) = abs(value), self.usual
         steps = UNIT_STEPS if self.always else UNIT_STEPS[:2]
         right_way = [step for step in steps if (step < 1.0) == (size > self.highest)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, 
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.edges import Edge, Flange
-from lensdesign.lens.lengths import doubted_lengths
+from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 
@@ -43,6 +44,11 @@ def load_design(path: str | os.PathLike[str]) -> Lens:
         If a measured figure cannot be read, or does not cover its surface's clear aperture.
     MaterialError
         If a glass is unknown, or not known at one of the wavelengths.
+
+    Warns
+    -----
+    LongRadiusWarning
+        If a radius is that of a weak surface, and a thousandth of it would be usual.
     """
     path = Path(path)
     return lens_of(read_toml(path), path)
@@ -134,6 +140,11 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
     DesignError
         If the tables are not valid, no surface is marked as the stop, or a length seems to be given in
         another unit.
+
+    Warns
+    -----
+    LongRadiusWarning
+        If a radius is that of a weak surface, and a thousandth of it would be usual.
     """
     try:
         lens = validate(model, data, path)
@@ -148,6 +159,8 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
     doubts = [f"{path}: {doubt}" for doubt in doubted_lengths(lens)]
     if doubts:
         raise DesignError(joined_faults(doubts))
+    for sentence in long_radii(lens):
+        warnings.warn(f"{path}: {sentence}", LongRadiusWarning, stacklevel=3)
     return lens
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM, PlausibleLength, doubted_length
 from lensdesign.lens.lens import Lens
@@ -20,10 +20,17 @@ FAR = 50.0
 WIDE = 12.0
 """The same of the field: seen from the lens, so wide a field reaches 80 degrees off the axis."""
 
+FEW_LINES = 6.0
+"""Number of the finest lines that an object has at least."""
+
 LENS_MM = PlausibleLength(0.01, 2000.0, (0.1, 500.0))
 """Median length of a lens: a smaller one would be a few wavelengths wide, and none of glass is larger."""
 
 ANY = math.inf
+
+
+class LongRadiusWarning(UserWarning):
+    """A radius is so long that the surface is nearly a plane; a thousandth of it would be usual."""
 
 
 @dataclass(frozen=True)
@@ -226,6 +233,19 @@ def doubted_lengths(lens: Lens) -> Iterator[str]:
         yield from _of_the_whole(lens)
 
 
+def long_radii(lens: Lens) -> Iterator[str]:
+    """Sentences that name radii which may be given in micrometres, or be those of weak surfaces."""
+    middle = 0.5 * _middle(_diameters(lens))
+    for number, surface in enumerate(lens.surfaces, start=1):
+        half = surface.semi_diameter_mm or middle
+        reason = f"is nearly a plane over a semi-diameter of {half:g} mm"
+        plausible = PlausibleLength(0.0, 500.0 * half, (0.5 * half, 50.0 * half), reason)
+        for key in ("radius_mm", "radius_x_mm"):
+            radius = getattr(surface, key)
+            if radius is not None:
+                yield from _said(f"surface {number}, {key}", radius, plausible)
+
+
 def _of_the_whole(lens: Lens) -> Iterator[str]:
     """All lengths in another unit: they go together, and no lens is of their size."""
     reason = "no lens is of this size"
@@ -313,7 +333,10 @@ def _of_object_and_sensor(lens: Lens) -> Iterator[str]:
         others = _others(lens, "working distance")
         yield from _said("object, working_distance_mm", distance, _between(others, _middle(others) / 100.0))
     others = _others(lens, "field")
-    yield from _said("object, field_diameter_mm", field, _between(others, _middle(others) / 300.0, WIDE))
+    # The end of a fibre is a small field; one of a few lines that the aperture passes is none.
+    few_lines = FEW_LINES * LensLengths.of(lens).resolved_mm
+    least = max(_middle(others) / 2000.0, min(_middle(others) / 500.0, few_lines))
+    yield from _said("object, field_diameter_mm", field, _between(others, least, WIDE))
     others = _others(lens, "planes")
     nearest = min(_middle(others) / 250.0, 0.1)
     for number, plane in enumerate(lens.sensor.plane_distances_mm, start=1):
@@ -335,8 +358,7 @@ def _of_surfaces(lens: Lens) -> Iterator[str]:
             surface.thickness_mm,
             surface.material is not None,
         )
-        if semi is not None:
-            yield from _semi_diameter(lens, f"{where}, semi_diameter_mm", semi)
+        yield from _semi_diameter(lens, number)
         if thickness is not None:
             others = _others(lens, "thicknesses")
             behind = any(s.material is not None for s in lens.surfaces[number : number + 1])
@@ -356,10 +378,15 @@ def _of_surfaces(lens: Lens) -> Iterator[str]:
         before = is_glass
 
 
-def _semi_diameter(lens: Lens, what: str, semi: float) -> Iterator[str]:
+def _semi_diameter(lens: Lens, number: int) -> Iterator[str]:
+    """Doubts of a clear semi-diameter, which may be that of a pinhole."""
+    semi = lens.surfaces[number - 1].semi_diameter_mm
+    if semi is None:
+        return
+    beside = [2.0 * s.semi_diameter_mm for s in lens.surfaces if s.semi_diameter_mm not in (None, semi)]
     others = _others(lens, "diameters")
-    middle = _middle(others)
-    yield from _said(what, semi, _between(others, 0.005 * middle))
+    size = max(_middle(others), _middle(beside) if beside else 0.0)
+    yield from _said(f"surface {number}, semi_diameter_mm", semi, _between(others, 0.002 * size))
 
 
 def _thickness(others: list[float], before: bool, is_glass: bool, behind: bool) -> PlausibleLength:
@@ -368,11 +395,13 @@ def _thickness(others: list[float], before: bool, is_glass: bool, behind: bool) 
     if is_glass and (before or behind):
         least = 0.0  # cement, or a layer on glass
     elif is_glass:
-        least = middle / 200.0
+        least = min(middle / 200.0, 0.03)  # no thinner sheets of glass are sold
     else:
         least = min(middle / 1000.0, 0.01)
-    long = _between(others, least)
-    return long if is_glass else PlausibleLength(least, 4.0 * long.highest, long.usual, long.reason)
+    if is_glass:
+        return _between(others, least)
+    air = _between(others, least, 4.0 * FAR)
+    return replace(air, usual=(middle / 300.0, air.usual[1]))
 
 
 def _of_edges(lens: Lens) -> Iterator[str]:

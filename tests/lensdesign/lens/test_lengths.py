@@ -10,7 +10,7 @@ from places import DESIGNS
 from lensdesign import DesignError, Lens, Surface, load_design, save_design, scaled
 from lensdesign.common.toml_files import read_toml
 from lensdesign.files.design import lens_of
-from lensdesign.lens.lengths import doubted_lengths
+from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths
 
 LENSES = [path for path in sorted(DESIGNS.glob("*.toml")) if "[sensor]" in path.read_text("utf-8")]
 LENSES = [path for path in LENSES if "[[variable]]" not in path.read_text("utf-8")]
@@ -68,7 +68,43 @@ def test_lengths_of_edges_are_questioned() -> None:
             lens_of(tables | {"edge": changed}, Path("lens.toml"))
 
 
-def test_a_lens_that_was_saved_is_read(tmp_path: Path, paper_lens: Lens) -> None:
-    weak = paper_lens.with_surface(0, radius_mm=1e6)
+def test_a_long_radius_is_read_with_a_warning(tmp_path: Path, paper_lens: Lens) -> None:
+    weak = paper_lens.with_surface(0, radius_mm=1e4)
     save_design(weak, tmp_path / "weak.toml")
-    assert load_design(tmp_path / "weak.toml") == weak
+    said = r"surface 1, radius_mm = 10000: is nearly a plane .*; 10 mm may be meant"
+    with pytest.warns(LongRadiusWarning, match=said):
+        assert load_design(tmp_path / "weak.toml") == weak
+
+
+REAL = {
+    "objective": (0.2, 0.9, 0.2, [(None, 2.5, 2.0), (-3.0, None, 2.5)], [160.0]),
+    "far field": (2000.0, 0.012, 1500.0, [(200.0, 20.0, 25.0), (-200.0, None, 25.0)], [180.0]),
+    "cover glass": (20.0, 0.2, 5.0, [(None, 0.1, 12.0), (None, None, 12.0)], [0.5, 30.0]),
+    "fibre": (30.0, 0.12, 0.05, [(20.0, 12.0, 12.7), (-20.0, None, 12.7)], [40.0]),
+    "microlens": (0.3, 0.2, 0.05, [(0.2, 0.03, 0.06), (None, None, 0.06)], [0.05, 0.4]),
+    "relay": (300.0, 0.02, 10.0, [(300.0, 4.0, 12.0), (None, None, 12.0)], [600.0]),
+    "rod": (5.0, 0.2, 2.0, [(8.0, 40.0, 2.0), (-8.0, None, 2.0)], [5.0]),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_lenses_are_plausible(paper_lens: Lens, name: str) -> None:
+    distance, aperture, field, surfaces, planes = REAL[name]
+    made = [
+        Surface(
+            radius_mm=radius,
+            thickness_mm=thickness,
+            material=None if thickness is None else "N-BK7",
+            semi_diameter_mm=semi,
+            stop=thickness is not None,
+        )
+        for radius, thickness, semi in surfaces
+    ]
+    lens = paper_lens.replaced(
+        surfaces=tuple(made),
+        object=paper_lens.object.replaced(
+            working_distance_mm=distance, numerical_aperture=aperture, field_diameter_mm=field
+        ),
+        sensor=paper_lens.sensor.replaced(plane_distances_mm=tuple(planes)),
+    )
+    assert list(doubted_lengths(lens)) == []
