@@ -309,7 +309,7 @@ def import_file(
 
     What the file holds and a design cannot is listed and refused, or left out with --lossy.
     """
-    from lensdesign.files.design import save_design
+    from lensdesign.files.design import refuse_doubtful_lengths, save_design
     from lensdesign.files.draft import LossyImportError, Supplement
 
     supplement = Supplement(
@@ -325,6 +325,7 @@ def import_file(
     moved = _moved(found.pose)
     if moved and not lossy:
         raise LossyImportError(str(file), [f"the lens stands at {moved}: a design stands on its axis"])
+    refuse_doubtful_lengths(found.lens, file)
     save_design(found.lens, output)
     _tell(found, output, moved, as_json)
 

@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from lensdesign.errors import InputError
+
 UNIT_STEPS = (1e-3, 1e3, 1e-6, 1e6, 1e-4)
 """Ratios of the units in which lengths are given by mistake: the first two are those of millimetres and
 micrometres, which alone explain a length that is judged by others; the last one is that of angstroms."""
@@ -104,6 +106,19 @@ def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLengt
     """
     doubt = plausible.doubt(value, unit)
     return None if doubt is None else f"{what} = {value:g}: {doubt}"
+
+
+def refuse_doubted_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
+    """Refuse a length that is not plausible; None passes.
+
+    Raises
+    ------
+    InputError
+        As :func:`doubted_length` says.
+    """
+    sentence = None if value is None else doubted_length(what, value, unit, plausible)
+    if sentence is not None:
+        raise InputError(sentence)
 
 
 def numbers_of(value: object) -> Iterator[float]:

@@ -156,12 +156,23 @@ def validated_lens(model: type[OfLens], data: dict[str, Any], path: Path) -> OfL
             f"{path}: no surface is marked stop = true; exactly one must be: the one whose semi_diameter_mm "
             "bounds the beam, normally surface 1"
         )
-    doubts = [f"{path}: {doubt}" for doubt in doubted_lengths(lens)]
-    if doubts:
-        raise DesignError(joined_faults(doubts))
+    refuse_doubtful_lengths(lens, path)
     for sentence in long_radii(lens):
         warnings.warn(f"{path}: {sentence}", LongRadiusWarning, stacklevel=3)
     return lens
+
+
+def refuse_doubtful_lengths(lens: Lens, source: Path) -> None:
+    """Refuse a lens with lengths that no lens has and that another unit would explain.
+
+    Raises
+    ------
+    DesignError
+        Naming the source and each length, with the value that may be meant.
+    """
+    doubts = [f"{source}: {doubt}" for doubt in doubted_lengths(lens)]
+    if doubts:
+        raise DesignError(joined_faults(doubts))
 
 
 def _doubts_of_tables(data: Mapping[str, Any]) -> list[str]:

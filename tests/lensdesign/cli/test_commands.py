@@ -364,6 +364,31 @@ def test_other_programs_files_go_round(
     refused(command("import", tmp_path / f"none.{suffix}", "-o", back), "cannot read")
 
 
+def test_lengths_in_another_unit_are_not_imported(
+    command: Command, paper_design: Path, tmp_path: Path
+) -> None:
+    file, back = tmp_path / "lens.zmx", tmp_path / "back.toml"
+    assert command("export", paper_design, file)[0] == 0
+    for option, value, meant in (
+        ("--pixel-pitch-um", 0.0032, "3.2 um"),
+        ("--working-distance-mm", 13500, "13.5 mm"),
+        ("--field-diameter-mm", 3000, "3 mm"),
+        ("--plane-distance-mm", 2000, "2 mm"),
+    ):
+        usual = {"--pixels": "1000 800", "--pixel-pitch-um": "3.2"} | {option: str(value)}
+        words = [word for name, text in usual.items() for word in (name, *text.split())]
+        status, _, err = command("import", file, "-o", back, *words)
+        assert status == 2
+        assert f"; {meant} may be meant" in err
+        assert not back.exists()
+
+
+def test_a_wavelength_of_a_ghost_is_in_micrometres(command: Command, paper_design: Path) -> None:
+    status, _, err = command("ghost", paper_design, "--wavelength-um", 532)
+    assert status == 2
+    assert "--wavelength-um = 532: must be 0.05 to 50, in micrometres; 0.532 um may be meant" in err
+
+
 def test_a_lens_off_its_axis_is_imported_with_a_loss(
     command: Command, paper_design: Path, tmp_path: Path
 ) -> None:
