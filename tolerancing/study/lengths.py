@@ -39,8 +39,8 @@ def doubted_study_lengths(study: Study, lens: Lens) -> Iterator[str]:
         widths = {name: getattr(one.distribution, name) for name in one.distribution.widths}
         for name, value in widths.items():
             yield from _said(f"{where}, {name}", value, one.unit, plausible)
-        beside = [one.distribution.mean, *getattr(one.distribution, "values", ())]
-        yield from _steps(where, beside, one, plausible)
+        yield from _steps(f"{where}, mean", [one.distribution.mean], one, plausible)
+        yield from _steps(f"{where}, values", getattr(one.distribution, "values", ()), one, plausible)
         if not widths and not hasattr(one.distribution, "values"):
             yield from _steps(f"{where}, largest deviation", [one.distribution.largest], one, plausible)
         if isinstance(one.seat, float):

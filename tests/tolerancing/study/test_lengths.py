@@ -42,6 +42,12 @@ def test_studies_of_the_designs_are_plausible(path: Path) -> None:
             "20.0",
             r"surface_1_thickness_mm, sigma = 20: .* thickness; 0\.02 mm may be",
         ),
+        (
+            DECENTER,
+            "sigma",
+            "mean = 20.0\nsigma",
+            r"lens_decenter_y_mm, mean = 20: .*; 0\.02 mm may be meant",
+        ),
         (PLANE, "0.02", "50.0", r"sensor_plane_distance_2_mm, sigma = 50: .*; 0\.05 mm may be meant"),
         (LIGHT, "0.02", "2.0", r"light_wavelength_um, sigma = 2: .*; 0\.002 um may be meant"),
         (SWEEP, "0.04", "40.0", r"sweep 1: decenter_mm, values = 40: .*; 0\.04 mm may be meant"),
