@@ -1,10 +1,10 @@
 """Test stated covariances of calibrations against true errors: pulls along independent directions.
 
 A pull is an error over its stated standard deviation. Parameters of one bench have strongly correlated
-errors, and an estimate is a compromise between the frames and the prior. Both spoil the root mean square of the pulls
-of single parameters. First, correlated errors count one fluctuation many times. Second, a true value that is
-nominal agrees with the prior better than the prior claims, because the stated deviation is right on average
-over true values that are drawn from the prior.
+errors, and an estimate is a compromise between the frames and the prior. Both spoil the root mean square of
+the pulls of single parameters. First, correlated errors count one fluctuation many times. Second, a true
+value that is nominal agrees with the prior better than the prior claims, because the stated deviation is
+right on average over true values that are drawn from the prior.
 
 Let the frames have the precision :math:`F`, and the prior the precision 1, in units of the prior's standard
 deviations. The stated covariance is :math:`C = (F + 1)^{-1}`, and the estimate is :math:`m = C F d`, where
