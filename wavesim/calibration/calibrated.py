@@ -44,6 +44,9 @@ class Calibrated:
     deviations : tuple of float or None
         Standard deviation of each estimate, with what is expected of it before; None where the object was
         known.
+    covariance : ndarray of shape (n, n), or None
+        Of the estimates, with the prior included; None where the object was known, and where the light comes
+        from other frames than the rest.
     typical : tuple of float or None
         What is expected of each.
     misfit_before, misfit : float
@@ -89,6 +92,7 @@ class Calibrated:
     undetermined: tuple[str, ...] = ()
     applied: Mapping[str, float] | None = None
     verdict: Verdict | None = None
+    covariance: Array | None = None
     field_stop_mm: float | None = None
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
     field_stop_from: StopOrigin = "patch"

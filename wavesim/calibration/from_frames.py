@@ -272,6 +272,7 @@ def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
         values=light + found.values,
         deviations=measured.deviations[:count] + found.deviations,
         typical=measured.typical[:count] + found.typical,
+        covariance=None,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
         traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
         nominal=(*(n for n in names if n in measured.nominal), *found.nominal),
