@@ -91,6 +91,9 @@ CALIBRATED_ADVICE = (
 STOP_CAUSE = "field stop position"
 """Cause of a result whose field stop was found on a bench that turned out to be another."""
 
+BLURS = ("source", "vibration")
+"""Causes that wash pictures out, as a broad band of wavelengths does."""
+
 NOT_TRIED = "bandwidth of the light"
 """Causes that no trial can show: the model of a reconstruction has one wavelength."""
 
@@ -394,7 +397,14 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     """Cause, and how it was found; the excess is that over what counts as explained."""
     best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
     if best is not None and best.gain > LEAST_GAIN:
-        return best.cause, f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        told = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        if best.cause in BLURS:
+            others = [
+                t.told for t in trials if t.cause in BLURS and t.cause != best.cause and t.gain > LEAST_GAIN
+            ]
+            also = f"helps, too: {others[0]}; " if others else ""
+            told = f"{told}; {also}not tried: {NOT_TRIED}"
+        return best.cause, told
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
     told = "nothing else that was tried explains it" if trials else "nothing was tried"
