@@ -21,7 +21,7 @@ from wavesim.camera.frame_sets import planes_of_frames
 from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at, refuse_parameters
 from wavesim.camera.recording import Progress
-from wavesim.evaluation.verdicts import PlaneResidual, verdict
+from wavesim.evaluation.verdicts import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.fields.field import Field
 from wavesim.objects.patch import lit, lit_patch, read_object
 from wavesim.reconstruction.field_stop import StopSearch
@@ -108,12 +108,15 @@ def calibrate_frames(
     settings = _with_stop(lens, frames, chosen, tell)
     found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
     patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
-    return replace(
+    found = replace(
         found,
         field_stop_mm=patch.field_stop_mm,
         field_stop_at_mm=patch.field_stop_at_mm,
         field_stop_from=chosen.field_stop_from,
     )
+    if found.verdict is None or not found.stop_doubt:
+        return found
+    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_doubt)))
 
 
 def _with_stop(
