@@ -92,3 +92,18 @@ def test_no_two_cases_have_the_same_name_and_there_are_enough() -> None:
     assert len(set(names)) == len(names)
     assert sum(case.group == "wrong" for case in cases.CASES) >= 24
     assert sum(case.group == "perfect" for case in cases.CASES) >= 20
+
+
+def test_frames_of_lenses_that_differ_in_the_sensor_alone_are_not_the_same(judge: Judge) -> None:
+    result = judge.result(Case("pixels larger by 15 %", "cause", SMALL, cases.pitch(1.15)))
+    assert result.correlation is not None
+    assert result.right is not None
+    assert result.correlation < result.right - 0.01
+
+
+def test_an_amplitude_object_in_a_local_minimum_is_found_from_a_complex_one(tmp_path: Path) -> None:
+    case = next(one for one in cases.PERFECT if one.name == "dense chart, 1/20")
+    result = Judge(tmp_path).result(case)
+    assert result.status == 0
+    assert result.correlation is not None
+    assert result.correlation > 0.99

@@ -131,7 +131,9 @@ class BenchFrames:
             **changes,
         }
         wavelength_um = settings.pop("wavelength_um", self.wavelength_um)
-        key = _digest(str((asdict(self.bench), repr(lens), thing, stop_um, wavelength_um, settings)))
+        key = _digest(
+            str((asdict(self.bench), lens.model_dump_json(), thing, stop_um, wavelength_um, settings))
+        )
         folder = self._folder / f"frames_{key}"
         if not (folder / "complete.json").exists():
             transmission = replace(self.object_field(thing, stop_um), wavelength_um=wavelength_um)

@@ -194,6 +194,7 @@ def searched(
         at_reach=(),
         stopped_because=found.stopped_because,
         misfit_of_noise=noise,
+        covariance=found.covariance,
         traded=traded(run.names, found.covariance),
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
         undetermined=seen.undetermined if known is None else (),

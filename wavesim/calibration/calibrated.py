@@ -29,6 +29,12 @@ ALIKE = 0.5
 """Correlation of two parameters' errors from which on frames do not tell one from the other."""
 
 
+MOST_NAMED = 4
+"""Parameters that a sentence names."""
+
+STOP_PARAMETERS = ("field_stop_x_mm", "field_stop_y_mm", "field_stop_mm")
+
+
 @dataclass(frozen=True, eq=False)
 class Calibrated:
     """A bench that explains the frames, and how well it does.
@@ -44,6 +50,9 @@ class Calibrated:
     deviations : tuple of float or None
         Standard deviation of each estimate, with what is expected of it before; None where the object was
         known.
+    covariance : ndarray of shape (n, n), or None
+        Of the estimates, with the prior included; None where the object was known, and where the light comes
+        from other frames than the rest.
     typical : tuple of float or None
         What is expected of each.
     misfit_before, misfit : float
@@ -89,6 +98,7 @@ class Calibrated:
     undetermined: tuple[str, ...] = ()
     applied: Mapping[str, float] | None = None
     verdict: Verdict | None = None
+    covariance: Array | None = None
     field_stop_mm: float | None = None
     field_stop_at_mm: tuple[float, float] = (0.0, 0.0)
     field_stop_from: StopOrigin = "patch"
@@ -105,6 +115,28 @@ class Calibrated:
             return ()
         told = zip(self.parameters, self.deviations, self.typical, strict=True)
         return tuple(name for name, deviation, typical in told if deviation > NOT_TOLD * typical)
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Parameters, except backgrounds, in which the bench differs from its nominal values."""
+        applied = self.applied or dict(zip(self.parameters, self.values, strict=True))
+        return tuple(name for name, value in applied.items() if value and not name.endswith("_background"))
+
+    @property
+    def stop_doubt(self) -> str:
+        """Why position and diameter of the field stop are not determined; empty where they are.
+
+        A stop that is found is found on the nominal bench. A light that is wrong displaces it, and the
+        object with it, by what frames tell hardly from other light: residuals do not show that.
+        """
+        if self.field_stop_from != "frames" or not self.moved:
+            return ""
+        names = ", ".join(self.moved[:MOST_NAMED]) + ", ..." * (len(self.moved) > MOST_NAMED)
+        return (
+            "position and diameter of the field stop were found on the nominal bench, from which the "
+            f"calibrated one differs ({names}): stop and object may be displaced together, and residuals do "
+            "not show it"
+        )
 
     @property
     def over_noise(self) -> float | None:
@@ -126,7 +158,7 @@ class Calibrated:
             "deviations": dict(zip(self.parameters, deviations, strict=True)),
             "expected": dict(zip(self.parameters, self.typical or deviations, strict=True)),
             "kept_at_nominal": list(self.nominal),
-            "undetermined": list(self.undetermined),
+            "undetermined": [*self.undetermined, *STOP_PARAMETERS * bool(self.stop_doubt)],
             "not_told": list(self.not_told),
             "not_told_from": {name: list(others) for name, others in self.traded.items()},
             "parameters": list(self.parameters),
@@ -142,6 +174,7 @@ class Calibrated:
             "field_stop_mm": self.field_stop_mm,
             "field_stop_at_mm": list(self.field_stop_at_mm),
             "field_stop_from": self.field_stop_from,
+            "field_stop_doubt": self.stop_doubt,
         }
 
     def __repr__(self) -> str:
@@ -193,6 +226,22 @@ def field_stop_of(path: str | os.PathLike[str]) -> tuple[float, tuple[float, flo
             "finite numbers"
         )
     return float(numbers[0]), (float(numbers[1]), float(numbers[2]))
+
+
+def stop_doubt_of(path: str | os.PathLike[str]) -> str:
+    """Why the field stop of a calibration is not determined; empty where it is.
+
+    Parameters
+    ----------
+    path
+        Its calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return str(read_table(path).get("field_stop_doubt") or "")
 
 
 def read_calibration(path: str | os.PathLike[str], lens: Lens) -> Bench:

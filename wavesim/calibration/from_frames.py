@@ -22,7 +22,7 @@ from wavesim.camera.frames import Frame
 from wavesim.camera.mounting import RIGID, light_on, parameter_names, planes_at, refuse_parameters
 from wavesim.camera.patch_of_frames import refuse_doubtful_frames
 from wavesim.camera.recording import Progress
-from wavesim.evaluation.verdicts import PlaneResidual, verdict
+from wavesim.evaluation.verdicts import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.fields.field import Field
 from wavesim.objects.patch import lit, lit_patch, read_object
 from wavesim.reconstruction.field_stop import StopSearch
@@ -110,12 +110,15 @@ def calibrate_frames(
     settings = _with_stop(lens, frames, chosen, tell)
     found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
     patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
-    return replace(
+    found = replace(
         found,
         field_stop_mm=patch.field_stop_mm,
         field_stop_at_mm=patch.field_stop_at_mm,
         field_stop_from=chosen.field_stop_from,
     )
+    if found.verdict is None or not found.stop_doubt:
+        return found
+    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_doubt)))
 
 
 def _with_stop(
@@ -275,6 +278,7 @@ def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
         values=light + found.values,
         deviations=measured.deviations[:count] + found.deviations,
         typical=measured.typical[:count] + found.typical,
+        covariance=None,
         trail=tuple((light + values, misfit) for values, misfit in found.trail),
         traded={n: measured.traded[n] for n in names if n in measured.traded} | dict(found.traded),
         nominal=(*(n for n in names if n in measured.nominal), *found.nominal),

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,6 +75,7 @@ def reconstruct(
     iterations that it kept.
     """
     from wavesim.camera.frame_sets import read_frames
+    from wavesim.evaluation.verdicts import STOP_CAUSE, Finding, with_finding
     from wavesim.pictures.result_files import remove_unfinished
     from wavesim.reconstruction.from_frames import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
@@ -102,6 +104,7 @@ def reconstruct(
         lens = load_design(design)
         bench = None if calibration is None else _calibrated_before(calibration, lens)
         stop_from, settings = _stop_of(calibration, settings)
+        stop_doubt = _stop_doubt(calibration) if stop_from == "calibration" else ""
         pictures = [read_frames(frames, of_frames, lens=lens)]
         if free.calibrate or empty:
             without, folder = read_empty(empty, of_frames, lens), output / CALIBRATED
@@ -111,7 +114,7 @@ def reconstruct(
             )
             if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
-                stop_from = "frames"
+                stop_from, stop_doubt = "frames", calibrated.stop_doubt
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -128,6 +131,8 @@ def reconstruct(
                 progress=tell,
                 before=before,
             )
+        if stop_doubt:
+            found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
         summary = {"design": lens.title or design.stem} | found.figures()
         summary["field_stop_from"] = stop_from or summary["field_stop_from"]
     summary |= {
@@ -153,6 +158,13 @@ def _calibrated_before(path: Path, lens: Lens) -> Bench:
     from wavesim.calibration.calibrated import read_calibration
 
     return read_calibration(path, lens)
+
+
+def _stop_doubt(calibration: Path | None) -> str:
+    """Why the field stop of an earlier calibration is not determined; empty where it is."""
+    from wavesim.calibration.calibrated import stop_doubt_of
+
+    return "" if calibration is None else stop_doubt_of(calibration)
 
 
 def _stop_of(

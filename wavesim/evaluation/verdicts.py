@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,6 +67,7 @@ ADVICE = {
     "lens": "compare design and wavelength with what is mounted; run `wavesim calibrate`",
     "distance": "measure the plane's distance anew, or run `wavesim calibrate`",
     "background": "block stray light, or run `wavesim calibrate`: it finds each plane's background",
+    "field stop position": "measure the field stop, and give --field-stop-at-mm and --field-stop-mm",
     "field stop": "give --field-stop-at-mm and --field-stop-mm, or --field-stop find",
     "light": "run `wavesim calibrate`: it finds the light's direction and shape",
     "source": "state the width of the source (--source-deg), or let it be found (--source-deg find)",
@@ -76,7 +77,8 @@ ADVICE = {
     "several objects": "record more planes, farther from each other, or state more of the object (--kind)",
     "phase ramp": "measure the light's direction and the planes' shifts, and state them: a prism in the "
     "object, tilted light and a shifted plane give the same frames",
-    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted",
+    "lens or light": "run `wavesim calibrate`; compare the design with the lens that is mounted, and the "
+    "light's bandwidth with its data sheet (a filter narrows it)",
 }
 
 CALIBRATED_ADVICE = (
@@ -84,6 +86,16 @@ CALIBRATED_ADVICE = (
     "camera with what is mounted, or calibrate with more parameters (--parameters all)"
 )
 """In place of advice to calibrate, where a calibration was given."""
+
+
+STOP_CAUSE = "field stop position"
+"""Cause of a result whose field stop was found on a bench that turned out to be another."""
+
+BLURS = ("source", "vibration")
+"""Causes that wash pictures out, as a broad band of wavelengths does."""
+
+NOT_TRIED = "bandwidth of the light"
+"""Causes that no trial can show: the model of a reconstruction has one wavelength."""
 
 
 class Trial(NamedTuple):
@@ -269,6 +281,19 @@ class Verdict:
         return dict(told)
 
 
+def with_finding(judged: Verdict, finding: Finding) -> Verdict:
+    """Return the verdict with one more reason not to trust the result.
+
+    Where residuals are beyond the noise, the cause that explains them stays.
+    """
+    doubted = replace(judged, explained=False, findings=(*judged.findings, finding))
+    if not judged.explained:
+        return doubted
+    return replace(
+        doubted, cause=finding.cause, told=finding.explanation, next_step=ADVICE.get(finding.cause, "")
+    )
+
+
 def _in_words(one: Undetected) -> str:
     name, unit = one.parameter.rsplit("_", 1)
     size, unit = (1e3 * one.size, "um") if unit == "mm" else (one.size, unit)
@@ -372,10 +397,18 @@ def _likeliest(trials: Sequence[Trial], curve: Sequence[float], excess: float) -
     """Cause, and how it was found; the excess is that over what counts as explained."""
     best = min(trials, key=lambda trial: trial.misfit_ratio * FREER.get(trial.cause, 1.0), default=None)
     if best is not None and best.gain > LEAST_GAIN:
-        return best.cause, f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        told = f"tried: {best.told}, misfit {best.misfit_ratio:.2g} times what it was"
+        if best.cause in BLURS:
+            others = [
+                t.told for t in trials if t.cause in BLURS and t.cause != best.cause and t.gain > LEAST_GAIN
+            ]
+            also = f"helps, too: {others[0]}; " if others else ""
+            told = f"{told}; {also}not tried: {NOT_TRIED}"
+        return best.cause, told
     if wants_iterations(curve, excess):
         return "iterations", "the misfit was still falling"
-    return "lens or light", "nothing else that was tried explains it" if trials else "nothing was tried"
+    told = "nothing else that was tried explains it" if trials else "nothing was tried"
+    return "lens or light", f"{told}; not tried: {NOT_TRIED}"
 
 
 def _judged(plane: PlaneResidual, model_error: float) -> PlaneVerdict:

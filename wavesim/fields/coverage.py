@@ -109,7 +109,7 @@ def _disc_beside(radius: float, y: Array, x: Array) -> Array:
     def under_arc(u: Array) -> Array:
         return 0.5 * (u * np.sqrt(np.maximum(radius**2 - u**2, 0.0)) + radius**2 * np.arcsin(u / radius))
 
-    where_it_bends = np.minimum(np.sqrt(radius**2 - down**2), across)
+    where_it_bends = np.minimum(np.sqrt(np.maximum(radius**2 - down**2, 0.0)), across)
     quarter = down * where_it_bends + under_arc(across) - under_arc(where_it_bends)
     return np.asarray(np.sign(y) * np.sign(x) * quarter)
 

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lensdesign.common.clusters import ClusterError
 from lensdesign.lens.lens import Lens
 from wavesim.camera.frames import Frame
@@ -36,6 +38,7 @@ from wavesim.reconstruction.judging import (
     is_engine_limited,
     judge_result,
     may_be_brighter,
+    may_be_stagnated,
     more_accurate_case,
     starts_needed,
     stop_search,
@@ -59,7 +62,11 @@ from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 
 BETTER = 0.97
-"""Ratio of residuals from which on an amplitude object without an upper limit is the better one."""
+"""Ratio of residuals from which on an amplitude object without an upper limit, or from another start, is the
+better one."""
+
+BRIGHT = 0.99
+"""Quantile of a complex object's amplitudes that becomes 1 in the start of an amplitude object."""
 
 Take = Callable[[Engine], Engine]
 """Hands an engine's tiles to a cluster, if there is one, and returns it."""
@@ -314,6 +321,8 @@ def _object(
                 if excess[1] < BETTER * excess[0]:
                     found = brighter
                 del brighter
+            if not curve and may_be_stagnated(case, settings, found):
+                found = _by_complex_object(case, settings, engine, told, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = maps_of_all(
@@ -382,6 +391,24 @@ def _solved(
         modes=case.modes,
         bounded=bounded,
     )
+
+
+def _by_complex_object(
+    case: FramesCase, settings: ReconstructionSettings, engine: Engine, told: _Told, found: Reconstructed
+) -> Reconstructed:
+    """The amplitude object that starts from a complex one, if it fits better than the one found.
+
+    A real transmission between 0 and 1 has local minima that a complex one passes by.
+    """
+    told.step("complex object as another start")
+    free = _solved(case, settings.replaced(kind="complex"), engine, told, None).transmission
+    amplitude = np.abs(free.values)
+    if settings.scale is None:
+        amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], BRIGHT)), 1e-6)
+    start = free.with_values(np.clip(amplitude, 0.0, 1.0).astype(free.values.dtype))
+    other = _solved(case, settings, engine, told, start)
+    is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
+    return other if is_better else found
 
 
 def _paper(

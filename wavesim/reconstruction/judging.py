@@ -235,6 +235,13 @@ def may_be_brighter(case: FramesCase, settings: ReconstructionSettings, found: R
     return excess_of(case, found.residual_maps) > 1.0
 
 
+def may_be_stagnated(case: FramesCase, settings: ReconstructionSettings, found: Reconstructed) -> bool:
+    """Whether the search for an amplitude object rests above the noise, perhaps in a local minimum."""
+    if settings.kind != "amplitude" or isinstance(case.engine, Tiled) or found.stopped_because != "rest":
+        return False
+    return len(found.residual_maps) == len(case.recorded) and excess_of(case, found.residual_maps) > 1.0
+
+
 def excess_of(case: FramesCase, maps: Sequence[Array]) -> float:
     """Largest residuals of all planes, over those that count as explained."""
     return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wavesim.evaluation.plane_residuals import PlaneResidual
-from wavesim.evaluation.verdicts import HELD_LIMIT, LIMIT, Finding, Trial, verdict
+from wavesim.evaluation.verdicts import HELD_LIMIT, LIMIT, STOP_CAUSE, Finding, Trial, verdict, with_finding
 
 SHAPE = (64, 80)
 
@@ -148,3 +148,19 @@ def test_contributions_add_up_and_noise_contributes_little() -> None:
     assert first.contribution + second.contribution == pytest.approx(1.0)
     assert second.contribution < 0.15
     assert second.signal_to_noise < 1.0
+
+
+def test_a_finding_takes_trust_from_an_explained_result_and_leaves_another_cause() -> None:
+    finding = Finding(STOP_CAUSE, "stop and object may be displaced together")
+    doubted = with_finding(verdict([plane(), plane(seed=1)]), finding)
+    assert (doubted.explained, doubted.cause) == (False, STOP_CAUSE)
+    assert doubted.words.startswith("not to be trusted")
+    assert "--field-stop-at-mm" in doubted.next_step
+    other = with_finding(verdict([plane(1.2 * LIMIT)]), finding)
+    assert (other.explained, other.cause, other.findings) == (False, "lens or light", (finding,))
+
+
+def test_where_nothing_explains_frames_the_causes_that_were_not_tried_are_named() -> None:
+    found = verdict([plane(1.2 * LIMIT)], [Trial("light", "light tilted", 0.99)])
+    assert "not tried: bandwidth of the light" in found.words
+    assert "bandwidth" in found.next_step

@@ -210,7 +210,7 @@ class Doubts:
 
     def _blurred(self) -> Iterator[Trial]:
         """What washes pictures out: a wide source, or a camera that vibrates."""
-        if not self.modes and not isinstance(self.engine, Tiled):
+        if len(self.modes) < 2 and not isinstance(self.engine, Tiled):
             for factor in SOURCES:
                 width = factor * coherent_deg(self.light)
                 modes = Source(width).few_modes(self.light.wavelength_um)

@@ -117,3 +117,12 @@ def test_several_starts_end_at_one_object() -> None:
     found = found_in(healthy(), starts=2).verdict
     assert found.agreement is not None
     assert found.agreement > 0.9
+
+
+def test_a_wide_source_is_tried_and_bandwidth_is_named_as_not_tried() -> None:
+    found = found_in(frames_of(source_deg=1.0)).verdict
+    assert not found.explained
+    assert any(trial.cause == "source" and trial.gain > 0.2 for trial in found.trials)
+    assert found.cause in ("source", "vibration"), found.words
+    assert "source" in found.words
+    assert "not tried: bandwidth of the light" in found.words

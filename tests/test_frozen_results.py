@@ -1,0 +1,324 @@
+"""Literal results of all packages: a change of names or structure must not change any of them.
+
+The values were computed by this toolkit. They do not show that a result is right; the tests of the single
+modules compare with closed forms and data of others. A commit that changes a value here says why.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lensdesign import (
+    Lens,
+    Pose,
+    check_design,
+    launch,
+    lens_drawing,
+    load_design,
+    load_specification,
+    optimize,
+    pupil_hexapolar,
+    scaled,
+    trace,
+)
+from tolerancing import load_study, open_store, run_study, summarize
+from wavesim import calibrate_frames, engine_for, image, reconstruct_frames
+from wavesim.engines.registry import ENGINES
+from wavesim.fields.field import Field
+from wavesim.scene.patches import patch_scene
+
+FIELD_DIGITS = 1e-9
+"""Relative difference that compilers and processors may cause in rays and figures made of them."""
+
+ENGINE_DIGITS = 1e-5
+"""Relative difference that they may cause in a propagated field; some kernels work in single precision."""
+
+ITERATED_DIGITS = 1e-4
+"""Relative difference that they may cause after many iterations in single precision."""
+
+
+RAYS = [
+    [
+        4.84782079105,
+        8.27382244002,
+        5.81678211512,
+        -0.000710983809499,
+        -0.00753690514491,
+        0.999971344371,
+        24.4032758967,
+    ],
+    [
+        -4.70602114174,
+        8.27401995832,
+        5.85043231697,
+        0.00798324713764,
+        -0.00752202511258,
+        0.999939841642,
+        24.4021425554,
+    ],
+    [-9.48311318679, 0.0, 5.86725804815, 0.0123174758517, 0.0, 0.999924137017, 24.4015758559],
+    [
+        -4.70602114174,
+        -8.27401995832,
+        5.85043231697,
+        0.00798324713764,
+        0.00752202511258,
+        0.999939841642,
+        24.4021425554,
+    ],
+    [
+        4.84782079105,
+        -8.27382244002,
+        5.81678211512,
+        -0.000710983809499,
+        0.00753690514491,
+        0.999971344371,
+        24.4032758967,
+    ],
+    [
+        4.88958009162,
+        8.08632739951,
+        5.93161018875,
+        0.00143665924391,
+        -0.0678000145159,
+        0.997697897182,
+        24.0422332163,
+    ],
+    [
+        -4.74693492743,
+        8.08651115308,
+        5.96558297845,
+        0.00582681815377,
+        -0.0677900210333,
+        0.997682595437,
+        24.0410766688,
+    ],
+    [
+        -9.47938106683,
+        -0.247334368368,
+        5.86767976831,
+        0.0141074403451,
+        -0.0623686383608,
+        0.9979534724,
+        24.453277322,
+    ],
+    [
+        -4.66548476265,
+        -8.43980724853,
+        5.74764505982,
+        0.01187361701,
+        -0.0465821157242,
+        0.998843893566,
+        24.8567388813,
+    ],
+    [
+        4.80652610362,
+        -8.43960094533,
+        5.71431031229,
+        -0.00461664732785,
+        -0.0465638818529,
+        0.998904645837,
+        24.8578407936,
+    ],
+]
+
+SHEET = {
+    "efl_mm": 19.1657946819,
+    "bfl_mm": 17.6632480436,
+    "sbp_object": 19615483.0531,
+    "sbp_sensor": 30225663.4783,
+    "max_spread_deg": 4.8105019091,
+    "throughput": 1.0,
+    "drawn items": 202,
+}
+
+SPOTS_MM = (14.2724651919, 14.2597403075, 14.221687786)
+
+OPTIMUM = {"radius_1_mm": 37.5904610026, "radius_2_mm": -11.9136162111, "conic_2": -1.12960609747}
+
+FIELDS = {
+    "eikonal": {
+        "energy": 1.71047513653e-05,
+        "x_mm": 0.167212362716,
+        "y_mm": 0.000553682004099,
+        "peak": 0.0285949271997,
+        "autocorrelation, real": 1.66640629657e-05,
+        "autocorrelation, imaginary": 1.80861503806e-06,
+    },
+    "two-level": {
+        "energy": 1.71303236129e-05,
+        "x_mm": 0.167253371474,
+        "y_mm": 0.000544024862377,
+        "peak": 0.0286056157202,
+        "autocorrelation, real": 1.6724847228e-05,
+        "autocorrelation, imaginary": 1.85507281003e-06,
+    },
+    "slices": {
+        "energy": 1.58724288461e-05,
+        "x_mm": 0.166331555377,
+        "y_mm": 0.000546270121093,
+        "peak": 0.0269363223273,
+        "autocorrelation, real": 1.50272629163e-05,
+        "autocorrelation, imaginary": 2.26903956916e-06,
+    },
+    "wpm": {
+        "energy": 1.70389465732e-05,
+        "x_mm": 0.0628680915852,
+        "y_mm": 0.000121796151213,
+        "peak": 0.189181020384,
+        "autocorrelation, real": 1.51187849641e-05,
+        "autocorrelation, imaginary": 1.70495067334e-06,
+    },
+    "thin-lens": {
+        "energy": 1.88385998151e-05,
+        "x_mm": 0.178572410803,
+        "y_mm": 0.00067096380778,
+        "peak": 0.0243118792169,
+        "autocorrelation, real": 6.55485918125e-06,
+        "autocorrelation, imaginary": -1.68549223918e-05,
+    },
+    "no-lens": {
+        "energy": 8.40851344564e-09,
+        "x_mm": 0.215665446761,
+        "y_mm": 0.000999999986722,
+        "peak": 3.39247121258e-05,
+        "autocorrelation, real": 3.68995587798e-09,
+        "autocorrelation, imaginary": -4.56674444462e-09,
+    },
+}
+
+STUDY = {
+    "yield": 0.708333333333,
+    "contrast_0p775um": 0.961759674813,
+    "contrast_1p55um": 0.964536865672,
+    "strehl": 0.653886377281,
+    "largest_spread_deg": 4.85398701968,
+}
+
+CHAIN = {
+    "counts": 1316383.0,
+    "correlation": 0.965497122922,
+    "misfit": 0.145385455725,
+    "found decenter": 0.00100347811496,
+    "standard deviation": 5.03815089788e-06,
+}
+
+
+@pytest.fixture(scope="module")
+def twin() -> Lens:
+    """A small twin of the paper's lens."""
+    return scaled(load_design("designs/paper_singlet.toml"), 1 / 48)
+
+
+def rays(lens: Lens) -> list[list[float]]:
+    """Position (mm), direction and optical path (mm) of ten rays through a displaced lens."""
+    pose = Pose(decenter_x_mm=0.05, tilt_y_deg=0.2)
+    pupil = pupil_hexapolar(1).points[2:]
+    starts, directions = launch(lens, [[0.0, 0.0], [0.0, 1.2]], pupil, 0.532, pose)
+    traced = trace(lens, starts, directions, 0.532, pose)
+    columns = [traced.position, traced.direction, traced.opl[..., None]]
+    return np.concatenate(columns, axis=-1).reshape(-1, 7).tolist()
+
+
+def sheet(lens: Lens) -> dict[str, float]:
+    """Figures of a design's check, and how many items its drawing has."""
+    found, drawing = check_design(lens), lens_drawing(lens)
+    return {
+        "efl_mm": found.efl_mm,
+        "bfl_mm": found.bfl_mm,
+        "sbp_object": found.sbp_object,
+        "sbp_sensor": found.sbp_sensor,
+        "max_spread_deg": found.max_spread_deg,
+        "rms_spot_diameter_mm": found.rms_spot_diameter_mm,
+        "throughput": found.throughput,
+        "drawn items": len(drawing.sheets[0].items),
+    }
+
+
+def optimum() -> dict[str, float]:
+    """The goal and two variables of a search."""
+    found = optimize(load_specification("designs/feasible_singlet_spec.toml"))
+    first, second = found.lens.surfaces
+    return {"radius_1_mm": first.radius_mm, "radius_2_mm": second.radius_mm, "conic_2": second.conic}
+
+
+def exit_field(lens: Lens, name: str) -> dict[str, float]:
+    """Energy, centre and one phase of the field that an engine carries to the sensor."""
+    scene = patch_scene(lens, 0.02, plane_distance_mm=0.1)
+    engine = engine_for(scene, name)
+    y, x = scene.object_grid.y_mm[:, None], scene.object_grid.x_mm
+    values = np.exp(-((x / 4e-3) ** 2) - ((y - 1e-3) / 3e-3) ** 2 + 20j * x / 4e-3) + 0j
+    found = engine.forward(Field(scene.object_grid, values, scene.wavelength_um))
+    power = np.abs(found.values) ** 2
+    rows, columns = found.grid.y_mm, found.grid.x_mm
+    neighbours = np.vdot(found.values[:, :-1], found.values[:, 1:]) * found.grid.cell
+    return {
+        "energy": float(power.sum() * found.grid.cell),
+        "x_mm": float(np.sum(power * columns) / power.sum()),
+        "y_mm": float(np.sum(power * rows[:, None]) / power.sum()),
+        "peak": float(power.max()),
+        "autocorrelation, real": float(neighbours.real),
+        "autocorrelation, imaginary": float(neighbours.imag),
+    }
+
+
+def chain(lens: Lens) -> dict[str, float]:
+    """Frames of a star, its reconstruction, and the mounting that a calibration finds."""
+    made = image(
+        lens, "star", patch_mm=0.03, exposures=(1.0, 30.0), engine="eikonal", error=0.1, decenter_x_mm=1e-3
+    )
+    settings = {"patch_mm": 0.03, "kind": "amplitude", "error": 0.1}
+    found = reconstruct_frames(lens, made.frames, truth=made.target.transmission, **settings)
+    bench = calibrate_frames(
+        lens, made.frames, parameters="decenter_x_mm", most_mountings=8, judges=False, **settings
+    )
+    return {
+        "counts": float(made.frames[0].counts.sum()),
+        "correlation": found.truth["object_correlation"],
+        "misfit": found.curve[-1],
+        "found decenter": bench.values[0],
+        "standard deviation": bench.deviations[0],
+    }
+
+
+def tolerances(store: Path) -> dict[str, float]:
+    """Means and deviations of the merits of a short study, and its yield."""
+    run_study(load_study("designs/paper_tolerances.toml"), store, trials=24, workers=1)
+    with open_store(store) as opened:
+        summary = summarize(opened)
+    means = {merit.merit.column: merit.mean for merit in summary.merits}
+    return {"yield": summary.good.share} | means
+
+
+def test_rays(paper_lens: Lens) -> None:
+    assert np.array(rays(paper_lens)) == pytest.approx(np.array(RAYS), rel=FIELD_DIGITS, abs=1e-12)
+
+
+def test_sheet(paper_lens: Lens) -> None:
+    found = sheet(paper_lens)
+    assert found.pop("rms_spot_diameter_mm") == pytest.approx(SPOTS_MM, rel=FIELD_DIGITS)
+    assert found == pytest.approx(SHEET, rel=FIELD_DIGITS)
+
+
+def test_optimum() -> None:
+    assert optimum() == pytest.approx(OPTIMUM, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.filterwarnings("ignore::wavesim.SamplingWarning")
+def test_exit_field(paper_lens: Lens, name: str) -> None:
+    # The wave propagation method takes long through all but the smallest lens.
+    lens = scaled(paper_lens, 1 / (128 if name == "wpm" else 48))
+    assert exit_field(lens, name) == pytest.approx(FIELDS[name], rel=ENGINE_DIGITS)
+
+
+def test_study(tmp_path: Path) -> None:
+    assert tolerances(tmp_path / "store") == pytest.approx(STUDY, rel=FIELD_DIGITS)
+
+
+@pytest.mark.filterwarnings("ignore:little diversity")
+def test_chain(twin: Lens) -> None:
+    assert chain(twin) == pytest.approx(CHAIN, rel=ITERATED_DIGITS)
