@@ -26,6 +26,9 @@ FEW_LINES = 6.0
 LENS_MM = PlausibleLength(0.01, 2000.0, (0.1, 500.0))
 """Median length of a lens: a smaller one would be a few wavelengths wide, and none of glass is larger."""
 
+LEAST_APERTURE = 1e-6
+"""Numerical aperture below which none is told from a smaller one, so that its square divides."""
+
 ANY = math.inf
 
 
@@ -76,7 +79,7 @@ class LensLengths:
     def of(cls, lens: Lens, wavelength_um: float | None = None) -> LensLengths:
         """Those of a lens, in its first wavelength where none is given."""
         wavelength = 1e-3 * (lens.wavelengths_um[0] if wavelength_um is None else wavelength_um)
-        aperture = lens.object.numerical_aperture
+        aperture = max(lens.object.numerical_aperture, LEAST_APERTURE)
         diameters = _diameters(lens)
         field, distance = lens.object.field_diameter_mm, lens.object.working_distance_mm
         glass = [s.thickness_mm for s in lens.surfaces if s.thickness_mm and s.material is not None]

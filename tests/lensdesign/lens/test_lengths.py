@@ -58,6 +58,11 @@ def test_a_whole_lens_in_another_unit_is_questioned(paper_lens: Lens, factor: fl
     )
 
 
+def test_an_aperture_of_next_to_nothing_is_no_arithmetic_error(paper_lens: Lens) -> None:
+    closed = paper_lens.replaced(object=paper_lens.object.replaced(numerical_aperture=1e-300))
+    assert all("may be meant" in doubt for doubt in doubted_lengths(closed))
+
+
 def test_lengths_of_edges_are_questioned() -> None:
     tables = read_toml(DESIGNS / "moulded_pair.toml")
     for key, factor in (("distance_mm", 1e-3), ("thickness_mm", 1e3), ("semi_diameter_mm", 1e3)):
