@@ -25,6 +25,9 @@ def _no_trace(value: float) -> float:
 Positive = Annotated[float, Field(gt=0.0, le=1e9, allow_inf_nan=False), AfterValidator(_no_trace)]
 """Sizes of any unit; both ends keep what is computed from them finite."""
 
+Bounded = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+"""Numbers of either sign and any unit; both ends keep what is computed from them finite."""
+
 
 class Section(BaseModel):
     """One table of a file: frozen, and without keys that nobody asked for."""

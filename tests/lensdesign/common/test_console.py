@@ -52,7 +52,9 @@ def test_a_search_that_is_ended_leaves_what_was_there_or_its_best_lens(tmp_path:
         assert out == ""
         assert last in ("interrupted", "interrupted before there was a lens to keep")
     else:
-        feasible = check_against(load_design(tmp_path / "out.toml"), load_specification(specification)).feasible
+        feasible = check_against(
+            load_design(tmp_path / "out.toml"), load_specification(specification)
+        ).feasible
         met = "meets" if feasible else "does not meet"
         assert last == f"interrupted; out.toml holds the best lens so far, which {met} the specification"
         assert "an interrupt ended the search of N-BK7" in out
