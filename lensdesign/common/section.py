@@ -26,6 +26,9 @@ Positive = Annotated[
 ]
 """Sizes of any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
+Bounded = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+"""Numbers of either sign and any unit; both ends keep what is computed from them finite."""
+
 
 class Section(BaseModel):
     """One table of a file: frozen, and without keys that nobody asked for."""

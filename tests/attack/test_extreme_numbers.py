@@ -16,6 +16,7 @@ from lensdesign.common import memory
 from lensdesign.common.console import print_json
 from lensdesign.common.text import known_text
 from lensdesign.fabrication.mesh.mesh import lens_mesh
+from tolerancing.analysis.indices import variance_indices
 from tolerancing.cli.commands import main as tolerancing_main
 from tolerancing.run.run import _process_count
 from tolerancing.study.evaluate import realise
@@ -60,6 +61,44 @@ def test_tolerances_too_small_to_compute_with_are_refused(study: Path, run: Run,
     status, out, err = called(run, f"tolerancing predict {study}")
     assert (status, out) == (2, "")
     assert "sigma: must be at least 1e-60" in err
+
+
+@pytest.mark.parametrize("size", ["100.0", "1e6", "1e9"])
+def test_tolerances_too_large_to_predict_from_are_refused_in_one_sentence(
+    study: Path, run: Run, size: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    study.write_text(HEAD + DECENTER.replace("0.02", size) + SPREAD + STREHL)
+    status, out, err = called(run, f"tolerancing predict {study}")
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert not [one for one in recwarn if issubclass(one.category, RuntimeWarning)]
+
+
+UNBOUNDED = {
+    "pivot_z_mm": ("trials = 40", "trials = 40\npivot_z_mm = {}"),
+    "mean": ("sigma = 0.02", "sigma = 0.02\nmean = {}"),
+}
+
+
+@pytest.mark.parametrize("name", UNBOUNDED)
+@pytest.mark.parametrize("size", ["1e300", "-1e300", "1e10"])
+def test_signed_numbers_of_a_study_are_bounded_too(study: Path, name: str, size: str) -> None:
+    old, new = UNBOUNDED[name]
+    text = HEAD + DECENTER + SPREAD
+    assert old in text
+    study.write_text(text.replace(old, new.format(size)))
+    with pytest.raises(
+        DesignError, match=rf"{name} = .*: must be (less|greater) than or equal to -?1000000000"
+    ):
+        load_study(study)
+
+
+def test_indices_are_held_against_memory(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study.write_text(HEAD + DECENTER + RADIUS + SPREAD)
+    loaded = load_study(study)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1e6)
+    with pytest.raises(InputError, match=r"base = 1048576 needs .* GB of memory"):
+        variance_indices(loaded, 1048576)
 
 
 @pytest.mark.parametrize("size", ["1e-60", "1e-30", "1e-12", "1e-6"])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from lensdesign.common.arrays import Array
+from lensdesign.common.memory import check_memory
 from lensdesign.common.text import finite_or_none
 from lensdesign.errors import InputError, TransferLensError
 from tolerancing.analysis.scorer import StudyScorer
@@ -116,6 +117,9 @@ def variance_indices(
         raise InputError("correlations and groups: perturbations that scatter together have no index each")
     if len(study.perturbations) < 2:
         raise InputError("one perturbation: it has all of the variance; indices need at least two")
+    most = most_trials(study, base)
+    columns = 3 * len(study.perturbations) + len(study.all_merits)  # shares twice, then values and scores
+    check_memory(8.0 * columns * most, f"base = {base}", "take a smaller base")
     from SALib.sample import sobol as sampling
 
     problem = _problem(study)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Positive, Section
+from lensdesign.common.section import Bounded, Positive, Section
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.context import Context, Points
 from tolerancing.perturbations.batch import PerturbationBatch
@@ -47,8 +47,8 @@ class Merit(Section):
 
     kind: str
     name: Name = ""
-    at_least: Finite | None = None
-    at_most: Finite | None = None
+    at_least: Bounded | None = None
+    at_most: Bounded | None = None
     wavelength_um: Positive | None = None
     level: Level = "auto"
     predicted_by: Name | None = None

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Positive, rows, tuples
+from lensdesign.common.section import Bounded, Positive, rows, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point, orientation_text, points_text, refocus_text
 from tolerancing.merits.context import Context, Points
@@ -41,8 +41,8 @@ class PupilMerit(Merit):
         where they are best, within :data:`wavesim.pupil.focus.FOCUS_RANGE`. It is always registered sideways.
     """
 
-    field_mm: tuple[Finite, Finite] = (0.0, 0.0)
-    field_points_mm: tuple[tuple[Finite, Finite], ...] = ()
+    field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
+    field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
     refocus: bool = True
 
     _lists = field_validator("field_mm", mode="before")(tuples)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Positive, rows
+from lensdesign.common.section import Bounded, Positive, rows
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.arrival import Arrival
 from tolerancing.merits.base import Merit, check_field_point, points_text
@@ -33,7 +33,7 @@ class RayMerit(Merit):
         more at the height where the nominal lens has its largest angle, if that is neither of both.
     """
 
-    field_points_mm: tuple[tuple[Finite, Finite], ...] = ()
+    field_points_mm: tuple[tuple[Bounded, Bounded], ...] = ()
 
     levels: ClassVar[tuple[str, ...]] = ("ray",)
     trials_per_chunk: ClassVar[int] = 256

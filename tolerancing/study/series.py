@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.section import Bounded, Positive, Section, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -75,7 +75,7 @@ class LinePairSection(Section):
     merits: tuple[str, ...] = ()
     line_widths_um: tuple[Positive, ...] = ()
     orientation: Orientation = "worse"
-    field_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    field_mm: tuple[Bounded, Bounded] = (0.0, 0.0)
 
     _own_lists = field_validator("line_widths_um", "merits", "field_mm", mode="before")(tuples)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Finite, Positive, Section, tuples
+from lensdesign.common.section import Bounded, Positive, Section, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit, check_field_point
 from tolerancing.merits.context import Context
@@ -56,7 +56,7 @@ class SliceCounts(Section, Series):
     slices: Annotated[tuple[Annotated[int, Field(ge=1, le=5000)], ...], Field(min_length=1)]
     compensations: Annotated[tuple[Compensation, ...], Field(min_length=1)] = ("vertical", "oblique")
     line_widths_um: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    field_height_mm: Finite = 0.0
+    field_height_mm: Bounded = 0.0
     picture_slices: tuple[int, ...] = ()
 
     _lists = field_validator("slices", "compensations", "line_widths_um", "picture_slices", mode="before")(

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny, model_validator
 
-from lensdesign.common.section import Finite, Section
+from lensdesign.common.section import Bounded, Section
 from tolerancing.merits.base import Merit
 from tolerancing.merits.compensators import Compensator
 from tolerancing.merits.context import Sampling
@@ -86,7 +86,7 @@ class Study(Section):
     design: str
     trials: Annotated[int, Field(ge=1, le=MOST_TRIALS)]
     seed: Annotated[int, Field(ge=0)]
-    pivot_z_mm: Finite = 0.0
+    pivot_z_mm: Bounded = 0.0
     draws: Literal[DRAWS] = "random"  # type: ignore[valid-type]
     sensitivity: bool = True
     sampling: Sampling = Sampling()

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from lensdesign.common.section import Finite, tuples
+from lensdesign.common.section import Bounded, tuples
 from lensdesign.lens.lens import Lens
 from tolerancing.merits.base import Merit
 from tolerancing.merits.context import Context
@@ -36,8 +36,8 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
         Those of the values at which to keep pictures of the line pairs.
     """
 
-    values: Annotated[tuple[Finite, ...], Field(min_length=1)]
-    picture_values: tuple[Finite, ...] = ()
+    values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
+    picture_values: tuple[Bounded, ...] = ()
 
     _lists = field_validator("values", "picture_values", mode="before")(tuples)
 
@@ -79,7 +79,7 @@ class Sweep(PerturbedParameter, LinePairSection, Series):
 class GridAxis(PerturbedParameter):
     """One of the two parameters of a grid, and its values."""
 
-    values: Annotated[tuple[Finite, ...], Field(min_length=1)]
+    values: Annotated[tuple[Bounded, ...], Field(min_length=1)]
 
     _lists = field_validator("values", mode="before")(tuples)
 

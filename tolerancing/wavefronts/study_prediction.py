@@ -123,9 +123,11 @@ def predict_study(
     """
     batch = drawn_batch(study) if batch is None else batch
     waves = None
-    if any(is_predicted_wavefront(merit) for merit in study.merits):
-        waves = predict(lens, study, amounts=amounts_of(batch), second=not quick)
-    rays = predict_rays(lens, study, batch, checked=not quick)
+    # Tolerances that are too large give numbers that are not finite, which are refused below.
+    with np.errstate(all="ignore"):
+        if any(is_predicted_wavefront(merit) for merit in study.merits):
+            waves = predict(lens, study, amounts=amounts_of(batch), second=not quick)
+        rays = predict_rays(lens, study, batch, checked=not quick)
     limits, not_predicted = list[LimitPrediction](), list[str]()
     points = iter(() if waves is None else waves.points)
     by_merit = {ray.merit.label: ray for ray in rays}

@@ -15,10 +15,12 @@ from lensdesign.common.interrupts import stoppable
 
 COMMAND = """
 import ctypes, sys, time
+from lensdesign.common import interrupts
 from lensdesign.common.console import make_app, run_app
 from lensdesign.errors import atomic_path
 
 app = make_app("a test")
+{times}
 
 
 @app.command()
@@ -39,21 +41,27 @@ run_app(app)
 WAIT = "time.sleep(600)"
 UNWIND_SLOWLY = """
         try:
+            print("within", flush=True)
             time.sleep(600)
         finally:
-            time.sleep({seconds})
+            print("unwinding", flush=True)
+            sys.stdin.read()
 """
 SWALLOW = """
-        ctypes.CFUNCTYPE(None)(lambda: time.sleep(0.5))()
+        ctypes.CFUNCTYPE(None)(lambda: (print("within", flush=True), time.sleep(600)))()
         time.sleep(600)
 """
 
 
-def started(folder: Path, work: str) -> subprocess.Popen[str]:
-    """A command at its work."""
+def started(
+    folder: Path, work: str, nervous_seconds: float = 600.0, grace_seconds: float = 600.0
+) -> subprocess.Popen[str]:
+    """A command at its work; later signals and slow ends are judged by the times that a test needs."""
+    times = f"interrupts.NERVOUS_SECONDS, interrupts.GRACE_SECONDS = {nervous_seconds}, {grace_seconds}"
     child = subprocess.Popen(
-        [sys.executable, "-c", COMMAND.replace("{work}", work.strip()), "write"],
+        [sys.executable, "-c", COMMAND.replace("{work}", work.strip()).replace("{times}", times), "write"],
         cwd=folder,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -61,8 +69,13 @@ def started(folder: Path, work: str) -> subprocess.Popen[str]:
     )
     assert child.stdout is not None
     assert child.stdout.readline() == "ready\n"
-    time.sleep(0.1)
     return child
+
+
+def said(child: subprocess.Popen[str]) -> str:
+    """The next line of a command."""
+    assert child.stdout is not None
+    return child.stdout.readline()
 
 
 @pytest.mark.parametrize(
@@ -77,27 +90,41 @@ def test_all_signals_end_alike(tmp_path: Path, number: signal.Signals, status: i
 
 
 def test_a_key_pressed_twice_does_not_disturb_unwinding(tmp_path: Path) -> None:
-    child = started(tmp_path, UNWIND_SLOWLY.replace("{seconds}", "0.3"))
+    child = started(tmp_path, UNWIND_SLOWLY)
+    assert said(child) == "within\n"
+    child.send_signal(signal.SIGINT)
+    assert said(child) == "unwinding\n"
     for _ in range(3):
         child.send_signal(signal.SIGINT)
-        time.sleep(0.02)
+        time.sleep(0.02)  # signals that wait together would count as one
     assert child.communicate(timeout=600) == ("", "interrupted\n")
     assert child.returncode == 130
     assert not list(tmp_path.iterdir())
 
 
 def test_a_later_signal_ends_what_does_not_unwind(tmp_path: Path) -> None:
-    child = started(tmp_path, UNWIND_SLOWLY.replace("{seconds}", "600"))
+    child = started(tmp_path, UNWIND_SLOWLY, nervous_seconds=0.0)
+    assert said(child) == "within\n"
     child.send_signal(signal.SIGHUP)
-    time.sleep(1.3)
+    assert said(child) == "unwinding\n"
     child.send_signal(signal.SIGTERM)
-    assert "before all had come to its end" in child.communicate(timeout=600)[1]
-    assert child.returncode == 129
+    assert child.wait(timeout=600) == 129
+    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_does_not_unwind_in_time_is_ended(tmp_path: Path) -> None:
+    child = started(tmp_path, UNWIND_SLOWLY, grace_seconds=0.2)
+    assert said(child) == "within\n"
+    child.send_signal(signal.SIGTERM)
+    assert child.wait(timeout=600) == 143
+    assert child.communicate()[1] == "interrupted; ended before all had come to its end\n"
     assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupt_that_a_callback_swallows_comes_again(tmp_path: Path) -> None:
     child = started(tmp_path, SWALLOW)
+    assert said(child) == "within\n"
     child.send_signal(signal.SIGINT)
     out, err = child.communicate(timeout=600)
     assert (child.returncode, out, err) == (130, "", "interrupted\n")
@@ -120,12 +147,16 @@ def test_other_faults_without_a_place_go_to_the_hook_that_was_there(monkeypatch:
 
 def test_what_nohup_has_a_command_ignore_it_ignores(tmp_path: Path) -> None:
     ignoring = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
-    code = f"import signal; {ignoring}\n" + COMMAND.replace("{work}", "time.sleep(0.5)")
+    command = COMMAND.replace("{work}", "sys.stdin.read()").replace("{times}", "")
+    code = f"import signal; {ignoring}\n{command}"
     child = subprocess.Popen(
-        [sys.executable, "-c", code, "write"], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, "write"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
-    assert child.stdout is not None
-    child.stdout.readline()
+    assert said(child) == "ready\n"
     child.send_signal(signal.SIGHUP)
     child.communicate(timeout=600)
     assert child.returncode == 0

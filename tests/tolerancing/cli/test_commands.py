@@ -326,11 +326,11 @@ def test_an_interrupted_run_says_so_and_goes_on(command, write_study, ray_study,
         text=True,
         preexec_fn=heeding,
     )
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 300.0
     while time.monotonic() < until and not (path.exists() and finished(path)):
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)
-    out, err = running.communicate(timeout=60)
+    out, err = running.communicate(timeout=300)
     assert (running.returncode, out) == (130, "")
     expected, *rest = err.splitlines()
     assert expected.startswith("1000000 trials, 8 steps: about ")
@@ -363,7 +363,7 @@ def on_two_workers(study, store):
 
 def test_workers_that_are_started_ahead_make_the_same_rows(command, write_study, full_study, tmp_path):
     study = write_study(full_study)
-    out, err = on_two_workers(study, tmp_path / "two").communicate(timeout=60)
+    out, err = on_two_workers(study, tmp_path / "two").communicate(timeout=300)
     assert json.loads(out)["run"]["workers"] == 2
     assert err.startswith("40 trials, 11 steps: about ")
     assert err.endswith(" by 2 workers\n")
@@ -379,12 +379,12 @@ def test_workers_that_are_started_ahead_end_with_a_command_that_is_stopped(
     psutil = pytest.importorskip("psutil")
     study = write_study(full_study.replace("trials = 40", "trials = 100000"))
     running = on_two_workers(study, tmp_path / "a")
-    until, started = time.monotonic() + 60.0, psutil.Process(running.pid)
+    until, started = time.monotonic() + 300.0, psutil.Process(running.pid)
     while time.monotonic() < until and len(started.children()) < 2:  # the server, and a tracker
         time.sleep(0.01)
     time.sleep(seconds)
     os.killpg(running.pid, number)
-    out, err = running.communicate(timeout=60)  # which waits for all that could still write
+    out, err = running.communicate(timeout=300)  # which waits for all that could still write
     assert (running.returncode, out) == (128 + number, "")
     said = [line for line in err.splitlines() if "about" not in line]
     assert all(line.startswith("interrupted") for line in said if line.strip()), err

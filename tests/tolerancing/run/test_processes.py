@@ -64,5 +64,5 @@ time.sleep(60.0)
     command.kill()
     command.communicate()
     assert len(servers) == 2  # with the tracker of what they share
-    _, alive = psutil.wait_procs(servers, timeout=10.0)
+    _, alive = psutil.wait_procs(servers, timeout=300.0)
     assert [process for process in alive if process.status() != psutil.STATUS_ZOMBIE] == []

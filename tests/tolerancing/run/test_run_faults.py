@@ -67,7 +67,8 @@ def test_runs_that_are_killed_at_any_moment_go_on_and_make_the_same_rows(study, 
     path, rng, kills = tmp_path / "store", random.Random(20240601), 0
     held = 0
     while kills < KILLS:
-        run = start(study, path, trials=TRIALS * (kills + 1) // KILLS)
+        # Fewer than all, though a fast machine ended each run before it is killed.
+        run = start(study, path, trials=TRIALS * (kills + 1) // (KILLS + 1))
         if kills % 2:  # while it starts, or long after the first rows
             time.sleep(rng.uniform(0.0, 1.5))
         else:
@@ -141,7 +142,7 @@ def test_workers_of_a_run_that_is_killed_end_too(study, tmp_path):
     assert len(workers) >= 2
     run.kill()
     run.communicate()
-    assert psutil.wait_procs(workers, timeout=10.0)[1] == []
+    assert psutil.wait_procs(workers, timeout=300.0)[1] == []
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")

@@ -183,13 +183,14 @@ def test_each_phase_holds_what_is_listed(
     ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
-    shape = 400, 420
+    shape = 700, 600
     engine = Nothing(shape)
     settings: dict[str, Any] = {"kind": kind, "active_width": active_width, "iterations": 2}
     settings["tv_weight"] = "auto" if with_sigma else 0.02
-    # Compiled loops, as they are loaded, take memory once.
-    small = Nothing((8, 8))
-    reconstruct(small, *arrays_of(small, distances_mm, with_sigma, Scratch()), **settings)
+    # Compiled loops take memory once, as they are compiled or loaded. Some are reached at this size alone.
+    first = Nothing(shape)
+    reconstruct(first, *arrays_of(first, distances_mm, with_sigma, Scratch()), **settings)
+    del first
     each_keeps_rooms_for_columns(shape[0])
     room = Scratch(tmp_path, 0.0) if in_files else Scratch()
     with peaks_of_phases(monkeypatch) as peaks:

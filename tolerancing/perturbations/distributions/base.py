@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, Section
+from lensdesign.common.section import Bounded, Section
 from lensdesign.errors import InputError
 
 
@@ -28,7 +28,7 @@ class Distribution(Section):
     kind: ClassVar[str]
     widths: ClassVar[tuple[str, ...]]
 
-    mean: Finite = 0.0
+    mean: Bounded = 0.0
 
     @property
     def file_name(self) -> str | None:

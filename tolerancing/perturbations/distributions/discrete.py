@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from lensdesign.common.arrays import Array
-from lensdesign.common.section import Finite, tuples
+from lensdesign.common.section import Bounded, tuples
 from tolerancing.perturbations.distributions.base import Distribution, check_factor
 
 
@@ -24,7 +24,7 @@ class Discrete(Distribution):
     kind = "discrete"
     widths = ()
 
-    values: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=1000)]
+    values: Annotated[tuple[Bounded, ...], Field(min_length=2, max_length=1000)]
 
     _list = field_validator("values", mode="before")(tuples)
 

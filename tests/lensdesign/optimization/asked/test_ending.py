@@ -61,21 +61,33 @@ def test_an_interrupted_search_writes_its_best_lens(
     tmp_path: Path, number: int, sent: signal.Signals, status: int
 ) -> None:
     out = tmp_path / "best.toml"
+    out.write_text("mine")
     ended = stopped(number, sent, "optimize", SPEC, "-o", out)
     assert ended.returncode == status, ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert list(tmp_path.iterdir()) == [out]
     assert f"interrupted; {out} holds the best lens so far" in ended.stderr
     lens, asked = load_design(out), load_specification(SPEC)
     feasible = check_against(lens, asked).feasible
     assert ("which meets the specification" in ended.stderr) is feasible
     assert f"{lens.exit_vertex_z_mm:.6g} mm" in ended.stdout
     assert "an interrupt ended the search of N-BK7" in ended.stdout
+    assert ended.stdout.endswith(f"wrote {out}\n")
 
 
-def test_an_interrupt_before_the_first_lens_writes_nothing(tmp_path: Path) -> None:
-    ended = stopped(1, signal.SIGTERM, "optimize", SPEC, "-o", tmp_path / "best.toml")
-    assert ended.returncode == 143
-    assert "before there was a lens to keep" in ended.stderr
-    assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize("before", [None, "mine"])
+@pytest.mark.parametrize(("sent", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_an_interrupt_before_the_first_lens_writes_nothing(
+    tmp_path: Path, before: str | None, sent: signal.Signals, status: int
+) -> None:
+    out = tmp_path / "best.toml"
+    if before is not None:
+        out.write_text(before)
+    ended = stopped(1, sent, "optimize", SPEC, "-o", out)
+    assert (ended.returncode, ended.stdout) == (status, ""), ended.stderr
+    assert ended.stderr.splitlines()[-1] == "interrupted before there was a lens to keep"
+    assert "Traceback" not in ended.stderr
+    assert [path.read_text() for path in tmp_path.iterdir()] == ([] if before is None else [before])
 
 
 @pytest.mark.parametrize("number", [3, 12])
