@@ -38,6 +38,9 @@ died may be started anew."""
 LOOK_SECONDS = 0.5
 """How often whoever waits for a result looks whether there are workers."""
 
+FETCH_SECONDS = 5.0
+"""How long to fetch a finished result before its workers are looked for again; doubled each time."""
+
 RETRIES = 2
 """How often a task is tried again that failed for reasons of the machine."""
 
@@ -57,7 +60,7 @@ class Held(Protocol[Held_co]):
     @property
     def status(self) -> str: ...
 
-    def result(self) -> Held_co: ...
+    def result(self, timeout: float | None = None) -> Held_co: ...
 
 
 class Cluster:
@@ -117,9 +120,14 @@ class Cluster:
         if isinstance(future, Future):
             while not wait((future,), timeout=LOOK_SECONDS).done:
                 self.check_workers()
-        else:
+            return result_of(future)
+        patience = FETCH_SECONDS
+        while True:
             self.finish((future,))
-        return result_of(future)
+            # The worker that holds a finished result may die before it has been fetched.
+            with _in_plain_words(), suppress(TimeoutError):
+                return future.result(timeout=patience)
+            patience *= 2.0  # a large result may take longer
 
     def check_workers(self) -> None:
         """Say so where the cluster has had no worker for some seconds, and give up after some more.

@@ -140,7 +140,7 @@ class LensLengths:
         if name == "working_distance_error":
             return self._error(0.5 * self.working_distance_mm, "half of the working distance")
         if name == "stage_error":
-            return self._error(min(self.planes_mm), "the distance of the nearest plane")
+            return self._error(max(self.planes_mm), "the distance of the farthest plane")
         if name in ("shift", "plane_shift"):
             most = 0.1 * self.sensor_mm
             said = f"must be from 0.01 to {1e3 * most:.4g} um, a tenth of the sensor"
@@ -192,8 +192,8 @@ class LensLengths:
             if not radius:
                 return None
             bent = min(radius, 5.0 * self.clear_diameter_mm)  # a weak surface may have any radius
-            said = f"must be from {5e-6 * bent:.2g} to {0.3 * radius:.3g} mm, 30 % of the nominal radius"
-            return PlausibleLength(5e-6 * bent, 0.3 * radius, (1e-4 * bent, 0.1 * radius), said)
+            said = f"must be from {5e-6 * bent:.2g} to {radius:.3g} mm, the nominal radius"
+            return PlausibleLength(5e-6 * bent, radius, (1e-4 * bent, 0.1 * radius), said)
         return self._error(*self._nominal(lens, target, parameter, surface, plane))
 
     def _nominal(

@@ -354,7 +354,7 @@ def test_report_without_a_single_trial_is_still_a_report(write_study, full_study
 
 
 def test_failed_trials_stand_in_the_report(write_study, ray_study, tmp_path):
-    text = ray_study.replace("sigma = 0.01\nlimit = 0.02", "sigma = 9.0\nlimit = 30.0")
+    text = ray_study.replace("sigma = 0.01\nlimit = 0.02", "sigma = 9.0\nlimit = 11.5")
     loaded = load_study(write_study(text))
     run_study(loaded, tmp_path / "store", workers=1)
     with open_store(tmp_path / "store") as store:

@@ -78,7 +78,7 @@ def times(value: Any, factor: float) -> Any:
         ("wavelength_um", 0.000532, "0.532 um"),
         ("pixel_pitch_um", 0.0032, "3.2 um"),
         ("step_um", 500.0, "0.5 um"),
-        ("stage_error_mm", (0.0, 5.0), "0.005 mm"),
+        ("stage_error_mm", (0.0, 50.0), "0.05 mm"),
         ("shift_um", (3000.0, 0.0), "3 um"),
         ("region_mm", (0.0, 0.0, 50.0, 50.0), "0.05 mm"),
         ("region_mm", (10.0, 0.0, 0.05, 0.05), "0.01 mm"),
