@@ -26,7 +26,7 @@ Positive = Annotated[
 ]
 """Sizes of any unit, within the limits of :mod:`lensdesign.common.number_limits`."""
 
-Bounded = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+Bounded = Annotated[float, Field(ge=-LARGEST_IN_FILES, le=LARGEST_IN_FILES, allow_inf_nan=False)]
 """Numbers of either sign and any unit; both ends keep what is computed from them finite."""
 
 
