@@ -9,14 +9,14 @@ import pytest
 from places import ROOT
 
 from lensdesign import Lens, trace
-from lensdesign.tracing import launch
+from lensdesign.raytrace import launch
 from paper.element import Number
 from paper.microscope import Objective
 from paper.registry import ELEMENTS
 from paper.results import Result
 from paper.run import make_all
 from wavesim import Field, Grid
-from wavesim.reconstruction.doubts.trials import Doubts
+from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 
 ROOMS = [ROOT / "paper", *(path for path in (ROOT / "paper").rglob("*") if path.is_dir())]
 PAGE, PICTURES = ROOT / "docs" / "paper.md", ROOT / "docs" / "images" / "paper"
@@ -26,7 +26,7 @@ PAGE, PICTURES = ROOT / "docs" / "paper.md", ROOT / "docs" / "images" / "paper"
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
     """Every element, made once; what frames that are not explained may lack has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Doubts, "trials", lambda _: [])
+        patch.setattr(CauseTrials, "trials", lambda _: [])
         made = make_all(ELEMENTS, tmp_path_factory.mktemp("paper"), "small")
     return {result.key: result for result in made}
 

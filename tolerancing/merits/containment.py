@@ -20,7 +20,7 @@ class _Ended(BaseException):
     """The code would have ended the process."""
 
 
-def contained(work: Callable[[], Result], file: str) -> Result:
+def run_user_code(work: Callable[[], Result], file: str) -> Result:
     """Do what a user's code does.
 
     Exceptions of every kind become ordinary ones, ``sys.exit`` and ``os._exit`` among them: they would end a

@@ -17,29 +17,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensdesign.common.arrays import Array
-from lensdesign.errors import InputError, refuse_not_whole
+from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.response import RealArray, Response, mounting_response
 from wavesim.calibration.search import GaussNewton, Minimum
-from wavesim.camera.mounting import (
+from wavesim.engines.choosing import engine_for
+from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
+from wavesim.scene.bench import Bench
+from wavesim.scene.engine import Engine
+from wavesim.scene.placement import NOMINAL, Placement
+from wavesim.scene.scene import Scene, placed_scene
+from wavesim.sensor.measurement import Measurement, noise_misfit
+from wavesim.sensor.mounting import (
     DECENTERS,
     RIGID,
     TILTS,
     light_on,
     planes_at,
-    refuse_parameters,
+    validate_parameters,
     values_of,
     with_values,
 )
-from wavesim.camera.recorded import Recorded, noise_misfit
-from wavesim.engines.choosing import engine_for
-from wavesim.fields.field import Field
-from wavesim.reconstruction.recording_model import RecordingModel
-from wavesim.scene.bench import Bench
-from wavesim.scene.engine import Engine
-from wavesim.scene.placement import NOMINAL, Placement
-from wavesim.scene.scene import Scene, placed_scene
 
 Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]
@@ -66,7 +66,7 @@ def eikonal_tiles(scene: Scene) -> Engine:
 def calibrate(
     scene: Scene,
     illumination: Field,
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Measurement],
     *,
     known: Field,
     parameters: Sequence[str] = RIGID,
@@ -90,7 +90,7 @@ def calibrate(
     known
         Transmission of the object.
     parameters
-        What is unknown, by the names of :func:`wavesim.camera.mounting.parameter_names`.
+        What is unknown, by the names of :func:`wavesim.sensor.mounting.parameter_names`.
     scale, active_width
         As of :func:`wavesim.reconstruct`.
     start
@@ -107,8 +107,8 @@ def calibrate(
     InputError
         If a value or a shape is not usable, or no light gets through the lens at the start.
     """
-    refuse_parameters(parameters, len(recorded))
-    refuse_not_whole("most_mountings", most_mountings, 1)
+    validate_parameters(parameters, len(recorded))
+    validate_whole_number("most_mountings", most_mountings, 1)
     if known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
     seen = _Seen(scene, illumination, recorded, known, scale, active_width, make)
@@ -152,7 +152,7 @@ class _Seen:
 
     scene: Scene
     illumination: Field
-    recorded: Sequence[Recorded]
+    recorded: Sequence[Measurement]
     known: Field
     scale: float | None
     active_width: float
@@ -176,8 +176,8 @@ class _Seen:
             fits_scale=self.scale is None,
         )
 
-    def _model(self, mounting: Placement) -> RecordingModel:
-        return RecordingModel(
+    def _model(self, mounting: Placement) -> ForwardModel:
+        return ForwardModel(
             self.make(placed_scene(self.scene, mounting)),
             light_on(self.illumination, mounting),
             planes_at(self.recorded, mounting),

@@ -187,7 +187,7 @@ def numbers(text: str, option: str, count: int | None = None) -> list[float]:
     return values
 
 
-def refuse_no_picture(path: Path | None) -> None:
+def validate_picture_request(path: Path | None) -> None:
     """Refuse a file to write a picture to whose name does not say that it is one.
 
     Raises

@@ -25,14 +25,14 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wavesim.camera.recorded import Recorded, noise_misfit
 from wavesim.fields.field import Field
+from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_object import reconstruct
-from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, noise_misfit
 
 Array = NDArray[np.floating[Any]]
 
@@ -109,7 +109,7 @@ class StopSearch:
     """
 
     engine: Engine
-    recorded: Sequence[Recorded]
+    recorded: Sequence[Measurement]
     light_of: Callable[[FieldStop], Field]
     patch_mm: float
     kind: Kind
@@ -169,7 +169,7 @@ class StopSearch:
         for _ in range(2):
             light = self.light_of(self._within(np.array([0.0, 0.0, probe_mm])))
             grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
-            model = RecordingModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.active_width)
             plane = self.recorded[number]
             made = model.amplitudes(grains.astype(light.values.dtype))[number].astype(float)
             made *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (made**2).sum()))
@@ -203,7 +203,7 @@ class StopSearch:
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
         def middles(light: Field) -> Array:
-            model = RecordingModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.active_width)
             made = model.amplitudes(model.lit.astype(light.values.dtype))
             return np.array([_middle(one, axes) for one in made])
 

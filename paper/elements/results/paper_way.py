@@ -12,10 +12,10 @@ from paper.drawing import draw_chart
 from paper.element import Budget, Element, Made, Number, Work
 from paper.shots import BRACKET, ONE, Shot, finest, shot, told
 from paper.style import styled_figure
-from wavesim import Engine, Field, Recorded, engine_for, propagate
-from wavesim.camera.sensor import light_on_pixels
-from wavesim.objects.usaf import usaf_line_width_um
+from wavesim import Engine, Field, Measurement, engine_for, propagate
 from wavesim.reconstruction.resumable import retrieve_resumably
+from wavesim.sensor.sensor import light_on_pixels
+from wavesim.targets.usaf import usaf_line_width_um
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ def _retrieved(one: Shot, iterations: int, rounds: int) -> Field:
     return found
 
 
-def _at_points(one: Shot, plane: Recorded, found: Field) -> Recorded:
+def _at_points(one: Shot, plane: Measurement, found: Field) -> Measurement:
     """An amplitude in the middles of pixels, from its mean over them."""
     there = propagate(found, plane.distance_mm, check=False) if plane.distance_mm else found
     down, across = there.grid.shape
