@@ -73,13 +73,10 @@ that eliminate the object from their covariance."""
 REFINED = 2
 """Times that estimates are made, each about the object on the bench of the one before."""
 
-OBJECT_FACTOR = 1.4
-"""Standard deviations of estimates over those by the noise alone: objects are not quite at the minimum."""
-
-COHERENT = 250
-"""Independent parts of what engine and pixels err (`MODEL_ERROR` of the amplitude): unlike noise it is alike
-in many pixels, and of parameters it takes away more. So many fit the pulls on benches that are as designed
-(`benchmarks/calibration_pulls.py`)."""
+COHERENT = 60
+"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise they
+are alike in many pixels, so they average out less. The number was fitted to the pulls of six nominal
+benches (`benchmarks/calibration_pulls.py`)."""
 
 WORSE = 1.02
 """Ratio of misfits up to which a bench with fewer parameters, or a refined one, explains frames as well."""
@@ -293,7 +290,7 @@ class JointSearch:
         columns = self.pixels.columns(tried.unknowns, linear, self.parameters, slopes)
         # A misfit beyond the noise is an error of the model, of which frames tell as little as of noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
-        variance = (OBJECT_FACTOR * misfit) ** 2 / self._pixels + MODEL_ERROR**2 / COHERENT
+        variance = misfit**2 / self._pixels + MODEL_ERROR**2 / COHERENT
         typical, values = np.array([p.typical for p in self.parameters]), tried.unknowns.of(names)
         follows = self.known is None
         joint = GaussNewtonStep(
