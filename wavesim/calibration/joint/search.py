@@ -74,8 +74,8 @@ REFINED = 2
 """Times that estimates are made, each about the object on the bench of the one before."""
 
 COHERENT = 60
-"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise they
-are alike in many pixels, so they average out less. The number was fitted to the pulls of six nominal
+"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise,
+they are equal in many pixels and average out less. The number was fitted to the pulls of six nominal
 benches (`benchmarks/calibration_pulls.py`)."""
 
 WORSE = 1.02
