@@ -77,8 +77,8 @@ def run(
                 trials=trials,
                 fresh=fresh,
                 cluster=cluster,
-                report=lambda done, total: bar.update(task, completed=done, total=total),
-                announce=lambda expected: print(expected.sentence, file=sys.stderr),
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                on_estimate=lambda expected: print(expected.sentence, file=sys.stderr),
             )
     except KeyboardInterrupt:
         kept = f"what was finished is in {store}, and the same command goes on from there"
@@ -309,7 +309,7 @@ def _yield_cells(good: Yield | None) -> tuple[str, str]:
 
 def main() -> None:
     """Entry point of the command."""
-    from tolerancing.run.threads import one_blas_thread
+    from tolerancing.run.processes import one_blas_thread
 
     one_blas_thread()
     run_app(app)

@@ -334,7 +334,7 @@ def test_report_of_an_unfinished_run_says_how_far_it_is(write_study, ray_study, 
 
     loaded = load_study(write_study(ray_study.replace("trials = 40", "trials = 30000")))
     with pytest.raises(KeyboardInterrupt):
-        run_study(loaded, tmp_path / "store", workers=1, report=stop)
+        run_study(loaded, tmp_path / "store", workers=1, progress=stop)
     with open_store(tmp_path / "store") as store:
         done = store.trial_count()
         text = write_report(store, tmp_path / "out").html.read_text(encoding="utf-8")
