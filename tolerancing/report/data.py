@@ -14,8 +14,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from tolerancing.statistics.approximations import Approximation, approximations_of
 from tolerancing.statistics.correlation import RankCorrelation, rank_correlation
-from tolerancing.statistics.quadratic_response import Sensitivity
-from tolerancing.statistics.sensitivities import study_sensitivities
+from tolerancing.statistics.sensitivities import Sensitivity, study_sensitivities
 from tolerancing.statistics.summary import Summary
 from tolerancing.study.results import HighFidelityResults, StepResults, TrialResults
 from tolerancing.study.study import Study
@@ -125,7 +124,7 @@ class ReportData:
     @cached_property
     def approximations(self) -> tuple[Approximation, ...]:
         """Dear merits for which sensitivities and models take the cheap ones."""
-        return approximations_of(self.study, self.results, self.dear)
+        return approximations_of(self.study, self.results, self.high_fidelity)
 
     @cached_property
     def variance_shares(self) -> Array | None:

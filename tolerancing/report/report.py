@@ -84,13 +84,13 @@ def report_data(store: Store) -> ReportData:
 
     loaded, record, nominal = store.loaded, store.record(), store.nominal()
     results, steps = store.trials(), store.steps()
-    dear = store.dear() if store.study.high_fidelity_merits else None
+    dear = store.high_fidelity() if store.study.high_fidelity_merits else None
     return ReportData(
         loaded=loaded,
         record=record,
         nominal=nominal,
         results=results,
-        dear=dear,
+        high_fidelity=dear,
         steps=steps,
         summary=summary_of(record, store.study, nominal, results, len(store.finished_steps())),
     )

@@ -125,7 +125,7 @@ def missing_trials(store: Store, planned: int, size: int, workers: int, in_order
     if not in_order:
         np.random.default_rng().shuffle(order)
     for k in order.tolist():
-        missing = store.lacking(ranges[k])
+        missing = store.missing(ranges[k])
         if missing:
             yield Task(trials=missing)
 

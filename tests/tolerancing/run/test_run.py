@@ -197,7 +197,7 @@ def test_dear_merits_score_the_worst_and_some_others(full, tmp_path):
     path = tmp_path / "store"
     run_study(full, path, workers=1)
     with open_store(path) as store:
-        dear, spread = store.dear(), store.scores("largest_spread_deg", 40)
+        dear, spread = store.high_fidelity(), store.scores("largest_spread_deg", 40)
         chosen = chosen_trials(store.study, spread)
         assert store.study.fidelity.worst_share == 0.1
     worst = {t for t, why in zip(dear.trials, dear.chosen, strict=True) if why == "worst"}
@@ -219,15 +219,15 @@ def test_dear_merits_wait_for_all_trials_and_follow_more_trials(full, tmp_path):
         run_study(full, path, workers=1, progress=kill)
     with open_store(path) as store:
         assert 0 < store.trial_count() < 40
-        assert len(store.dear()) == 0
+        assert len(store.high_fidelity()) == 0
     assert run_study(full, path, workers=1).high_fidelity_run == 6
     outcome = run_study(full, path, workers=1, trials=80)
     assert outcome.trials_run == 40
     run_study(full, tmp_path / "whole", workers=1, trials=80)
     with open_store(path) as store, open_store(tmp_path / "whole") as whole:
-        assert set(whole.dear().trials) <= set(store.dear().trials)
-        assert len(whole.dear()) == 12
-        assert len(store.dear()) == 6 + outcome.high_fidelity_run
+        assert set(whole.high_fidelity().trials) <= set(store.high_fidelity().trials)
+        assert len(whole.high_fidelity()) == 12
+        assert len(store.high_fidelity()) == 6 + outcome.high_fidelity_run
 
 
 @pytest.mark.parametrize(

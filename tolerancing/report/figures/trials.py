@@ -191,7 +191,9 @@ def scale_panel(scales: Array, curves: Sequence[ScaleCurve]) -> Panel:
             width = 2.0 if together else 1.1
             axis.plot(scales, 100.0 * curve.shares, color=color, linewidth=width, label=curve.name)
             if curve.found is not None:
-                share, low, high = (100.0 * v for v in (curve.found.share, curve.found.low, curve.found.high))
+                share, low, high = (
+                    100.0 * v for v in (curve.found.fraction, curve.found.low, curve.found.high)
+                )
                 axis.errorbar(
                     [1.0], [share], yerr=[[share - low], [high - share]], fmt="o", color=color, ms=4.0,
                     capsize=2.5,

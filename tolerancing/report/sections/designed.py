@@ -115,10 +115,10 @@ def _beside(data: ReportData, before: Summary | None) -> list[Block]:
                 own.merit.label,
                 number_text(other.nominal),
                 number_text(other.mean),
-                percent_text(other.good.share if other.good else None),
+                percent_text(other.good.fraction if other.good else None),
                 number_text(own.nominal),
                 number_text(own.mean),
-                percent_text(own.good.share if own.good else None),
+                percent_text(own.good.fraction if own.good else None),
             ]
         )
     title = before.study.title or before.study.design

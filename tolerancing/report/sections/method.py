@@ -55,7 +55,7 @@ TEXT_SUFFIXES = (".toml", ".py")
 def fidelity_section(data: ReportData) -> list[Block]:
     """Cheap against dear scores, and what both together say."""
     blocks: list[Block] = [Heading("Fidelity: cheap and dear merits")]
-    merits, dear = data.study.high_fidelity_merits, data.dear
+    merits, dear = data.study.high_fidelity_merits, data.high_fidelity
     if not merits:
         return [*blocks, Paragraph("All merits are scored in all trials: the study has no dear ones.")]
     if dear is None or not len(dear):
@@ -84,13 +84,13 @@ def fidelity_section(data: ReportData) -> list[Block]:
 def _estimates(
     data: ReportData, cheap: Merit, dear: Merit, k: int, places: np.ndarray, there: np.ndarray
 ) -> list[list[str]]:
-    assert data.dear is not None
+    assert data.high_fidelity is not None
     column = [m.label for m in data.study.merits].index(cheap.label)
-    c, worst = data.results.scores[:, column], np.array([why == WORST for why in data.dear.chosen])
+    c, worst = data.results.scores[:, column], np.array([why == WORST for why in data.high_fidelity.chosen])
     first, second = there & worst, there & ~worst
     chosen = TrialChoice(places[first].astype(np.intp), places[second].astype(np.intp))
-    scores = np.concatenate([data.dear.scores[first, k], data.dear.scores[second, k]])
-    seconds = Seconds(_mean_seconds(data.results.seconds), _mean_seconds(data.dear.seconds))
+    scores = np.concatenate([data.high_fidelity.scores[first, k], data.high_fidelity.scores[second, k]])
+    seconds = Seconds(_mean_seconds(data.results.seconds), _mean_seconds(data.high_fidelity.seconds))
     rows = []
     for name, work in (
         (f"mean of {dear.column}", lambda: combined_mean(c, chosen, scores, seconds)),
@@ -118,9 +118,9 @@ def _estimate(name: str, found: ControlVariateEstimate, share: bool) -> list[str
         text(found.estimate),
         f"{text(found.low)} to {text(found.high)}",
         number_text(found.correlation),
-        _times(found.narrower_than_dear),
+        _times(found.narrower_than_high_fidelity),
         _times(found.narrower_than_same_time),
-        f"{found.dear_trials:,}",
+        f"{found.high_fidelity_trials:,}",
     ]
 
 
@@ -197,7 +197,7 @@ def reproduction_section(data: ReportData, toolkit: str, written: str) -> list[B
     record = data.record
     name = PurePosixPath(data.loaded.name).name
     spent = float(np.nansum(data.results.seconds)) + sum(s.seconds for s in data.steps)
-    spent += float(np.nansum(data.dear.seconds)) if data.dear is not None else 0.0
+    spent += float(np.nansum(data.high_fidelity.seconds)) if data.high_fidelity is not None else 0.0
     facts = (
         ("Toolkit of the run", record.toolkit_version),
         ("Toolkit of this report", toolkit),

@@ -63,7 +63,7 @@ def verdict(summary: Summary) -> tuple[str, bool]:
         return "No trials yet", False
     if summary.good.passed == summary.good.total:
         return "Pass: every trial keeps every limit", False
-    if summary.good.share < 0.5:
+    if summary.good.fraction < 0.5:
         return "Fail: most trials miss a limit", True
     return "Pass in part: the nominal lens and most trials keep every limit", False
 
@@ -82,7 +82,7 @@ def _headline(summary: Summary) -> Headline:
         f"Yield: {good.passed:,} of {good.total:,} trials keep every limit; 95 % confidence interval "
         f"{percent_text(good.low)} to {percent_text(good.high)}. {lost}"
     )
-    return Headline(percent_text(good.share), words, text, failed)
+    return Headline(percent_text(good.fraction), words, text, failed)
 
 
 def merit_verdict(row: MeritSummary) -> Cell:
@@ -94,7 +94,7 @@ def merit_verdict(row: MeritSummary) -> Cell:
     missed = row.good.total - row.good.passed
     if not missed:
         return Cell("pass")
-    if row.good.share < 0.5:
+    if row.good.fraction < 0.5:
         return Cell("fail: most trials miss", failed=True)
     return Cell(f"in part: {counted(missed, 'trial misses', 'trials miss')}")
 
@@ -111,8 +111,10 @@ def _merits(summary: Summary) -> Table:
                 merit_verdict(row),
                 merit.limit_text,
                 *cells,
-                percent_text(good.share) if good else "–",
-                Cell(span_text(good.low, good.high), bar=(good.share, good.low, good.high)) if good else "–",
+                percent_text(good.fraction) if good else "–",
+                Cell(span_text(good.low, good.high), bar=(good.fraction, good.low, good.high))
+                if good
+                else "–",
             ]
         )
     headings = ["<Merit", "<Verdict", "<Limit", "Nominal", "Median", "5 %", "95 %", "Yield", "<95 % interval"]
@@ -129,7 +131,7 @@ def _offenders(data: ReportData) -> list[Block]:
     shares, study = data.variance_shares, data.study
     if shares is None or not np.any(shares):
         return []
-    bad = np.array([1.0 - m.good.share if m.good else 0.0 for m in data.summary.merits])
+    bad = np.array([1.0 - m.good.fraction if m.good else 0.0 for m in data.summary.merits])
     weights = bad / bad.sum() if bad.sum() > 0.0 else np.full(len(bad), 1.0 / len(bad))
     together = weights @ shares
     order = np.argsort(-together, kind="stable")[:OFFENDERS]

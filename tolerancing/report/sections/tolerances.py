@@ -24,7 +24,7 @@ from tolerancing.report.blocks import (
 )
 from tolerancing.report.data import ReportData
 from tolerancing.report.figures.trials import bars_panel
-from tolerancing.statistics.quadratic_response import Sensitivity, compare_with_trials, root_sum_square
+from tolerancing.statistics.sensitivities import Sensitivity, compare_with_trials, root_sum_square
 from tolerancing.statistics.summary import mean_and_deviation
 
 MOST_BARS = 20
@@ -212,8 +212,8 @@ def _root_sum_square(data: ReportData, found: Sensitivity) -> list[Block]:
                 f"{number_text(c.mean)} ± {number_text(c.standard_error, 2)}",
                 number_text(c.predicted_standard_deviation),
                 number_text(c.standard_deviation),
-                percent_text(c.predicted_share),
-                f"{percent_text(good.share)} ({span_text(good.low, good.high)})" if good else "–",
+                percent_text(c.predicted_yield),
+                f"{percent_text(good.fraction)} ({span_text(good.low, good.high)})" if good else "–",
             ]
         )
     headings = [

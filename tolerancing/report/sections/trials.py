@@ -87,7 +87,7 @@ def _statistics(name: str, row: MeritSummary) -> list[str]:
         number_text(row.mean),
         number_text(row.standard_deviation),
         *(number_text(row.percentiles.get(p)) for p in PERCENTILES),
-        percent_text(row.good.share if row.good else None),
+        percent_text(row.good.fraction if row.good else None),
     ]
 
 
