@@ -68,7 +68,7 @@ class VarianceIndices:
         return np.asarray(1.0 - self.first.sum(axis=0))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON: the perturbations of each merit's column by descending total index."""
+        """Return plain values for JSON: each merit's perturbations by descending total index."""
         return {
             merit.column: {
                 "standard_deviation": finite_or_none(float(self.standard_deviation[k])),

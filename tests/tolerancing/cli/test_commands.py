@@ -63,7 +63,7 @@ def test_what_tolerances_cost_and_the_cheapest_that_do(command, write_study, ray
     assert found["cost"] <= found["uniform_cost"]
     both = command("budget", store, "--yield", "0.6", "-o", out, "--costs", "relative", "--weight", "a=1")
     assert (both.returncode, both.stdout) == (2, "")
-    assert "give one of them" in both.stderr
+    assert "give only one of them" in both.stderr
     assert (
         "--process '2=moulded_glass': must be NAME"
         in command("cost", study, "--process", "2=moulded_glass").stderr

@@ -100,7 +100,7 @@ SECTIONS = [
     "Merits against perturbations",
     "Worst trials",
     "Sweeps, grids and slice counts (as in the paper's Fig. 7)",
-    "Fidelity: cheap and dear merits",
+    "Fidelity: low- and high-fidelity merits",
     "Method, fidelity and error",
     "Versions and reproduction",
 ]
