@@ -211,7 +211,7 @@ def _predicted_wavefronts(found: WavefrontPrediction) -> list[Block]:
         table(
             ["<Object point (mm)", "Rms (waves)", "Limit (waves)", "Good"],
             points,
-            "Root mean square of the wavefront over pupil and lenses without shift and focus, with its limit. "
+            "Rms of the wavefront over pupil and lenses without shift and focus, and its limit. "
             "A limit on the Strehl ratio S is converted to a root mean square by S = exp(−(2π rms)²).",
         ),
         table(
