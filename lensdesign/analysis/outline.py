@@ -235,9 +235,9 @@ def clear_semi_diameter_mm(element: Element) -> float:
 def with_ground_edge(lens: Lens, element: Element, semi_diameter_mm: float) -> Element:
     """The element with an edge cylinder of a radius; flats, bevels and flange stay."""
     edges = list(lens.edges or [SHARP for _ in lens.glass_fronts])
-    edges[element.number] = element.edge.replaced(semi_diameter_mm=semi_diameter_mm)
+    edges[element.index] = element.edge.replaced(semi_diameter_mm=semi_diameter_mm)
     # The edge is not yet checked, so that a body that does not close can be reported rather than refused.
-    return glass_element(_Edged(lens.surfaces, tuple(edges)), element.number)
+    return glass_element(_Edged(lens.surfaces, tuple(edges)), element.index)
 
 
 class _Edged(NamedTuple):

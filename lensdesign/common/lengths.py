@@ -42,7 +42,7 @@ class PlausibleLength:
     reason: str = ""
     always: bool = False
 
-    def doubt(self, value: float, unit: str) -> str | None:
+    def objection(self, value: float, unit: str) -> str | None:
         """The reason to question a length, with the value that may be meant; None where it is plausible.
 
         Parameters
@@ -94,7 +94,7 @@ WAVELENGTH_UM = PlausibleLength(0.05, 50.0, (0.19, 20.0), always=True)
 """Wavelengths beyond these are given in another unit than micrometres, or are those of no lens."""
 
 
-def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
+def implausible_length(what: str, value: float, unit: str, plausible: PlausibleLength) -> str | None:
     """A sentence that questions a length; None where it is plausible.
 
     Parameters
@@ -102,10 +102,10 @@ def doubted_length(what: str, value: float, unit: str, plausible: PlausibleLengt
     what
         Where the length stands, and its name.
     value, unit, plausible
-        As of :meth:`PlausibleLength.doubt`.
+        As of :meth:`PlausibleLength.objection`.
     """
-    doubt = plausible.doubt(value, unit)
-    return None if doubt is None else f"{what} = {value:g}: {doubt}"
+    objection = plausible.objection(value, unit)
+    return None if objection is None else f"{what} = {value:g}: {objection}"
 
 
 def validate_length(what: str, value: float | None, unit: str, plausible: PlausibleLength) -> None:
@@ -114,9 +114,9 @@ def validate_length(what: str, value: float | None, unit: str, plausible: Plausi
     Raises
     ------
     InputError
-        As :func:`doubted_length` says.
+        As :func:`implausible_length` says.
     """
-    sentence = None if value is None else doubted_length(what, value, unit, plausible)
+    sentence = None if value is None else implausible_length(what, value, unit, plausible)
     if sentence is not None:
         raise InputError(sentence)
 

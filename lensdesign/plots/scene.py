@@ -106,8 +106,8 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
 
 def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
     for element in closed_elements(lens):
-        glass, number = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
-        mesh = lens_mesh(lens, chord_error_um, element.number).mesh
+        glass, number = str(lens.surfaces[element.surfaces[0]].material), element.index + 1
+        mesh = lens_mesh(lens, chord_error_um, element.index).mesh
         yield ScenePart(
             f"element_{number}_{glass}",
             "glass",

@@ -184,7 +184,7 @@ def _deltas(changes: Mapping[int, SurfacePerturbation], name: str, count: int, o
 def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
     """The shape of a surface as perturbed."""
     surface, nominal = lens.surfaces[i], lens.surfaces[i].shape
-    deltas = {} if change is None else change.of_shape()
+    deltas = {} if change is None else change.shape_deltas()
     if not deltas:
         return nominal
     terms = np.tile(nominal.terms, (*np.broadcast_shapes(*map(np.shape, deltas.values())), 1))
@@ -194,7 +194,7 @@ def _shape(lens: Lens, i: int, change: SurfacePerturbation | None) -> Shape:
             raise InputError(
                 f"surface {i + 1}: {parameter} is no parameter of its shape ({nominal.NAME}); it has {held}"
             )
-        place = nominal.place(term_of(parameter))
+        place = nominal.term_index(term_of(parameter))
         if parameter.startswith("radius"):
             terms[..., place] = 1.0 / _radius(surface, i, parameter, delta)
         else:

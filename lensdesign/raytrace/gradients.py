@@ -227,7 +227,7 @@ def _differentiate(
         np.ascontiguousarray(planes_mm, dtype=float),
         np.array([0 if x.of_shape else 1 + KINDS.index(x.kind) for x in every]),
         np.array([x.surface for x in every]),
-        np.array([system.shapes[x.surface].place(x.kind) if x.of_shape else 0 for x in every]),
+        np.array([system.shapes[x.surface].term_index(x.kind) if x.of_shape else 0 for x in every]),
         values,
         derivatives,
         status,

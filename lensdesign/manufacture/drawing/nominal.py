@@ -83,7 +83,7 @@ def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:
     edged = lens.replaced(edges=tuple(edges))
     for element in glass_elements(edged):
         _refuse_thin(
-            element, tolerances(element), chosen=elements[element.number].edge.semi_diameter_mm is None
+            element, tolerances(element), chosen=elements[element.index].edge.semi_diameter_mm is None
         )
     rounded, more = _rounded(edged, tolerances)
     return Stated(rounded, (*notes, *more))
