@@ -105,7 +105,7 @@ class Material:
         Parameters
         ----------
         wavelength_um
-            Wavelength in air.
+            Vacuum wavelength (air has the index 1).
 
         Raises
         ------
@@ -224,7 +224,7 @@ def _at_temperature(material: str, files: tuple[Path, ...]) -> Material:
 
 
 def refractive_index(material: str | float, wavelength_um: float, catalogs: Iterable[Path] = ()) -> float:
-    """Return the refractive index of a material at one wavelength in air; see :func:`get_material`.
+    """Return the refractive index of a material at one wavelength; see :func:`get_material`.
 
     Examples
     --------

@@ -98,7 +98,7 @@ class Lens(Section):
     title
         Title of the design.
     wavelengths_um
-        Design wavelengths in air.
+        Vacuum wavelengths of the design (air has the index 1).
     glass_catalogs
         Paths of glass catalogue files (AGF).
     object
@@ -271,7 +271,7 @@ class Lens(Section):
         Parameters
         ----------
         wavelength_um
-            Wavelength in air.
+            Vacuum wavelength (air has the index 1).
 
         Raises
         ------

@@ -226,7 +226,7 @@ class DesignProblem:
             stop = hot.stop_semi_diameter_mm
             if derivatives:
                 variables = self.heat.own
-                chain = hot.chain if planes_mm is None else hot.chain.to_still_planes(len(planes_mm))
+                chain = hot.chain if planes_mm is None else hot.chain.with_fixed_planes(len(planes_mm))
         return gradient_trace(
             _shaped(base, lens),
             lens.object_z_mm,
@@ -249,7 +249,7 @@ class DesignProblem:
             own, by = self.heat.own, self._heated(point, True).chain.variables[:, variable]
         vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
         for one, share in zip(own, step * by, strict=True):
-            if one.of_shape and share:
+            if one.is_shape_term and share:
                 shapes[one.surface] = shapes[one.surface].moved(one.kind, share)
             elif one.kind == "thickness":
                 vertices += share * (np.arange(len(vertices)) > one.surface)

@@ -199,7 +199,7 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
 
 def _by(state: State, i: int, derivative: Callable[[str], Array]) -> Array:
     """Derivatives by all variables of what depends on the shape of one surface alone, shape (..., v)."""
-    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.of_shape and v.surface == i}
+    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.is_shape_term and v.surface == i}
     found = np.zeros((len(next(iter(own.values()), np.zeros(1))), len(state.variables)))
     for j, values in own.items():
         found[:, j] = values

@@ -100,7 +100,7 @@ def test_searches_know_a_continuous_upper_bound(thickness: float) -> None:
     for c in clear.tolist():
         semi = c
         for _ in range(2):
-            semi = ground_semi_diameter_mm(c, general_edge(max(2.0 * semi, thickness)).room)
+            semi = ground_semi_diameter_mm(c, general_edge(max(2.0 * semi, thickness)).margin)
         exact.append(semi)
         bounds.append(highest_ground_mm(c, thickness)[0])
     assert np.all(np.array(bounds) >= np.array(exact) - 1e-9)
