@@ -78,7 +78,7 @@ def check_design(lens: Lens | str | os.PathLike[str], *, refined: bool = True) -
     ...     object=ObjectSpace(field_diameter_mm=1.0, numerical_aperture=0.05, working_distance_mm=40.0),
     ...     sensor=Sensor(pixel_pitch_um=2.0, pixels=(3000, 3000), plane_distances_mm=(5.0,)),
     ...     surfaces=(
-    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=4.0, stop=True),
+    ...         Surface(radius_mm=20.0, thickness_mm=3.0, material=1.5, semi_diameter_mm=2.01, stop=True),
     ...         Surface(radius_mm=-20.0, semi_diameter_mm=4.0),
     ...     ),
     ... )

@@ -132,7 +132,7 @@ def test_vignetting(paper_lens: Lens) -> None:
     assert sentence.startswith(
         f"throughput: {100.0 * report.throughput:.4g} % of the stop passes from the field"
     )
-    assert sentence.endswith("at 0.532 um; all of it must")
+    assert sentence.endswith("at 0.532 um; must be 100 %")
 
 
 def test_numerical_aperture_that_is_not_reached(paper_lens: Lens) -> None:

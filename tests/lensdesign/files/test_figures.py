@@ -236,7 +236,7 @@ def test_zernike_figures_scale_with_the_lens(tmp_path: Path) -> None:
 
 def test_a_grid_file_does_not_scale(tmp_path: Path) -> None:
     lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
-    with pytest.raises(DesignError, match=r"front\.csv cannot be scaled: give it as Zernike coefficients"):
+    with pytest.raises(DesignError, match=r"front\.csv cannot be scaled; give it as Zernike coefficients"):
         scaled(lens, 0.5)
 
 

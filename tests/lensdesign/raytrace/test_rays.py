@@ -423,7 +423,7 @@ def test_an_earlier_result_is_overwritten(paper_lens: Lens) -> None:
     assert again is first
     assert equal(again, fresh)
     assert np.array_equal(again.hits, fresh.hits)
-    with pytest.raises(InputError, match="other hits"):
+    with pytest.raises(InputError, match="another record_hits"):
         trace(paper_lens, origins, directions, 0.532, out=first)
     with pytest.raises(InputError, match=r"out holds rays of shape \(500,\): must be \(499,\)"):
         trace(paper_lens, origins[1:], directions[1:], 0.532, out=first, record_hits=True)
