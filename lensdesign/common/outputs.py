@@ -7,7 +7,7 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from lensdesign.errors import InputError, writable_place
+from lensdesign.errors import InputError, resolved_output
 
 
 def check_output_file(path: str | os.PathLike[str]) -> None:
@@ -29,7 +29,7 @@ def check_output_file(path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     try:
-        place = writable_place(target)
+        place = resolved_output(target)
         _try_name(place)
         _try_folder(place.parent)
     except OSError as error:

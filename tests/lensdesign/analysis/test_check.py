@@ -116,7 +116,11 @@ def test_a_lens_that_meets_everything(paper_lens: Lens) -> None:
     ("pitch", "pixels", "start"),
     [
         (3.2, (5000, 4000), "Eq. 1: the sensor's space-bandwidth product of 9.87e+06 is less than"),
-        (3.1, (7000, 7200), "footprint: 22 mm behind the exit vertex light reaches 11.1650 mm from the axis"),
+        (
+            3.1,
+            (7000, 7200),
+            "footprint: 22 mm behind the exit vertex, light reaches 11.1650 mm from the axis",
+        ),
     ],
 )
 def test_sensors_that_do_not_do(paper_lens: Lens, pitch: float, pixels: tuple[int, int], start: str) -> None:

@@ -225,7 +225,7 @@ def test_impossible_edges_are_refused(
 
 
 def test_one_edge_for_each_element(paper_lens: Lens) -> None:
-    with pytest.raises(DesignError, match="one for each glass element, front to back .1., or none"):
+    with pytest.raises(DesignError, match=r"one for each glass element, front to back .1., or none"):
         paper_lens.replaced(edges=(Edge(), Edge()))
 
 

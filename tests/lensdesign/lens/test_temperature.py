@@ -86,7 +86,7 @@ def test_focal_length_changes_as_the_closed_form_says():
 @pytest.mark.parametrize(
     ("material", "message"),
     [
-        (1.5, "surface 1, 1.5 .constant.: thermal expansion is not known"),
+        (1.5, "surface 1, 1.5 .constant.: its thermal expansion is not known"),
         ("SILICA", "surface 1, SILICA .*thermal expansion is not known"),
         ("N-BK7@50C", "already given at a temperature"),
     ],

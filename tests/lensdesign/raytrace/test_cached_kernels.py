@@ -17,7 +17,7 @@ from numba.core import caching
 
 from lensdesign.lens.shapes.compiled import SOURCES
 from lensdesign.lens.shapes.registry import shape_classes
-from lensdesign.raytrace.cached_kernels import KernelCacheWarning, _own_place, cached_njit, drop_outdated
+from lensdesign.raytrace.cached_kernels import KernelCacheWarning, _private_folder, cached_njit, drop_outdated
 
 
 @pytest.fixture
@@ -67,9 +67,9 @@ def nowhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    _own_place.cache_clear()
+    _private_folder.cache_clear()
     yield
-    _own_place.cache_clear()
+    _private_folder.cache_clear()
 
 
 def test_without_a_place_kernels_are_kept_in_a_private_temporary_folder(
