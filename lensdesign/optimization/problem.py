@@ -20,7 +20,7 @@ from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_
 from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
-from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Row, State
+from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
@@ -322,7 +322,7 @@ class DesignProblem:
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
-    ) -> tuple[list[Row], list[Row]]:
+    ) -> tuple[list[Operand], list[Operand]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
         state = self.state(point, rays, derivatives)
         return goal_operands(self.specification, state), constraint_operands(self.specification, state, final)
