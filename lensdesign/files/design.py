@@ -15,7 +15,7 @@ from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, 
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.edges import Edge, Flange
-from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths, long_radii
+from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 
@@ -170,7 +170,7 @@ def validate_lengths(lens: Lens, source: Path) -> None:
     DesignError
         Naming the source and each length, with the value that may be meant.
     """
-    doubts = [f"{source}: {doubt}" for doubt in doubted_lengths(lens)]
+    doubts = [f"{source}: {doubt}" for doubt in implausible_lengths(lens)]
     if doubts:
         raise DesignError(joined_faults(doubts))
 
@@ -195,7 +195,7 @@ def _doubts_of_tables(data: Mapping[str, Any]) -> list[str]:
             surfaces=tuple(surfaces),
             edges=tuple(edges),
         )
-        return list(doubted_lengths(lens))[:MOST_FAULTS]
+        return list(implausible_lengths(lens))[:MOST_FAULTS]
     except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
         return []  # the fault that is reported anyway is of another kind
 

@@ -12,7 +12,7 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    doubted_length,
+    implausible_length,
     in_unit,
     numbers_of,
 )
@@ -83,7 +83,7 @@ def _refuse(name: str, value: Any, plausible_mm: PlausibleLength | None, what: s
         unit = "mm"
     plausible = plausible_mm if name in ABSOLUTE_UM else in_unit(plausible_mm, unit)
     for number in numbers_of(value):
-        sentence = doubted_length(what or f"{{{name}}}", number, unit, plausible)
+        sentence = implausible_length(what or f"{{{name}}}", number, unit, plausible)
         if sentence is not None:
             raise SettingError(sentence)
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 from lensdesign.analysis.matching import match
 from lensdesign.analysis.outline import (
-    EdgeRoom,
+    EdgeMargin,
     chosen_semi_diameter_mm,
     clear_semi_diameter_mm,
-    edge_room_needed_mm,
-    seat_mm,
+    mount_margin_mm,
+    needed_edge_thickness_mm,
     with_ground_edge,
 )
 from lensdesign.analysis.spread import largest_spread
@@ -83,7 +83,7 @@ def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:
     edged = lens.replaced(edges=tuple(edges))
     for element in glass_elements(edged):
         _refuse_thin(
-            element, tolerances(element), chosen=elements[element.number].edge.semi_diameter_mm is None
+            element, tolerances(element), chosen=elements[element.index].edge.semi_diameter_mm is None
         )
     rounded, more = _rounded(edged, tolerances)
     return Stated(rounded, (*notes, *more))
@@ -123,7 +123,7 @@ def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, 
     edge = element.edge.replaced(semi_diameter_mm=semi)
     room = _room(element, tolerances(with_ground_edge(lens, element, semi)))
     taken = (
-        f"{seat_mm(clear):.3g} mm to each side for the mount, {room.chamfer_mm:g} for the bevel, "
+        f"{mount_margin_mm(clear):.3g} mm to each side for the mount, {room.chamfer_mm:g} for the bevel, "
         f"{room.play_mm:g} for its tolerance"
     )
     general = chosen_semi_diameter_mm(lens, element)
@@ -138,8 +138,8 @@ def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, 
     ]
 
 
-def _room(element: Element, made: DrawingTolerances) -> EdgeRoom:
-    return EdgeRoom(_chamfer_mm(element, made), 0.5 * (made.diameter_mm or 0.0), made.thickness_mm or 0.0)
+def _room(element: Element, made: DrawingTolerances) -> EdgeMargin:
+    return EdgeMargin(_chamfer_mm(element, made), 0.5 * (made.diameter_mm or 0.0), made.thickness_mm or 0.0)
 
 
 def _chamfer_mm(element: Element, made: DrawingTolerances) -> float:
@@ -166,7 +166,7 @@ def _refuse_narrow(element: Element, clear: float, made: DrawingTolerances) -> N
 
 def _refuse_thin(element: Element, made: DrawingTolerances, chosen: bool) -> None:
     """Refuse an edge without room for its bevels and the tolerance of the thickness."""
-    needed = edge_room_needed_mm(element, _room(element, made))
+    needed = needed_edge_thickness_mm(element, _room(element, made))
     thickness = min(section.edge_thickness_mm for section in element.sections)
     if not thickness > needed:
         what = "the ground diameter that leaves room" if chosen else "its ground diameter"

@@ -154,7 +154,7 @@ def element_tolerances(
     InputError
         If it is too large for the general tolerances.
     """
-    given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+    given = options.tolerances[element.index] if element.index < len(options.tolerances) else None
     general = given is None
     if given is None:
         thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
@@ -164,7 +164,7 @@ def element_tolerances(
             raise InputError(f"{element.name}: {error}") from error
     if assumed is None:
         return given
-    return assumed.stated(element.number, element.surfaces[0], given, general)
+    return assumed.stated(element.index, element.surfaces[0], given, general)
 
 
 def drawing_as_stated(
@@ -198,7 +198,7 @@ def drawing_as_stated(
 
     def tolerances_of(element: Element) -> DrawingTolerances:
         made = element_tolerances(element, options, assumed)
-        given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+        given = options.tolerances[element.index] if element.index < len(options.tolerances) else None
         return fitting(element, made) if given is None else made
 
     stated = stated_lens(lens, tolerances_of)
@@ -237,7 +237,7 @@ def _title_block(
         [
             ("Title", title, 0.58),
             ("Drawing no.", options.number, 0.26),
-            ("Sheet", f"{element.number + 1} of {sheets}", 0.16),
+            ("Sheet", f"{element.index + 1} of {sheets}", 0.16),
         ],
         [
             ("Part", element.name, 0.24),

@@ -209,7 +209,7 @@ def _reshaped(lens: Lens, i: int, change: SurfacePerturbation) -> Lens:
     """A lens with the deltas of one surface that its design file could hold."""
     surface = lens.surfaces[i]
     values: dict[str, Any] = {}
-    for name, delta in change.of_shape().items():
+    for name, delta in change.shape_deltas().items():
         by = float(np.ravel(delta)[0])
         if name.startswith("radius"):
             values[name] = getattr(surface, name) + by
