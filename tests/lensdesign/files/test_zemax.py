@@ -18,8 +18,7 @@ from lensdesign.analysis.check import check_design
 from lensdesign.analysis.paraxial import first_order
 from lensdesign.common.input_files import LENS_FILE_BYTES
 from lensdesign.files.draft import LossyImportError, Supplement
-from lensdesign.files.zemax import read_zmx, write_zmx
-from lensdesign.files.zemax_records import radius_mm
+from lensdesign.files.zemax import radius_mm, read_zmx, write_zmx
 from lensdesign.lens.figure_source import FigureSource
 
 HEADER = """VERS 171115
@@ -50,12 +49,16 @@ SUPPLEMENT = Supplement(
 
 
 def zmx_text(
-    name: str, pupil: float, waves: tuple[float, ...], surfaces: list[tuple[str, ...]], primary: int = 1
+    name: str,
+    pupil: float,
+    wavelengths_um: tuple[float, ...],
+    surfaces: list[tuple[str, ...]],
+    primary: int = 1,
 ) -> str:
     """A file as lens makers write it: object at infinity, then the records of each surface."""
-    lines = [HEADER.format(name=name, pupil=pupil, waves=len(waves)).rstrip()]
-    lines += [f"WAVM {i} {w} 1" for i, w in enumerate(waves, start=1)]
-    lines += [f"WAVM {i} 0.55 1" for i in range(len(waves) + 1, 25)]
+    lines = [HEADER.format(name=name, pupil=pupil, waves=len(wavelengths_um)).rstrip()]
+    lines += [f"WAVM {i} {w} 1" for i, w in enumerate(wavelengths_um, start=1)]
+    lines += [f"WAVM {i} 0.55 1" for i in range(len(wavelengths_um) + 1, 25)]
     lines += [f"PWAV {primary}", "GLRS 1 0", "SURF 0", "  FIMP", "  CURV 0.0", "  DISZ INFINITY"]
     for i, records in enumerate(surfaces, start=1):
         lines += [f"SURF {i}", *(f"  {record}" for record in records)]
@@ -403,19 +406,19 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 FAULTS = [
     ("MODE SEQ", "MODE NSC", "line 3: MODE 'NSC'; only sequential"),
     ("UNIT MM", "UNIT IN", "line 8: UNIT 'IN'; only lengths in MM"),
-    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' stands where a finite number must"),
-    ("DISZ 9.0", "DISZ nan", "'nan' stands where a finite number must"),
-    ("DISZ 9.0", "DISZ 1e999", "'1e999' stands where"),
-    ("DISZ 9.0", "DISZ 1_0", "'1_0' stands where"),
-    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' stands where"),
+    ("DISZ 9.0", "DISZ 9,0", "line 50: '9,0' must be a finite number"),
+    ("DISZ 9.0", "DISZ nan", "'nan' must be a finite number"),
+    ("DISZ 9.0", "DISZ 1e999", "'1e999' must be"),
+    ("DISZ 9.0", "DISZ 1_0", "'1_0' must be"),
+    ("DISZ 9.0", f"DISZ {'1' * 5000}", r"'1111.*\.\.\.' must be"),
     ("DISZ 9.0", "DISZ", "0 values where at least 1 must stand"),
     ("DISZ 9.0", "DISZ 0.0", "the next surface lies 0 mm behind surface 1"),
     ("DISZ 9.0", "DISZ -9.0", "the next surface lies -9 mm behind surface 1"),
     ("DISZ 9.0", "DISZ INFINITY", "the next surface lies inf mm behind surface 1"),
     ("SURF 2", "SURF 7", "SURF '7' where surface 2 must follow"),
     ("N-BAF10", "N-BAF10X", r"unknown material 'N-BAF10X'; did you mean N-BAF10"),
-    ("CURV 0.0", "CURV abc", "'abc' stands where"),
-    ("PWAV 2", "PWAV 2.5", "'2.5' stands where a whole number must"),
+    ("CURV 0.0", "CURV abc", "'abc' must be"),
+    ("PWAV 2", "PWAV 2.5", "'2.5' must be a whole number"),
     ("STOP", "GLAS", "GLAS without a name"),
     ("FWGN 1", "NOTE 0 transferlens pixels [1", r"remark transferlens 'pixels' \(line 17\): not readable"),
     (
@@ -442,7 +445,7 @@ def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str | Non
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match=r"does not tell working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
+        match=r"lacks working_distance_mm, field_diameter_mm, numerical_aperture, pixel_p.*, pixels;",
     ):
         read_zmx(saved(tmp_path, AC254_050))
 
@@ -474,7 +477,7 @@ def test_what_is_no_lens_file_is_refused(tmp_path: Path) -> None:
 def test_what_the_format_cannot_hold_is_not_written(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.zmx"
     figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
-    with pytest.raises(InputError, match=r"surface 1: a \.zmx file cannot hold a measured figure"):
+    with pytest.raises(InputError, match=r"surface 1: a \.zmx file cannot represent a measured figure"):
         write_zmx(paper_lens.with_surface(0, figure=figure), path)
     with pytest.raises(InputError, match=r"surface 2: 8 asphere terms; a .zmx file holds 7, up to r\^16"):
         write_zmx(paper_lens.with_surface(1, asphere=(0.0,) * 7 + (1e-30,)), path)
@@ -654,10 +657,10 @@ def test_automatic_semi_diameters_are_no_apertures(tmp_path: Path) -> None:
             saved(tmp_path, SINGLET.replace(second, f"  DISZ 50\n  DIAM 7 {flag} 0 0 1")), SENSOR
         )
         assert result.lens.surfaces[1].semi_diameter_mm == kept
-        said = any(
+        differences = any(
             "automatic semi-diameters clip nothing" in r and "surface 2 7 mm" in r for r in result.remarks
         )
-        assert said == (kept is None)
+        assert differences == (kept is None)
     clear = read_zmx(
         saved(tmp_path, SINGLET.replace(second, "  DISZ 50\n  DIAM 7 0 0 0 1\n  CLAP 0 6 0")), SENSOR
     )
@@ -722,7 +725,7 @@ def test_the_lens_is_traced_and_compared_with_the_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The biconvex lens's textbook figures; and a reader that misreads is found out."""
-    from lensdesign.files import zemax_records
+    from lensdesign.files import zemax
 
     first = read_zmx(saved(tmp_path, SINGLET), SENSOR).first_order
     assert first is not None
@@ -734,12 +737,12 @@ def test_the_lens_is_traced_and_compared_with_the_records(
     assert first.magnification == pytest.approx(-1.0 / (power * (60.0 + principal) - 1.0), rel=1e-6)
 
     def misread(name: str, value: object) -> None:
-        def take(reader: object, surface: zemax_records.FileSurface, values: list[str], where: str) -> None:
+        def take(reader: object, surface: zemax.FileSurface, values: list[str], location: str) -> None:
             setattr(surface, name, value)
 
         taken = {"glass": "GLAS", "radius_mm": "CURV", "thickness_mm": "DISZ"}[name]
         with monkeypatch.context() as patched:
-            patched.setitem(zemax_records._OF_SURFACE, taken, take)
+            patched.setitem(zemax._OF_SURFACE, taken, take)
             with pytest.raises(InputError, match="does not do what the file's records imply"):
                 read_zmx(saved(tmp_path, SINGLET), SENSOR, lossy=True)
 
