@@ -58,7 +58,7 @@ def export(
     """
     from lensdesign.files.design import load_design
 
-    options = ExportOptions(chord_error_um, measured, report=lambda note: typer.echo(note, err=True))
+    options = ExportOptions(chord_error_um, measured, warn=lambda note: typer.echo(note, err=True))
     made = export_lens(load_design(design), file, options)
     if as_json:
         print_json(made.figures)

@@ -64,7 +64,7 @@ class _SurfaceTrain:
         return matrix
 
     def height_at_stop(self, y: float, u: float) -> float:
-        """Return the height at the stop of a paraxial ray; `y`, `u`: height and slope at the first surface."""
+        """Return the height at the stop of a ray with height `y` and slope `u` at the first surface."""
         assert self.stop_z_mm is not None
         z = 0.0
         for i, c in enumerate(self.curvatures):

@@ -461,7 +461,7 @@ def test_the_system_aperture_decides_what_rays_fill(tmp_path: Path, command: str
     lens = result.lens
     assert lens.stop_semi_diameter_mm < 10.0
     assert check_design(lens).numerical_aperture == pytest.approx(lens.object.numerical_aperture, rel=1e-6)
-    assert "lets through more than the system aperture" in result.remarks[0]
+    assert "exceeds the system aperture" in result.remarks[0]
 
 
 def test_the_users_catalogue_wins_over_the_maker_that_the_file_names() -> None:
