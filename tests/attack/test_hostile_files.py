@@ -168,9 +168,7 @@ def test_a_lens_file_never_has_another_file_opened(
     monkeypatch.setattr(
         Path, "open", lambda self, *a, **k: (opened.append(self.name), whole(self, *a, **k))[1]
     )
-    with pytest.raises(
-        LossyImportError, match=r"glass catalogues .*own.agf.* are not opened; give them along"
-    ):
+    with pytest.raises(LossyImportError, match=r"glass catalogues .*own.agf.* are not opened; give them"):
         read(path)
     assert read(path, lossy=True)
     assert set(opened) == {path.name}
@@ -211,7 +209,7 @@ LYING_MESHES = {
         b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
         "2 faces declared, 1 found",
     ),
-    "header.ply": (b"ply\n" + b"comment\n" * 100_000, "end_header must come within"),
+    "header.ply": (b"ply\n" + b"comment\n" * 100_000, "end_header must occur within"),
     "line.obj": (b"v 0 0 0 " + b"1 " * 6000, "holds no triangle"),
     "index.obj": (b"v 0 0 0\nf 1 2 999999999999999999999\n", "is not a valid face; 1 vertices"),
     "far.obj": (b"v 0 0 0\nv 1e300 0 0\nv 0 1 0\nf 1 2 3\n", "1e\\+300 mm"),

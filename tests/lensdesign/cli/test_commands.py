@@ -189,7 +189,7 @@ def test_optimize_that_a_limit_cut_says_so_first(command: Command, tmp_path: Pat
     assert out.splitlines()[0] == (
         "not finished: max_evaluations = 25 cut the search of N-BK7 (start 1 of at most 12)"
     )
-    assert "hint: no other start came to this" in out
+    assert "hint: no other start reached this" in out
     code, out, _ = command("optimize", spec, "-o", output, "--max-evaluations", 25, "--json")
     assert code == 1
     assert len(json.loads(out)["unfinished"]) == 1
@@ -396,7 +396,7 @@ def test_a_lens_off_its_axis_is_imported_with_a_loss(
     write_zmx(load_design(paper_design), file, Pose(decenter_y_mm=0.25))
     code, out, err = command("import", file, "-o", back)
     assert (code, out) == (2, "")
-    assert err.startswith(f"error: {file}: a design cannot hold all of it")
+    assert err.startswith(f"error: {file}: a design cannot represent the whole file")
     assert "decenter_y_mm = 0.25" in err
     assert not back.exists()
     code, _, err = command("import", file, "-o", back, "--lossy")

@@ -389,7 +389,7 @@ LOSSES = [
     ("  FIMP\r\n  CURV 0.0\r\n  DISZ 0", "  CURV 0.01\r\n  DISZ 0", "surface 4: curved image surface"),
     ("CURV 0.0\r\n  DISZ INF", "CURV 0.1\r\n  DISZ INF", "surface 0: curved object surface"),
     ("DISZ INF", "GLAS F2\r\n  DISZ INF", "surface 0: object in F2, read as air"),
-    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break that is no pose"),
+    ("STOP", "TYPE COORDBRK\r\n  PARM 3 1.0\r\n  STOP", "surface 1: coordinate break that is not a pose"),
 ]
 
 
@@ -481,7 +481,7 @@ def test_what_the_format_cannot_hold_is_not_written(tmp_path: Path, paper_lens: 
         write_zmx(paper_lens.with_surface(0, figure=figure), path)
     with pytest.raises(InputError, match=r"surface 2: 8 asphere terms; a .zmx file holds 7, up to r\^16"):
         write_zmx(paper_lens.with_surface(1, asphere=(0.0,) * 7 + (1e-30,)), path)
-    with pytest.raises(InputError, match="one pose, not one for each trial"):
+    with pytest.raises(InputError, match="a single pose only"):
         write_zmx(paper_lens, path, Pose(np.zeros(3)))
     with pytest.raises(MaterialError, match="unknown material"):
         write_zmx(paper_lens.with_surface(0, material="N-BK77"), path)

@@ -460,7 +460,7 @@ def test_names_of_files_may_be_any_text(paper_lens: Lens, tmp_path: Path) -> Non
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     assert names_in(path)[0] == paper_lens.title
     path.unlink()
-    with pytest.raises(InputError, match="in UTF-8 alone"):
+    with pytest.raises(InputError, match="file name in UTF-8"):
         write_step(paper_lens, path.parent / "\udcff.step")
     assert not list(path.parent.iterdir())
 
