@@ -173,7 +173,9 @@ class PoseSettings(Settings):
 class EngineDetails(Settings):
     """What engines let one set; None leaves it to the engine."""
 
-    tile_width_mm: Size | None = Field(None, description="eikonal, two-level: width of a tile of the object.")
+    tile_width_mm: Size | None = Field(
+        None, description="eikonal, hierarchical: width of a tile of the object."
+    )
     slices: Count | None = Field(None, description="slices: number of slices.")
     compensation: str | None = Field(None, description="slices: vertical or oblique.")
     interface: str | None = Field(None, description="wpm: substep or staircase.")
@@ -207,9 +209,9 @@ class MachineSettings(Settings):
 
     memory_gb: Size | None = Field(None, description="Most memory; left out, 80 % of what is free.")
     cluster: str | None = Field(
-        None, description="two-level: Dask scheduler (ADDRESS) whose workers do the tiles."
+        None, description="hierarchical: Dask scheduler (ADDRESS) whose workers do the tiles."
     )
-    device: str | None = Field(None, description="two-level: cpu or gpu.")
+    device: str | None = Field(None, description="hierarchical: cpu or gpu.")
 
 
 class CameraSettings(Settings):

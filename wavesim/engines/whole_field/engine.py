@@ -114,7 +114,7 @@ class WholeFieldEngine(Tiled):
         On first use, if polynomials do not follow the rays, or tiles are too wide.
     """
 
-    name = "two-level"
+    name = "hierarchical"
 
     elsewhere: Executor | None = None
 
@@ -140,7 +140,7 @@ class WholeFieldEngine(Tiled):
     ) -> None:
         super().__init__(scene)
         if scene.object_grid.is_line:
-            raise InputError("engine two-level carries planes; on a line take eikonal")
+            raise InputError("engine hierarchical carries planes; on a line take eikonal")
         if tile_width_mm is not None:
             validate_positive("tile_width_mm", tile_width_mm)
         if not 1 <= tiles_across <= 100:

@@ -202,7 +202,7 @@ def validate_tiled(engine: Engine) -> WholeFieldEngine:
         If it has no super-tiles.
     """
     if not isinstance(engine, WholeFieldEngine):
-        raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine two-level")
+        raise InputError(f"--cluster: engine {engine.name} is done here; a cluster needs engine hierarchical")
     return engine
 
 
