@@ -140,7 +140,7 @@ class TiltedPropagator:
         return total
 
 
-Way = TransferFunction | TiltedPropagator
+PlanePropagator = TransferFunction | TiltedPropagator
 
 
 def propagator_to(
@@ -150,7 +150,7 @@ def propagator_to(
     dtype: DTypeLike,
     shift_mm: tuple[float, float],
     tilt_deg: tuple[float, float],
-) -> Way:
+) -> PlanePropagator:
     """Free space to a parallel plane, or to one that is tilted, by enough for its rim to see it."""
     rim_mm = math.hypot(*grid.half_widths_mm) * math.hypot(*np.deg2rad(tilt_deg))
     _, differing = band_wavenumbers(grid, wavelength_um)

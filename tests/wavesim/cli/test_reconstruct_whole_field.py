@@ -106,4 +106,4 @@ def test_progress_is_told_within_an_iteration(
     assert bar.shown[0] == "object: engine hierarchical"
     assert f"object: engine hierarchical, super-tile {count} of {count}" in bar.shown
     assert any(re.fullmatch(rf"object: misfit 0\.\d{{5}}, super-tile 1 of {count}", s) for s in bar.shown)
-    assert engine.report is None
+    assert engine.progress is None

@@ -262,14 +262,14 @@ class WholeFieldEngine(Tiled):
         return rows
 
     def forward_in_bands(self, field: Field, rows: int, sums: Sums) -> Iterator[Band]:
-        self._refuse_stranger(field, self.scene.object_grid, "object")
+        self._validate_field(field, self.scene.object_grid, "object")
         lacking = [number for number in range(self.parts) if number not in sums]
         tell, parts = self._tell(self.parts - len(lacking)), self._parts_of(field.values, lacking)
         for place, band in self._executor.bands(parts, sums, rows, tell):
             yield place, self._per_cell(band)
 
     def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
-        self._refuse_stranger(field, self.scene.exit_grid, "exit")
+        self._validate_field(field, self.scene.exit_grid, "exit")
         before = float(self.scene.system.index[0, 0])
         values = self._adjoint(field.values, numbers)
         return Field(self.scene.object_grid, values, field.wavelength_um, before)
@@ -301,8 +301,8 @@ class WholeFieldEngine(Tiled):
         counted = count(done + 1)
 
         def tell() -> None:
-            if self.report is not None:
-                self.report(next(counted), self.parts)
+            if self.progress is not None:
+                self.progress(next(counted), self.parts)
 
         return tell
 

@@ -13,7 +13,7 @@ from wavesim.engines.whole_field.carried import CarriedStep
 from wavesim.engines.whole_field.tiles import SuperTile, carry_tiles, tile_frame
 from wavesim.runtime.device import device_named
 from wavesim.runtime.threads import THREADS, one_blas_thread
-from wavesim.scene.engine import Way
+from wavesim.scene.engine import Direction
 
 
 class OnCpu:
@@ -37,7 +37,7 @@ class OnCpu:
     def __init__(self, threads: int = THREADS) -> None:
         self.device, self.threads = device_named("cpu"), threads
 
-    def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
+    def carry(self, way: Direction, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
         """Do one super-tile's task.
 
         Parameters

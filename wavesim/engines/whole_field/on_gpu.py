@@ -26,7 +26,7 @@ from wavesim.engines.whole_field.tiles import SuperTile, TileFrame, carry_tiles,
 from wavesim.fields.resampling import Weights
 from wavesim.runtime.device import Device
 from wavesim.runtime.threads import THREADS, one_blas_thread
-from wavesim.scene.engine import Way
+from wavesim.scene.engine import Direction
 
 MOST_ROWS, LEAST_ROWS = 512, 16
 """Of a block."""
@@ -52,7 +52,7 @@ class OnDevice:
     def memory_bytes(self) -> float:
         return self.device.memory_bytes
 
-    def carry(self, way: Way, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
+    def carry(self, way: Direction, group: SuperTile, values: NDArray) -> NDArray[np.complex64]:
         """Do one super-tile's task."""
         given = self.device.to_device(values, np.complex64)
         result = self.device.xp.zeros(group.shape_of(way), dtype=np.complex64)

@@ -24,7 +24,7 @@ from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
 from wavesim.runtime.device import Device, Precision, sum_of_terms, terms_back
-from wavesim.scene.engine import Way
+from wavesim.scene.engine import Direction
 from wavesim.scene.scene import Scene
 
 TAPER = 3.0
@@ -132,7 +132,7 @@ class SuperTile:
         """Of its grid."""
         return len(self.axes[0]), len(self.axes[1])
 
-    def shape_of(self, way: Way) -> tuple[int, int]:
+    def shape_of(self, way: Direction) -> tuple[int, int]:
         """Of what a way leads to: its grid, or its part of the object."""
         height, width = (part.stop - part.start for part in self.part)
         return self.shape if way == "forward" else (height, width)
@@ -356,7 +356,7 @@ class ObjectTile:
 def carry_tiles(
     device: Device,
     step: Callable[[CarriedStep], Step],
-    way: Way,
+    way: Direction,
     frames: Iterable[TileFrame],
     values: Any,
     result: Any,

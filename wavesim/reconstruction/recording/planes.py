@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.fields.tilted_propagator import Way
+from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.reconstruction.recording.kernel import change_pixels, change_samples, weighted_products
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
@@ -52,7 +52,7 @@ class PlaneRecord:
     weighs 1.
     """
 
-    way: Way
+    way: PlanePropagator
     rows: slice
     amplitude: RealArray
     sigma: RealArray
@@ -61,7 +61,13 @@ class PlaneRecord:
 
     @classmethod
     def of(
-        cls, one: Measurement, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
+        cls,
+        one: Measurement,
+        way: PlanePropagator,
+        rows: slice,
+        least: float,
+        dtype: np.dtype[Any],
+        scratch: Scratch,
     ) -> PlaneRecord:
         def kept(values: RealArray, what: str) -> RealArray:
             values = np.atleast_2d(values)
