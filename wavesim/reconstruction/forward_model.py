@@ -185,7 +185,7 @@ class ForwardModel:
                 total[plane.rows] += noise
                 continue
             part = noise.reshape(shape)
-            if not plane.way.is_none:
+            if not plane.way.is_identity:
                 part = scipy.fft.ifftn(plane.way.adjoint(part), workers=-1, overwrite_x=True)
             total = part if total is None else np.add(total, part, out=total)
         assert total is not None

@@ -213,7 +213,7 @@ def _light_through_free_space(
         tell(f"plane {number + 1}", number, len(windows))
         if number == 0:
             limit = 500.0 / sensor.pixel_pitch_um
-            share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
+            share = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
         intensity = light_on_pixels(field, sensor, active_width=width, oversampling=OVERSAMPLING)
         del field  # the next plane's takes as much
         yield intensity, share
@@ -324,7 +324,7 @@ def _light_in_bands(
     finally:
         engine.progress = None
     warn_of_footprint(light.caught, total, sensor)
-    return light.means(), spectrum.share_beyond(500.0 / sensor.pixel_pitch_um)
+    return light.means(), spectrum.fraction_beyond(500.0 / sensor.pixel_pitch_um)
 
 
 def _parts(

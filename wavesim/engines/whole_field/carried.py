@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from wavesim.engines.whole_field.kernel import collect, expand
-from wavesim.fields.resampling import Kernel, Weights, in_columns, interpolation, onto_coarse
+from wavesim.fields.resampling import Kernel, Weights, for_column_blocks, interpolation, onto_coarse
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class CarriedStep:
         (y, x), place = part.ways.field, (part.window[0].start - first_row, part.window[1].start)
         along = (y.first, y.weight), (x.first, x.weight)
         fixed = (coarse[needed].view(np.float32), *along, part._carrier(), fine.view(np.float32), place)
-        in_columns(partial(expand, *fixed), len(x.first), threads)
+        for_column_blocks(partial(expand, *fixed), len(x.first), threads)
 
     def onto_rows(self, start: int, stop: int) -> tuple[CarriedStep, slice]:
         """The step to the fine grid's rows from `start` to `stop`, and the coarse rows that it takes.

@@ -22,14 +22,14 @@ from wavesim.fields import resampling_kernel
 from wavesim.fields.resampling_kernel import (
     BAND,
     FOUR,
-    add_turned,
+    add_modulated,
     all_fours,
     most_of_four,
     moved_up,
     put_band,
     rows_from,
     sums_of_lines,
-    take_turned,
+    take_modulated,
     weights_for_four,
 )
 from wavesim.runtime.fourier import lanes
@@ -289,7 +289,7 @@ def expand(
         at = (place[0] + four) * step + 2 * (place[1] + begin)
         for begun in range(stop - four):
             if light[begun] != _DARK:
-                add_turned(lines, waves, onto, at, step, width, begun, begun + 1)
+                add_modulated(lines, waves, onto, at, step, width, begun, begun + 1)
 
 
 @_jit
@@ -333,7 +333,7 @@ def collect(
                     continue
                 bright, dark = bright if dark else i, i + 1
                 at = (place[0] + i) * step + 2 * (place[1] + begin)
-                take_turned(given, at, step, waves, width, fine, i - made, i - top, 1)
+                take_modulated(given, at, step, waves, width, fine, i - made, i - top, 1)
             made = stop
         start, several = weights_for_four(four, first_y, last_y, weight_y, bright, dark, room)
         at = four % BAND

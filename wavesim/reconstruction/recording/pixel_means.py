@@ -86,7 +86,7 @@ class PixelMeans:
         if isinstance(way, TransferFunction):
             return _carried(spectrum, way, room)
         parallel: Rows = (np.empty_like(spectrum), np.empty_like(spectrum))
-        for number, one in enumerate(way.ways):
+        for number, one in enumerate(way.propagators):
             _carried(spectrum, one, parallel)
             for farther, part, total in zip((0.0, 0.5), parallel, room, strict=True):
                 _add_weighted(part, way, number, farther, total)
@@ -193,7 +193,7 @@ class PixelMeans:
         parallel: Rows = (np.empty_like(total), np.empty_like(total))
         for part in rows:
             _along_rows(scipy.fft.ifft, part)
-        for number, one in enumerate(way.ways):
+        for number, one in enumerate(way.propagators):
             for farther, part, weighted in zip((0.0, 0.5), rows, parallel, strict=True):
                 _weight_back(part, way, number, farther, weighted)
             add_rows_back(parallel, one, along_y, total)

@@ -193,7 +193,7 @@ class ExitField:
             if self._change is None:
                 self._change = np.zeros_like(self.values)
             self._change[plane.rows] += field
-        elif plane.way.is_none:
+        elif plane.way.is_identity:
             self._change = _added(self._change, field)
         else:
             self._spectrum_change = _added(self._spectrum_change, plane.way.adjoint(field))
@@ -235,7 +235,7 @@ class ExitField:
         return _added(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
 
     def _samples(self, plane: PlaneRecord) -> ComplexArray:
-        if plane.way.is_none:
+        if plane.way.is_identity:
             assert self.values is not None
             return self.values[plane.rows].copy()
         return plane.way.forward(self.spectrum)
