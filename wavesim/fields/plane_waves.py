@@ -192,8 +192,6 @@ class TransferFunction:
 
     __array_ufunc__ = None  # so that `array * transfer_function` calls __rmul__
 
-    __array_ufunc__ = None  # a product with an array is ours to make
-
     def __init__(
         self,
         grid: Grid,

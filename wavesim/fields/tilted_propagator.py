@@ -66,8 +66,6 @@ class TiltedPropagator:
 
     is_identity = False
 
-    is_identity = False
-
     def __init__(
         self,
         grid: Grid,

@@ -171,7 +171,7 @@ class WavePropagation(Engine):
             ErrorTerm("curvature of surfaces within a wave", TANGENT_PLANE * curvature / k),
             ErrorTerm("transmission other than that of the object's middle", other_transmission(self.scene)),
         ]
-        turned = math.sqrt(self.working.spared)
+        turned = math.sqrt(self.working.diffracted)
         found.append(ErrorTerm("light that the rim turns beyond the grid's band", turned, at_rim=True))
         if self.interface == "substep":
             error = interpolation_error(max(self._phases()))

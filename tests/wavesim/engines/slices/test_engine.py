@@ -218,12 +218,12 @@ def test_every_sample_of_a_tilted_surface_is_in_one_slice() -> None:
         reached = IlluminatedArea(engine.scene, i, engine.sides[i][0].grid, engine.light.reach_mm[i])
         z, lit = reached.heights(0, reached.shape[0])
         inside = lit > 0.0
-        assert np.array_equal(inside, surface.numbers != np.iinfo(surface.numbers.dtype).max)
+        assert np.array_equal(inside, surface.indices != np.iinfo(surface.indices.dtype).max)
         assert np.array_equal(inside, surface.factors != 0.0)
         counted = np.zeros(inside.shape, int)
         parts = zip(surface.labels, surface.boxes, surface.before_mm, surface.behind_mm, strict=True)
         for label, box, low, high in parts:
-            own = surface.numbers[box] == label
+            own = surface.indices[box] == label
             counted[box] += own
             assert np.all((z[box][own] >= low - 1e-12) & (z[box][own] <= high + 1e-12))
         assert np.array_equal(counted, inside)
