@@ -35,7 +35,7 @@ class ExitPlane:
     ----------
     grid : Grid
         Samples of the plane; the exit grid itself where `beyond` is None.
-    beyond : Passage or None
+    beyond : FreeSpacePropagator or None
         Free space from there to the exit grid.
     """
 

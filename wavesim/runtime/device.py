@@ -196,7 +196,7 @@ def sum_of_terms(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) ->
     return (weights * plan.execute(modes if len(modes) > 1 else modes[0])).sum(axis=0)
 
 
-def terms_back(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
+def adjoint_of_terms(plan: Any, xp: Any, values: Any, factors: Any, weights: Any) -> Any:
     """Conjugate transpose of :func:`sum_of_terms`, by a transform of type 1: modes from values at points."""
     if hasattr(plan, "weighted"):
         return plan.weighted(values, factors, weights)

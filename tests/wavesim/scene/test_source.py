@@ -1,4 +1,4 @@
-"""A source as directions and wavelengths: their shares and what they average."""
+"""A source as directions and wavelengths: their weights and what they average."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_seven_directions_have_nearly_the_coherence_of_a_disc(distance: float, a
 def test_a_band_has_the_coherence_of_its_closed_form() -> None:
     modes = Source(bandwidth_nm=20.0).modes(0.5)
     for waves in (10.0, 30.0):  # of delay
-        found = sum(m.share * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
+        found = sum(m.weight * np.exp(2j * np.pi * waves * (m.wavelength_um / 0.5 - 1.0)) for m in modes)
         assert found == pytest.approx(math.sin(0.04 * np.pi * waves) / (0.04 * np.pi * waves), abs=1e-3)
 
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_positive
-from wavesim.engines.tiles.edge import edge_error, rim_share
+from wavesim.engines.tiles.edge import edge_error, rim_fraction_per_mm
 from wavesim.engines.tiles.edge_illumination import edge_illumination
-from wavesim.engines.tiles.engine import MOST_ERROR, TILE_SHARE
+from wavesim.engines.tiles.engine import MOST_ERROR, TILE_FRACTION
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import whole_field_cost
@@ -121,7 +121,7 @@ class WholeFieldEngine(Tiled):
     @classmethod
     def candidates(cls, scene: Scene, error: float) -> Iterator[dict[str, Any]]:
         if tiles_along(scene) > MANY_TILES:
-            yield {"error": float(np.clip(TILE_SHARE * error, LEAST_ERROR, MOST_ERROR))}
+            yield {"error": float(np.clip(TILE_FRACTION * error, LEAST_ERROR, MOST_ERROR))}
 
     @classmethod
     def curves(cls, scene: Scene) -> dict[str, list[dict[str, Any]]]:
@@ -334,7 +334,7 @@ class WholeFieldEngine(Tiled):
         carrier, placed_mm = self._middle, settings.maps.edge_error_mm
         widest = np.max([group.steps_mm for group in self.groups], axis=0)
         rise = settings.rise_over(widest)
-        if carrier.tells_edge:
+        if carrier.resolves_edge:
             what = f"diffraction at the aperture's edge, soft over {100.0 * rise:.2g} % of the footprint"
             error = soft_edge_error(carrier, settings.factors.spans_mm, rise)
             yield ErrorTerm(f"{what} and the same all over a tile", error, at_rim=True)
@@ -345,7 +345,7 @@ class WholeFieldEngine(Tiled):
                 "diffraction at the aperture's edge in front of the plane", diffracted, at_rim=True
             )
             placed_mm += TAPER * TAPER_LOSS * float(np.max(widest))
-        place = math.sqrt(rim_share(carrier.rim_mm) * placed_mm)
+        place = math.sqrt(rim_fraction_per_mm(carrier.rim_mm) * placed_mm)
         yield ErrorTerm("place of the aperture's edge", min(1.0, place), at_rim=True)
 
     def edge_illumination(self, light: Light) -> float:

@@ -36,7 +36,7 @@ def x_per_square(carrier: RayMap) -> float:
 
 def softness(carrier: RayMap) -> float:
     """Of the square of the share of the way to the rim, what the rise takes; 0 where rays do not tell."""
-    return min(SOFT / x_per_square(carrier), SOFTEST) if carrier.tells_edge else 0.0
+    return min(SOFT / x_per_square(carrier), SOFTEST) if carrier.resolves_edge else 0.0
 
 
 def soft_edge_error(carrier: RayMap, spans_mm: Array, rise: float) -> float:

@@ -23,7 +23,7 @@ from wavesim.engines.whole_field.ray_maps import REACH, MapsOverObject
 from wavesim.fields.plane_waves import phasor_of
 from wavesim.fields.resampling import OVERSAMPLING, Kernel, coarse_axis
 from wavesim.rays.maps import MapOnAxes, SmoothMap
-from wavesim.runtime.device import Device, Precision, sum_of_terms, terms_back
+from wavesim.runtime.device import Device, Precision, adjoint_of_terms, sum_of_terms
 from wavesim.scene.engine import Direction
 from wavesim.scene.scene import Scene
 
@@ -350,7 +350,7 @@ class ObjectTile:
         if not len(self._places):
             return xp.zeros(self._tile_factors.shape[1:], dtype=np.complex64)
         strength = self._needed(self._step.collect(values))
-        return terms_back(self._plan(1), xp, strength, self._tile_factors, self._weights)
+        return adjoint_of_terms(self._plan(1), xp, strength, self._tile_factors, self._weights)
 
 
 def carry_tiles(
