@@ -57,7 +57,7 @@ class ForwardModel:
         As of :func:`wavesim.reconstruct`.
     scale
         Recorded amplitude for a unit of the model's; None is 1, to be fitted.
-    active_width
+    fill_factor
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
     scratch
         Where arrays that are kept lie; in memory if left out.
@@ -74,7 +74,7 @@ class ForwardModel:
         illumination: Field,
         recorded: Sequence[Measurement],
         scale: float | None,
-        active_width: float = 0.0,
+        fill_factor: float = 0.0,
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
         rows: Sequence[slice] = (),
@@ -88,7 +88,7 @@ class ForwardModel:
         self.dtype, self.real = illumination.values.dtype, power.dtype
         del power
         grid = engine.scene.exit_grid
-        self.pixels = PixelMeans(grid, active_width) if active_width > 0.0 or self.modes else None
+        self.pixels = PixelMeans(grid, fill_factor) if fill_factor > 0.0 or self.modes else None
         self.ways = [
             propagator_to(grid, illumination.wavelength_um, p.distance_mm, self.dtype, p.shift_mm, p.tilt_deg)
             for p in recorded

@@ -12,7 +12,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
 
 from lensdesign.common.lengths import PIXEL_PITCH_UM, WAVELENGTH_UM
 from lensdesign.common.number_limits import LARGEST_SETTING, SMALLEST_SETTING
@@ -237,13 +245,19 @@ class CameraSettings(Settings):
         2.0, alias="read_noise", ge=0.0, le=1e9, description="Read noise in electrons."
     )
     bits: int = Field(12, ge=1, le=16, description="Bits of a count.")
-    brightest_share: float = Field(
-        0.8, ge=1e-6, le=1e6, description="Signal of the brightest pixel as a fraction of the full well."
+    peak_fill: float = Field(
+        0.8,
+        validation_alias=AliasChoices("peak_fill", "brightest_share"),
+        ge=1e-6,
+        le=1e6,
+        description="Fraction of full well that the brightest pixel receives in exposure 1.",
     )
-    exposures: Numbers = Field(
-        (1.0,), description="Exposures of each plane; 1 fills the brightest pixel to the stated fraction."
+    exposures: Numbers = Field((1.0,), description="Exposure times of each plane; 1 gives the peak fill.")
+    fill_factor: float = Field(
+        1.0,
+        validation_alias=AliasChoices("fill_factor", "active_width"),
+        description="Linear fill factor of a pixel (0 to 1).",
     )
-    active_width: float = Field(1.0, description="Linear fill factor of a pixel (0 to 1).")
     stage_error_mm: Numbers = Field((0.0,), description="Position error of all planes, or of each.")
     shift_um: Pair = Field((0.0, 0.0), description="x,y shift of the sensor from plane to plane.")
 
@@ -324,7 +338,13 @@ class FramedSettings(EngineSettings, PatchSettings):
     scale: float | None = Field(
         None, description="object: recorded amplitude of a transmission of 1; default: fitted."
     )
-    active_width: float = Field(1.0, ge=0.0, le=1.0, description="Linear fill factor of a pixel (0 to 1).")
+    fill_factor: float = Field(
+        1.0,
+        validation_alias=AliasChoices("fill_factor", "active_width"),
+        ge=0.0,
+        le=1.0,
+        description="Linear fill factor of a pixel (0 to 1).",
+    )
 
     @field_validator("field_stop")
     @classmethod

@@ -50,7 +50,7 @@ class PixelMeans:
     ----------
     grid
         One sample in the middle of each pixel.
-    active_width
+    fill_factor
         Side of the pixel's photosensitive square as a share of the pitch.
 
     Attributes
@@ -61,9 +61,9 @@ class PixelMeans:
         Weights of the middle, and of samples on either side.
     """
 
-    def __init__(self, grid: Grid, active_width: float) -> None:
+    def __init__(self, grid: Grid, fill_factor: float) -> None:
         self.grid = grid
-        self.taps = _taps(active_width)
+        self.taps = _taps(fill_factor)
 
     def carried(self, spectrum: ComplexArray, way: PlanePropagator, room: Rows | None = None) -> Rows:
         """A field on a plane behind a way, in rows through the pixels' middles and through their upper edges.
@@ -340,7 +340,7 @@ def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 
 
-def _taps(active_width: float) -> list[float]:
+def _taps(fill_factor: float) -> list[float]:
     """Weights of the middle and of pairs of samples, fitted to the pixel's transfer up to twice the band.
 
     An intensity has less and less towards that end, and so do the fit's weights.
@@ -350,6 +350,6 @@ def _taps(active_width: float) -> list[float]:
     weights = 1.0 - cycles
     # All together make 1: the middle has what the pairs leave.
     found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
+        weights[:, None] * (cosines - 2.0), weights * (np.sinc(fill_factor * cycles) - 1.0), rcond=None
     )
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]
