@@ -1,4 +1,4 @@
-"""Interpolation of a field from a coarse grid to a window of a fine one, with its carrier, and the adjoint."""
+"""Interpolation of a field from a coarse grid to a window of a fine one with a carrier, and its adjoint."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from wavesim.engines.tiles.engine import MOST_ERROR, TILE_FRACTION
 from wavesim.engines.tiles.operator import Tile
 from wavesim.engines.tiles.plan import counts_for, cut
 from wavesim.engines.whole_field.cost import whole_field_cost
-from wavesim.engines.whole_field.executors import Band, Executor, Part, Sums, Tell, ThisComputer
+from wavesim.engines.whole_field.executors import Band, Executor, Part, Progress, Sums, ThisComputer
 from wavesim.engines.whole_field.factors import factors_over_object
 from wavesim.engines.whole_field.on_cpu import OnCpu
 from wavesim.engines.whole_field.on_gpu import OnDevice
@@ -255,7 +255,7 @@ class WholeFieldEngine(Tiled):
         return self.elsewhere or ThisComputer(self.groups, self.scene.exit_grid.shape, self.worker)
 
     def _forward(self, values: Any) -> Any:
-        plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._tell())
+        plane = self._executor.plane(self._parts_of(values, range(self.parts)), self._progress_callback())
         return self._per_cell(plane)
 
     def _per_cell(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
@@ -264,48 +264,49 @@ class WholeFieldEngine(Tiled):
 
     def forward_in_bands(self, field: Field, rows: int, sums: Sums) -> Iterator[Band]:
         self._validate_field(field, self.scene.object_grid, "object")
-        lacking = [number for number in range(self.parts) if number not in sums]
-        tell, parts = self._tell(self.parts - len(lacking)), self._parts_of(field.values, lacking)
-        for place, band in self._executor.bands(parts, sums, rows, tell):
-            yield place, self._per_cell(band)
+        missing = [index for index in range(self.parts) if index not in sums]
+        progress = self._progress_callback(self.parts - len(missing))
+        parts = self._parts_of(field.values, missing)
+        for band_rows, band in self._executor.bands(parts, sums, rows, progress):
+            yield band_rows, self._per_cell(band)
 
-    def adjoint_on(self, field: Field, numbers: Sequence[int]) -> Field:
+    def adjoint_on(self, field: Field, indices: Sequence[int]) -> Field:
         self._validate_field(field, self.scene.exit_grid, "exit")
-        before = float(self.scene.system.index[0, 0])
-        values = self._adjoint(field.values, numbers)
-        return Field(self.scene.object_grid, values, field.wavelength_um, before)
+        index = float(self.scene.system.index[0, 0])
+        values = self._adjoint(field.values, indices)
+        return Field(self.scene.object_grid, values, field.wavelength_um, index)
 
-    def _adjoint(self, values: Any, numbers: Sequence[int] | None = None) -> Any:
+    def _adjoint(self, values: Any, indices: Sequence[int] | None = None) -> Any:
         result = np.zeros(self.scene.object_grid.shape, np.complex64)
         plane = np.ascontiguousarray(values, np.complex64)
-        wanted = range(self.parts) if numbers is None else numbers
-        for number, part in self._executor.parts(plane, wanted, self._tell()):
-            place = self.groups[number].part
-            result[place] += part * self._in_field(place)
+        chosen = range(self.parts) if indices is None else indices
+        for index, part in self._executor.parts(plane, chosen, self._progress_callback()):
+            samples = self.groups[index].part
+            result[samples] += part * self._in_field(samples)
         result *= np.float32(self.scene.exit_grid.cell)
         return result
 
-    def _parts_of(self, values: Any, numbers: Iterable[int]) -> Iterator[Part]:
+    def _parts_of(self, values: Any, indices: Iterable[int]) -> Iterator[Part]:
         """Yield the super-tiles' parts of an object field."""
-        for number in numbers:
-            place = self.groups[number].part
-            yield number, np.where(self._in_field(place), values[place], 0.0).astype(np.complex64)
+        for index in indices:
+            samples = self.groups[index].part
+            yield index, np.where(self._in_field(samples), values[samples], 0.0).astype(np.complex64)
 
-    def _in_field(self, place: tuple[slice, slice]) -> NDArray[np.bool_]:
+    def _in_field(self, samples: tuple[slice, slice]) -> NDArray[np.bool_]:
         """Return the mask of the samples of a part of the object that lie within the field."""
         grid, region = self.scene.object_grid, self.region
-        radius2 = grid.y_mm[place[0]][:, None] ** 2 + grid.x_mm[place[1]] ** 2
+        radius2 = grid.y_mm[samples[0]][:, None] ** 2 + grid.x_mm[samples[1]] ** 2
         return np.asarray(radius2 <= (region.half_mm[0] ** 2 if region.is_disc else math.inf))
 
-    def _tell(self, done: int = 0) -> Tell:
+    def _progress_callback(self, completed: int = 0) -> Progress:
         """Return a callback that counts a completed super-tile and reports the progress."""
-        counted = count(done + 1)
+        counted = count(completed + 1)
 
-        def tell() -> None:
+        def progress() -> None:
             if self.progress is not None:
                 self.progress(next(counted), self.parts)
 
-        return tell
+        return progress
 
     def settings(self) -> dict[str, Any]:
         return {
