@@ -151,7 +151,7 @@ class ReconstructedContrast(Merit):
         key = (self.line_width_um, self.orientation, self.ground, self.patch_mm, self.wavelength_um)
         chain = context.kept(("chain", *key), lambda: self._chain(context.lens))
         systems = context.placements(batch, self.wavelength_um)
-        numbers = batch.numbers or (0,) * len(batch)
+        numbers = batch.trial_numbers or (0,) * len(batch)
         scores = []
         for system, number in zip(systems, numbers, strict=True):
             noise = np.random.SeedSequence(context.noise_seed, spawn_key=(number, NOISE_STREAM, FRAMES))

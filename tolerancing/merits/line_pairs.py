@@ -86,7 +86,7 @@ class LinePairContrast(PupilMerit):
             return super().scores_at(point, context, batch, compensated)
         chain = context.patch_chain(point, self.wavelength_um, self.patch_um, self.line)
         patches = context.patches(batch, chain, self.wavelength_um, compensated)
-        numbers = batch.numbers or (0,) * len(batch)
+        numbers = batch.trial_numbers or (0,) * len(batch)
         return np.array(
             [
                 self._of_patch(patch, compensated and self.refocus, context.noise_seed, number)

@@ -140,7 +140,7 @@ class PythonMerit(Merit):
             lens=context.lens,
             placement=system,
             deltas=dict(zip(columns, one.values[0].tolist(), strict=True)),
-            number=one.numbers[0] if one.numbers else None,
+            number=one.trial_numbers[0] if one.trial_numbers else None,
             _context=context,
             _batch=one,
             _wavelength_um=self.wavelength_um,

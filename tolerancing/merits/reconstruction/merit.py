@@ -314,7 +314,7 @@ class Reconstruction(Merit):
         chain = self.chain(context, height_mm)
         systems = context.placements(batch, self.wavelength_um)
         frames_key = ("line frames", self._spec(height_mm), self.electrons, self.bits)
-        numbers = batch.numbers or (0,) * len(batch)
+        numbers = batch.trial_numbers or (0,) * len(batch)
         recorded = context.once(
             batch,
             frames_key,

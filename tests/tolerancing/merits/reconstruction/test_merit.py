@@ -35,7 +35,7 @@ def context(twin):
 
 def batch(*columns, numbers=()):
     parameters, values = zip(*columns, strict=True)
-    return PerturbationBatch(parameters, np.array(values, float).T, numbers=numbers)
+    return PerturbationBatch(parameters, np.array(values, float).T, trial_numbers=numbers)
 
 
 def test_slices_decenter_and_tilt_vary_together(context):
