@@ -1,4 +1,4 @@
-"""A user's code kept to its call: whatever it does to leave the program is a fault of the code alone."""
+"""Execution of user code: every exception and every attempt to exit becomes an error of that call."""
 
 from __future__ import annotations
 
@@ -17,39 +17,40 @@ Result = TypeVar("Result")
 
 
 class _Ended(BaseException):
-    """The code would have ended the process."""
+    """Raised if user code tries to end the process."""
 
 
 def run_user_code(work: Callable[[], Result], file: str) -> Result:
-    """Do what a user's code does.
+    """Call user code and convert every exception to a TransferLensError.
 
-    Exceptions of every kind become ordinary ones, ``sys.exit`` and ``os._exit`` among them: they would end a
-    run with status 0, as if all were done. An interrupt is the user's, and passes.
+    This includes ``sys.exit`` and ``os._exit``, which would otherwise end a run with status 0 as if it were
+    complete. A KeyboardInterrupt passes unchanged.
 
     Parameters
     ----------
     work
-        What to do.
+        Function that calls the user code.
     file
-        Name of the code's file.
+        Name of the file of the user code.
 
     Raises
     ------
     TransferLensError
-        Whatever the code raised, with its kind and the line of the file, in printable characters.
+        If the code raises. The message has the kind of the exception and the line of the file, in printable
+        characters.
     """
     try:
-        with _process_kept():
+        with _exit_intercepted():
             return work()
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise TransferLensError(_told(error, file)) from error
+        raise TransferLensError(_error_message(error, file)) from error
 
 
 @contextmanager
-def _process_kept() -> Iterator[None]:
-    """Have ``os._exit`` raise, but for other threads and for processes that the code starts."""
+def _exit_intercepted() -> Iterator[None]:
+    """Let ``os._exit`` raise, except in other threads and in processes that the code starts."""
     own = os.getpid(), threading.get_ident()
 
     def refuse(status: int) -> None:
@@ -64,15 +65,15 @@ def _process_kept() -> Iterator[None]:
         os._exit = END_PROCESS
 
 
-def _told(error: BaseException, file: str) -> str:
-    """What an exception says, and where; one of a user's may fail even at that."""
+def _error_message(error: BaseException, file: str) -> str:
+    """Return the message and line of an exception, whose ``__str__`` may itself fail."""
     try:
         text = str(error)
     except BaseException:
-        text = "it cannot say why"
+        text = "no message (its __str__ failed)"
     if isinstance(error, SystemExit):
-        text = f"{text or 0}: asks for the end of the run"
+        text = f"{text or 0}: would end the run"
     kind = "" if isinstance(error, TransferLensError | _Ended) else f"{type(error).__name__}: "
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    place = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
-    return visible(kind + text) + visible(place)
+    location = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
+    return visible(kind + text) + visible(location)

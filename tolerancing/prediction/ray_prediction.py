@@ -114,8 +114,8 @@ class FirstOrderRays(Context):
                 pivot_z_mm=study.pivot_z_mm,
             )
 
-        known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
-        return self.once(
+        known = self.cached(("arrivals", field_points_mm, wavelength, id(stop)), make)
+        return self.cached_for(
             batch,
             ("rays", field_points_mm, wavelength, id(stop)),
             lambda: known.arrival(known.changes.amounts(batch)),
@@ -131,9 +131,9 @@ class FirstOrderRays(Context):
         distances_mm
             Planes on which footprints are judged, from the first sensor plane.
         """
-        for key, known in self._kept.items():
+        for key, known in self._cache.items():
             if isinstance(known, ArrivalDifferentials):
-                self._kept[key] = known.part(_extreme_rays(known, batch, distances_mm))
+                self._cache[key] = known.part(_extreme_rays(known, batch, distances_mm))
 
 
 def _extreme_rays(

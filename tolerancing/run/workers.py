@@ -37,7 +37,7 @@ def work_local(task: Task, levels: Mapping[str, str], fault: str = "") -> Result
     assert _own is not None  # the initializer saw to it
     context, study = _own[0], _own[1].with_levels(levels)
     if fault:
-        merits = tuple(merit.refused(fault) for merit in study.all_merits)
+        merits = tuple(merit.without_user_code(fault) for merit in study.all_merits)
         study = study.model_copy(update={"all_merits": merits})
     return perform(context, study, task)
 

@@ -36,7 +36,7 @@ def _without_leave(merit: Merit, loaded: LoadedStudy, store: Path) -> Merit:
     if _is_own(copy) and _has(copy, held):
         return merit
     digest = hashlib.sha256(held).hexdigest()
-    return merit.refused(
+    return merit.without_user_code(
         f"{store}: scoring again would run {merit.file_name}, Python that the store holds (SHA-256 "
         f"{digest}), and that may do whatever you may; tolerancing report shows it without running it. If "
         f"you trust it: --trust (in Python, open_store(..., trust=True)), or your own copy of it as {copy}"
