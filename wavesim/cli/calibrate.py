@@ -44,7 +44,7 @@ def calibrate(
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
     within their noise, and 1 if they are not. An interrupted run goes on with the same command.
     """
-    from wavesim.calibration.from_frames import calibrate_frames
+    from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.plots.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames

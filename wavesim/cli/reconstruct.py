@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
     from wavesim.fields.field import Field
-    from wavesim.reconstruction.found import FoundObject
+    from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.scene.bench import Bench
     from wavesim.sensor.frames import Frame
@@ -76,7 +76,7 @@ def reconstruct(
     """
     from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
     from wavesim.plots.result_files import remove_unfinished
-    from wavesim.reconstruction.from_frames import reconstruct_frames
+    from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
 
@@ -193,7 +193,7 @@ def _calibrated(
 
     With a bench that is calibrated already, the light alone is sought anew.
     """
-    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, validate_same_frames
+    from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
     from wavesim.scene.bench import Bench
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
@@ -320,7 +320,7 @@ def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from wavesim.reconstruction.from_object import STOPPED
+    from wavesim.reconstruction.object_solver import STOPPED
 
     engine = summary["engine"]
     why = STOPPED[summary["stopped_because"]] if "stopped_because" in summary else ""

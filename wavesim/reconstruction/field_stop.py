@@ -27,7 +27,7 @@ from scipy.ndimage import gaussian_filter
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.bench import LightErrors
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind

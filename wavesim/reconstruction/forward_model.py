@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
 from wavesim.fields.tilted_propagator import propagator_to
-from wavesim.reconstruction.recording.pixel_means import PixelMeans
-from wavesim.reconstruction.recording.planes import (
+from wavesim.reconstruction.recording.exit_field import (
     EVERY_ROW,
     ROWS,
     ExitField,
@@ -34,6 +33,7 @@ from wavesim.reconstruction.recording.planes import (
     add_share,
     total_of,
 )
+from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.runtime.threads import for_blocks
 from wavesim.scene.bench import LightErrors

@@ -16,7 +16,7 @@ import numpy as np
 
 from wavesim.reconstruction.recording.bands import bytes_of_bands
 from wavesim.reconstruction.refocusing import MOST_JUDGED
-from wavesim.reconstruction.retrieval.steps import bytes_at_work, rows_of_block
+from wavesim.reconstruction.retrieval.iteration import bytes_at_work, rows_of_block
 from wavesim.runtime import threads
 from wavesim.runtime.fourier.columns import bytes_of_columns
 from wavesim.runtime.fourier.panels import bytes_of_panels

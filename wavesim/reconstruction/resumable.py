@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import (
+from wavesim.reconstruction.object_solver import SolverState
+from wavesim.reconstruction.phase_retrieval import (
     LIT,
     Array,
     RetrievalState,
@@ -23,7 +24,6 @@ from wavesim.reconstruction.from_field import (
     residual_and_map,
     retrieve,
 )
-from wavesim.reconstruction.from_object import SolverState
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine

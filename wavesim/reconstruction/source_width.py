@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import Source

@@ -155,7 +155,7 @@ def test_frames_that_saw_an_object_are_refused(run: Command, bench: Path, tmp_pa
 def test_more_than_memory_holds_is_refused(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wavesim.calibration.bench_search.memory_limit", lambda _: 2e6)
+    monkeypatch.setattr("wavesim.calibration.calibration_problem.memory_limit", lambda _: 2e6)
     light = "--parameters", "light"
     code, _, err = run("calibrate", *light, "-o", tmp_path / "out")
     assert code == 2

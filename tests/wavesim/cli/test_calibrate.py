@@ -12,11 +12,11 @@ from wavesim_command import frames_and_design, run_wavesim, write_frames
 from lensdesign import Lens, load_design
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import Pose
-from wavesim.calibration import bench_search
+from wavesim.calibration import calibration_problem
 from wavesim.calibration.calibrated import field_stop_of, read_calibration
 from wavesim.calibration.joint.search import JointSearch, SearchState, Told
 from wavesim.calibration.parameters import chosen_parameters
-from wavesim.reconstruction import from_frames
+from wavesim.reconstruction import frame_reconstruction
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
 from wavesim.scene.bench import Bench
 
@@ -142,9 +142,9 @@ def test_both_in_one_run(
         return reconstruct_frames(*arguments, **settings)  # type: ignore[arg-type]
 
     monkeypatch.setattr(JointSearch, "run", one_step)
-    monkeypatch.setattr(bench_search, "chosen_parameters", few)
-    reconstruct_frames = from_frames.reconstruct_frames
-    monkeypatch.setattr(from_frames, "reconstruct_frames", taken)
+    monkeypatch.setattr(calibration_problem, "chosen_parameters", few)
+    reconstruct_frames = frame_reconstruction.reconstruct_frames
+    monkeypatch.setattr(frame_reconstruction, "reconstruct_frames", taken)
     command = (
         *frames_and_design(data),
         "--kind",

@@ -11,8 +11,8 @@ from PIL import Image
 from wavesim_command import ENDED, PLANES_MM, frames_and_design, run_wavesim
 
 from wavesim.reconstruction import forward_model, resumable
-from wavesim.reconstruction import from_object as reconstruction
-from wavesim.reconstruction.retrieval import steps as retrieval_steps
+from wavesim.reconstruction import object_solver as reconstruction
+from wavesim.reconstruction.retrieval import iteration as retrieval_steps
 from wavesim.sensor.frames import Frame, read_frame, write_frame
 
 

@@ -14,7 +14,7 @@ from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.engines.whole_field.executors import ThisComputer
-from wavesim.reconstruction import from_frames, resumable
+from wavesim.reconstruction import frame_reconstruction, resumable
 
 Run = Callable[..., tuple[object, str, str]]
 
@@ -63,7 +63,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 
         yield take
 
-    monkeypatch.setattr(from_frames, "tiles_in", tiles)
+    monkeypatch.setattr(frame_reconstruction, "tiles_in", tiles)
     options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     half = 6  # three iterations on half of the samples

@@ -22,10 +22,8 @@ from lensdesign import load_design
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics import transmitted_band
 from wavesim.metrics.judgement import truth_metrics
-from wavesim.reconstruction import forward_model, from_object
+from wavesim.reconstruction import forward_model, object_solver
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_field import retrieve
-from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.memory import (
     DRAWN_BYTES,
     PICTURE_BYTES,
@@ -42,7 +40,9 @@ from wavesim.reconstruction.memory import (
     retrieval_bytes,
     run_arrays,
 )
-from wavesim.reconstruction.recording import bands, pixel_means, planes
+from wavesim.reconstruction.object_solver import reconstruct
+from wavesim.reconstruction.phase_retrieval import retrieve
+from wavesim.reconstruction.recording import bands, exit_field, pixel_means
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime import threads as blocks
@@ -105,10 +105,10 @@ STEPS = {
     (ForwardModel, "noise_of_step"): (STARTING, Phase.READING),
     (ForwardModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
     (ForwardModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
-    (planes.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
-    (planes.ExitField, "replace"): (Phase.CHANGING, Phase.CHANGING),
+    (exit_field.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
+    (exit_field.ExitField, "replace"): (Phase.CHANGING, Phase.CHANGING),
     (ForwardModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
-    (from_object, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
+    (object_solver, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
     (Scratch, "make"): (STEPPING, STEPPING),
     (ForwardModel, "amplitudes"): (Phase.ENDING, Phase.ENDING),
 }
@@ -176,7 +176,7 @@ def test_each_phase_holds_what_is_listed(
 ) -> None:
     for place, name, value in (
         (forward_model, "ROWS", 2),
-        (planes, "ROWS", 2),
+        (exit_field, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
         (bands, "BAND", 400),
         (bands, "NEW", 2),
@@ -242,8 +242,8 @@ import pathlib, resource, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
 from test_memory import Nothing, arrays_of
-from wavesim.reconstruction.from_field import retrieve
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.phase_retrieval import retrieve
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.reconstruction.memory import reconstruction_bytes
 from wavesim.runtime.scratch import Scratch
 

@@ -10,7 +10,7 @@ from lensdesign import load_design, scaled
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_field import RetrievalState
+from wavesim.reconstruction.phase_retrieval import RetrievalState
 from wavesim.reconstruction.resumable import retrieve_resumably
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.scene.scene import Scene

@@ -18,7 +18,7 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction import resumable
-from wavesim.reconstruction.from_object import Reconstructed, SolverState, reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.resumable import keeper, progress_kept
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.scratch import Scratch

@@ -2,7 +2,7 @@
 
 The object t, lit by u, gives the fields A_n(u t) on the planes n. Each iteration replaces their amplitudes by
 the recorded ones, carries the change back to the object and steps along it with momentum, as
-:mod:`wavesim.reconstruction.from_object` does in the plane.
+:mod:`wavesim.reconstruction.object_solver` does in the plane.
 """
 
 from __future__ import annotations

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
 from lensdesign.errors import TransferLensError
-from wavesim.calibration.joint.line import Line
+from wavesim.calibration.joint.line_search import Line
 from wavesim.calibration.joint.pixels import Pixels, RaySlopes, plane_number
 from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
-from wavesim.reconstruction.from_object import reconstruct
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import DARK

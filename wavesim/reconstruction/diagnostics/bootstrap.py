@@ -27,7 +27,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, TransferLensError, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel, RealArray
-from wavesim.reconstruction.from_object import Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import Kind
 from wavesim.sensor.measurement import Measurement

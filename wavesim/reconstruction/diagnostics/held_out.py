@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import Reconstructed
+from wavesim.reconstruction.object_solver import Reconstructed
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import SettingError
 from wavesim.scene.source import SourceMode

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wavesim.metrics.goodness_of_fit import Finding
-from wavesim.reconstruction.diagnostics.guesses import shift_pixels
+from wavesim.reconstruction.diagnostics.bench_estimates import shift_pixels
 from wavesim.sensor.measurement import Array, Measurement
 
 SURE = 100.0

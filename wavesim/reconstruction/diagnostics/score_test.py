@@ -28,9 +28,9 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import Undetected
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_field import agreement
 from wavesim.reconstruction.linear.linearised import Linearised, RealArray
 from wavesim.reconstruction.linear.measurement_operator import FreeSpaceMeasurement
+from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.scene.settings import Kind

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import agreement
-from wavesim.reconstruction.from_object import Reconstructed, reconstruct
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.settings import ReconstructionSettings
 from wavesim.scene.source import SourceMode

@@ -10,7 +10,7 @@ import numpy as np
 
 from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import validate_planes
+from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.scene.engine import Grids
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement

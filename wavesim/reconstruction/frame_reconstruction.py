@@ -18,12 +18,7 @@ from wavesim.engines.whole_field.on_cluster import tiles_in
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
 from wavesim.metrics.judgement import truth_metrics
-from wavesim.reconstruction.diagnostics.held_out import maps_of_all
-from wavesim.reconstruction.diagnostics.starts import agreement_of_starts
-from wavesim.reconstruction.field_stop import FieldStop
-from wavesim.reconstruction.found import Array, Focus, FoundObject
-from wavesim.reconstruction.from_object import Reconstructed, SolverState, reconstruct
-from wavesim.reconstruction.judging import (
+from wavesim.reconstruction.assessment import (
     EngineOn,
     MethodResult,
     engine_errors,
@@ -36,6 +31,11 @@ from wavesim.reconstruction.judging import (
     starts_needed,
     stop_search,
 )
+from wavesim.reconstruction.diagnostics.held_out import maps_of_all
+from wavesim.reconstruction.diagnostics.starts import agreement_of_starts
+from wavesim.reconstruction.field_stop import FieldStop
+from wavesim.reconstruction.found_object import Array, Focus, FoundObject
+from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lensdesign.errors import SamplingError
-from wavesim.calibration.search import GaussNewton, stiff_directions
+from wavesim.calibration.gauss_newton import GaussNewton, stiff_directions
 
 SEEDS = st.integers(0, 2**31)
 

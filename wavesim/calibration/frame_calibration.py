@@ -13,15 +13,15 @@ import numpy as np
 
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.bench_search import Seen, searched
 from wavesim.calibration.calibrated import Calibrated
-from wavesim.calibration.estimation import calibrate
+from wavesim.calibration.calibration_problem import Seen, searched
+from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, verdict, with_finding
 from wavesim.reconstruction.field_stop import StopSearch
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors

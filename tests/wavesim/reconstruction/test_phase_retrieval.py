@@ -9,7 +9,7 @@ from lensdesign.errors import InputError
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.fields.propagator import propagate
-from wavesim.reconstruction.from_field import (
+from wavesim.reconstruction.phase_retrieval import (
     FEEDBACK,
     WATCHED,
     RetrievalState,
@@ -22,7 +22,7 @@ from wavesim.reconstruction.from_field import (
     retrieve,
     stagnation,
 )
-from wavesim.reconstruction.retrieval import steps as retrieval_steps
+from wavesim.reconstruction.retrieval import iteration as retrieval_steps
 from wavesim.sensor.measurement import Measurement
 
 GRID = Grid((96, 96), 4e-3, 0.0)

@@ -18,7 +18,7 @@ from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibrat
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.joint.some_pixels import SomePixels
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.settings import CalibrationSettings, ReconstructionSettings
 from wavesim.sensor.frames import Frame

@@ -20,8 +20,8 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError, validate_whole_number
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
+from wavesim.calibration.gauss_newton import GaussNewton, Minimum
 from wavesim.calibration.response import RealArray, Response, mounting_response
-from wavesim.calibration.search import GaussNewton, Minimum
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel

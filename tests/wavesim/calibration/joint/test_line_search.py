@@ -8,7 +8,7 @@ from collections.abc import Callable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.calibration.joint.line import FARTHER, MOST_TRIALS, Line
+from wavesim.calibration.joint.line_search import FARTHER, MOST_TRIALS, Line
 
 
 def trials(price: Callable[[float], float], slope: float, first: float) -> tuple[Line, list[float]]:

@@ -21,14 +21,14 @@ from wavesim.metrics.goodness_of_fit import (
     verdict,
 )
 from wavesim.metrics.plane_residuals import PlaneResidual
+from wavesim.reconstruction.diagnostics.bench_estimates import smooth_phase_waves
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
-from wavesim.reconstruction.diagnostics.guesses import smooth_phase_waves
 from wavesim.reconstruction.diagnostics.held_out import is_given, maps_of_all
 from wavesim.reconstruction.diagnostics.orientation import misoriented
 from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
-from wavesim.reconstruction.found import Array
-from wavesim.reconstruction.from_object import Reconstructed
+from wavesim.reconstruction.found_object import Array
+from wavesim.reconstruction.object_solver import Reconstructed
 from wavesim.reconstruction.problem import ReconstructionProblem
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import ReconstructionSettings

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from lensdesign.errors import InputError, validate_whole_number
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.retrieval.steps import (
+from wavesim.reconstruction.retrieval.iteration import (
     Array,
     ComplexArray,
     Match,

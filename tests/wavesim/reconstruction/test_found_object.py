@@ -10,7 +10,7 @@ import pytest
 from lensdesign import load_design, scaled
 from wavesim.cli.reconstruct import _figures
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.imaging import image
 from wavesim.targets.patch import object_patch, usaf_elements_of
 from wavesim.targets.usaf import usaf_chart

@@ -7,7 +7,12 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.diagnostics.guesses import background, centre, shift_pixels, smooth_phase_waves
+from wavesim.reconstruction.diagnostics.bench_estimates import (
+    background,
+    centre,
+    shift_pixels,
+    smooth_phase_waves,
+)
 from wavesim.scene.bench import LightErrors
 
 PICTURE = gaussian_filter(np.random.default_rng(3).random((60, 80)), 2.0, mode="wrap")

@@ -14,9 +14,9 @@ from lensdesign.errors import InputError
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid, correlation
 from wavesim.fields.plane_waves import fft_frequencies, transfer
-from wavesim.reconstruction import from_object
+from wavesim.reconstruction import object_solver
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.from_object import AT_NOISE, EARLY_GAIN, SolverState, reconstruct
+from wavesim.reconstruction.object_solver import AT_NOISE, EARLY_GAIN, SolverState, reconstruct
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
@@ -352,15 +352,17 @@ def test_a_single_small_change_ends_nothing() -> None:
     falls = [0.58, 0.121, 0.012, 0.0047, 0.003]
     misfits = [2.0 - sum(falls[:n]) for n in range(len(falls) + 1)]
     for n in range(len(misfits) + 1):
-        assert from_object._to_come(misfits[:n]) > 2.0 * EARLY_GAIN
-    assert from_object._to_come([2.0, 1.8, 1.7, 1.65]) == pytest.approx(0.05 / 1.65)  # 1/2 + 1/4 + ... of it
+        assert object_solver._to_come(misfits[:n]) > 2.0 * EARLY_GAIN
+    assert object_solver._to_come([2.0, 1.8, 1.7, 1.65]) == pytest.approx(
+        0.05 / 1.65
+    )  # 1/2 + 1/4 + ... of it
 
 
 def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"tv_weight": "auto", "iterations": 40, "scale": 1.0, "until_noise": True}
     found = reconstruct(case.engine, case.illumination, recorded, **settings)
-    monkeypatch.setattr(from_object, "FARTHER", 1.0)
+    monkeypatch.setattr(object_solver, "FARTHER", 1.0)
     without = reconstruct(case.engine, case.illumination, recorded, **settings, rounds=1)
     assert found.stopped_because == without.stopped_because == "noise"
     assert len(found.misfit) < 0.8 * len(without.misfit)
