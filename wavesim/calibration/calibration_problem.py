@@ -13,10 +13,8 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
-from wavesim.calibration.joint.fast_grid import with_fast_shape
-from wavesim.calibration.joint.pixels import AllPixels, Pixels
+from wavesim.calibration.joint.pixels import AllPixels, Pixels, pixels_apart, some_pixels, with_fast_shape
 from wavesim.calibration.joint.search import JointSearch, SearchState
-from wavesim.calibration.joint.some_pixels import pixels_apart, some_pixels
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
     Parameter,
@@ -27,6 +25,7 @@ from wavesim.calibration.parameters import (
     with_priors,
 )
 from wavesim.engines.tiles.engine import EikonalTiles
+from wavesim.reconstruction.problem import key_of_frames, light_of_frames, patch_of_frames
 from wavesim.runtime.checkpoint import Checkpoint
 from wavesim.runtime.memory import MemoryLimitError, memory_limit
 from wavesim.runtime.threads import one_blas_thread
@@ -36,9 +35,7 @@ from wavesim.scene.scene import Scene
 from wavesim.scene.settings import CalibrationSettings, SettingError
 from wavesim.sensor.frame_sets import recorded_planes
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.light_of_frames import light_of_frames
 from wavesim.sensor.measurement import noise_misfit
-from wavesim.sensor.patch_of_frames import key_of_frames, patch_of_frames
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import exit_scene, imaging_engine
 

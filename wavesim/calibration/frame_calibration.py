@@ -22,7 +22,8 @@ from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, 
 from wavesim.reconstruction.field_stop import StopSearch
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.reconstruction.linear.linearised import Linearised
+from wavesim.reconstruction.linearised import Linearised
+from wavesim.reconstruction.problem import validate_frames
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors
 from wavesim.scene.scene import placed_scene
@@ -35,7 +36,6 @@ from wavesim.scene.settings import (
 from wavesim.sensor.frame_sets import planes_of_frames
 from wavesim.sensor.frames import Frame
 from wavesim.sensor.mounting import RIGID, light_on, parameter_names, planes_at, validate_parameters
-from wavesim.sensor.patch_of_frames import validate_frames
 from wavesim.sensor.recording import Progress
 from wavesim.targets.patch import lit, lit_patch, read_object
 

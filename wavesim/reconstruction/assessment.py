@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from lensdesign.errors import TransferLensError
 from wavesim.fields.field import Field, Grid
 from wavesim.metrics.goodness_of_fit import (
@@ -28,11 +30,13 @@ from wavesim.reconstruction.diagnostics.orientation import misoriented
 from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import Array
-from wavesim.reconstruction.object_solver import Reconstructed
+from wavesim.reconstruction.object_solver import Reconstructed, reconstruct
+from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.reconstruction.problem import ReconstructionProblem
 from wavesim.scene.engine import Engine, Tiled
 from wavesim.scene.settings import ReconstructionSettings
-from wavesim.sensor.measurement import noise_misfit
+from wavesim.scene.source import SourceMode
+from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.windows import LEAST_DIVERSITY
 
 FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
@@ -287,3 +291,58 @@ def starts_needed(
     if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
         return settings
     return settings.replaced(starts=2)
+
+
+PHASE_RAD = 1.0
+"""Root mean square of the phases from which complex objects start; amplitudes start between 0 and 1."""
+
+
+def agreement_of_starts(
+    engine: Engine,
+    light: Field,
+    recorded: Sequence[Measurement],
+    settings: ReconstructionSettings,
+    found: Reconstructed,
+    tell: Callable[[str], None],
+    modes: Sequence[SourceMode] = (),
+) -> float | None:
+    """Smallest correlation of the lit objects that several starts end at; None of a single one.
+
+    Parameters
+    ----------
+    engine, light, recorded
+        As of :func:`wavesim.reconstruct`.
+    settings
+        How many starts, and all else.
+    found
+        From the usual start.
+    tell
+        Told which start is on.
+    modes
+        As of :func:`wavesim.reconstruct`.
+    """
+    if settings.starts == 1:
+        return None
+    ends = [light.with_values(light.values * found.transmission.values)]
+    for seed in range(1, settings.starts):
+        tell(f"start {seed + 1} of {settings.starts}")
+        random = np.random.default_rng(seed)
+        if settings.kind == "amplitude":
+            first = random.random(light.grid.shape)
+        else:
+            first = np.exp(1j * PHASE_RAD * random.standard_normal(light.grid.shape))
+        other = reconstruct(
+            engine,
+            light,
+            recorded,
+            kind=settings.kind,
+            tv_weight=settings.tv_weight,
+            iterations=settings.most_iterations,
+            until_noise=True,
+            scale=settings.scale,
+            start=light.with_values(first.astype(light.values.dtype)),
+            active_width=settings.active_width,
+            modes=modes,
+        )
+        ends.append(light.with_values(light.values * other.transmission.values))
+    return agreement(ends)

@@ -21,6 +21,7 @@ from wavesim.metrics.judgement import truth_metrics
 from wavesim.reconstruction.assessment import (
     EngineOn,
     MethodResult,
+    agreement_of_starts,
     engine_errors,
     excess_of,
     is_engine_limited,
@@ -32,11 +33,10 @@ from wavesim.reconstruction.assessment import (
     stop_search,
 )
 from wavesim.reconstruction.diagnostics.held_out import maps_of_all
-from wavesim.reconstruction.diagnostics.starts import agreement_of_starts
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
-from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem
+from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem, validate_frames
 from wavesim.reconstruction.refocusing import refocus_field
 from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
 from wavesim.reconstruction.source_width import found_width
@@ -55,7 +55,6 @@ from wavesim.scene.placement import Placement
 from wavesim.scene.settings import ReconstructionSettings, SettingError
 from wavesim.scene.source import Source
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.patch_of_frames import validate_frames
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import imaging_engine
 from wavesim.targets.patch import transmission_of

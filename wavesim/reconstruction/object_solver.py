@@ -29,13 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.notebook import html_picture, html_table
+from lensdesign.errors import InputError, validate_choice, validate_positive, validate_whole_number
 from wavesim.fields.field import Field
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.memory import Sizes, step_array
-from wavesim.reconstruction.recording.refusals import validate_measurements, validate_numbers
+from wavesim.reconstruction.phase_retrieval import validate_planes
 from wavesim.reconstruction.total_variation import prox_tv
 from wavesim.runtime.scratch import Scratch
-from wavesim.scene.engine import Operator
+from wavesim.scene.engine import Grids, Operator
 from wavesim.scene.settings import Kind
 from wavesim.scene.source import SourceMode
 from wavesim.sensor.measurement import Measurement, amplitude_unit, in_unit, noise_misfit, power_of_two
@@ -404,3 +405,50 @@ def _uphill(now: Array, ahead: Array, after: Array) -> bool:
     blocks = (slice(start, start + FEW_ROWS) for start in range(0, len(now), FEW_ROWS))
     along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
     return sum(float(one.real) for one in along) > 0.0
+
+
+WIDEST_PIXEL = 2.0
+"""Side of the square over which a picture may be averaged, in pixels: more than 1 where it is blurred."""
+
+
+def validate_numbers(
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
+) -> None:
+    """Refuse settings out of their range; all as of :func:`wavesim.reconstruct`."""
+    validate_choice("kind", kind, ("complex", "amplitude"))
+    if tv_weight != "auto" and (
+        isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
+    ):
+        raise InputError(f"tv_weight = {tv_weight!r}: must be finite and not negative, or 'auto'")
+    validate_whole_number("iterations", iterations, 1)
+    if scale is not None:
+        validate_positive("scale", scale)
+    if not 0.0 <= active_width <= WIDEST_PIXEL:
+        raise InputError(f"active_width = {active_width!r}: must be from 0 to {WIDEST_PIXEL:g}")
+
+
+def validate_measurements(
+    grids: Grids,
+    illumination: Field,
+    recorded: Sequence[Measurement],
+    start: Any,
+    modes: Sequence[SourceMode],
+    rows: Sequence[slice],
+) -> None:
+    """Refuse light, planes or a start that are none of an engine; as of :func:`wavesim.reconstruct`."""
+    if illumination.grid != grids.object_grid:
+        raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
+    if not np.any(np.abs(illumination.values) > 0.0):
+        raise InputError("illumination: is all dark")
+    if not recorded:
+        raise InputError("recorded: must be one plane at least")
+    shape = grids.exit_grid.shape
+    if rows:
+        shape = (shape[0] // len(rows), *shape[1:])
+    validate_planes(recorded, shape, "the exit grid's")
+    if not (start is None or start == "amplitude" or isinstance(start, Field)):
+        raise InputError(f"start = {start!r}: must be a field, or 'amplitude'")
+    if isinstance(start, Field) and start.grid.shape != illumination.grid.shape:
+        raise InputError(f"start: its shape {start.grid.shape} is not that of the object grid")
+    if any(mode.wavelength_um != illumination.wavelength_um for mode in modes):
+        raise InputError(f"modes: must all be of {illumination.wavelength_um:g} um, as the illumination is")

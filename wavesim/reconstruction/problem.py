@@ -4,40 +4,56 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensdesign.common.arrays import Array
+from lensdesign.common.section import Section
 from lensdesign.errors import InputError
-from lensdesign.lens.lens import Lens
+from lensdesign.lens.lens import Lens, Sensor
 from lensdesign.lens.poses import Pose
 from wavesim.engines.whole_field.on_cluster import validate_tiled
 from wavesim.fields.field import Field, Grid
+from wavesim.rays.maps import RIM_ARMS, inside_border, moved
+from wavesim.rays.ray_bundles import open_pupil, trace_bundle
 from wavesim.reconstruction.diagnostics.held_out import HeldOut, hold_out, is_given
 from wavesim.reconstruction.memory import run_arrays
-from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint
+from wavesim.runtime.checkpoint import CHECKPOINT, Checkpoint, digest_of, key_of
 from wavesim.runtime.inventory import Inventory, need_of
 from wavesim.runtime.memory import BASE_BYTES, Memory, MemoryLimitError, memory_limit
 from wavesim.runtime.scratch import Scratch, scratch_in
 from wavesim.scene.bench import Bench, bench_of
 from wavesim.scene.engine import Engine
+from wavesim.scene.lengths import validate_lengths
 from wavesim.scene.light import Light
 from wavesim.scene.placement import Placement
 from wavesim.scene.scene import Scene, placed_scene
-from wavesim.scene.settings import ReconstructionSettings, SettingError
+from wavesim.scene.settings import PatchSettings, ReconstructionSettings, SettingError
 from wavesim.scene.source import Source, SourceMode
-from wavesim.sensor.exposures import rounding_fraction
-from wavesim.sensor.frame_sets import PlaneFrames, planes_of_frames, recorded_planes
+from wavesim.sensor.exposures import electrons_of, rounding_fraction
+from wavesim.sensor.frame_sets import (
+    PlaneFrames,
+    frames_by_plane,
+    planes_of_frames,
+    recorded_planes,
+    validate_same_pitch,
+)
 from wavesim.sensor.frames import Frame
-from wavesim.sensor.light_of_frames import light_of_frames
 from wavesim.sensor.measurement import Measurement
 from wavesim.sensor.mounting import light_on, planes_at
-from wavesim.sensor.patch_of_frames import key_of_frames, patch_of_frames
-from wavesim.sensor.windows import exit_scene, imaging_engine
-from wavesim.targets.patch import Patch, lit, read_object, usaf_charts_of
+from wavesim.sensor.same_pictures import validate_distinct_pictures
+from wavesim.sensor.windows import (
+    LEAST_DIVERSITY,
+    check_diversity,
+    check_footprint,
+    exit_scene,
+    imaging_engine,
+)
+from wavesim.targets.patch import Patch, lit, lit_patch, read_object, usaf_charts_of
 from wavesim.targets.region import cut_field, region_grid, widened
 from wavesim.targets.usaf import UsafElement
 
@@ -289,3 +305,176 @@ def _key(
         for p in recorded
     ]
     return key_of_frames(lens, frames, light, told, engine.key(), str((light.grid.z_mm, planes)))
+
+
+class FramePatch(NamedTuple):
+    """What frames and settings say of the object: its patch and light, the planes, each once, and sensor."""
+
+    frames: tuple[Frame, ...]
+    planes_mm: tuple[float, ...]
+    sensor: Sensor
+    patch: Patch
+    light: Field
+    diversity: float
+
+
+def patch_of_frames(
+    lens: Lens, frames: Sequence[Frame], settings: PatchSettings, pose: Pose = Pose()
+) -> FramePatch:
+    """The patch and light of frames, which are checked for what they can tell.
+
+    Raises
+    ------
+    InputError
+        If frames do not belong to the design, a value is not usable, or two planes hold the same picture.
+
+    Warns
+    -----
+    FootprintWarning, DiversityWarning
+        Where frames tell less than they might.
+    """
+    if not frames:
+        raise InputError("frames: must be one at least")
+    validate_same_pitch(frames, lens)
+    by_plane = frames_by_plane(frames)
+    patch, light = lit_patch(lens, settings, frames[0].settings.wavelength_um)
+    rows, columns = frames[0].counts.shape
+    planes = tuple(plane[0].settings.plane_distance_mm for plane in by_plane)
+    sensor = lens.sensor.replaced(pixels=(columns, rows))
+    check_footprint(lens, patch, sensor, planes, pose)
+    figure = check_diversity(lens, patch, planes) if len(planes) > 1 else 0.0
+    validate_distinct_pictures(by_plane, diverse=figure >= LEAST_DIVERSITY)
+    return FramePatch(
+        tuple(frame for plane in by_plane for frame in plane), planes, sensor, patch, light, figure
+    )
+
+
+def validate_frames(lens: Lens, frames: Sequence[Frame], settings: Section) -> None:
+    """Refuse lengths of frames and settings that another unit would explain.
+
+    Raises
+    ------
+    SettingError
+        As of :func:`wavesim.scene.lengths.validate_lengths`.
+    """
+    light = frames[0].settings.wavelength_um if frames else None
+    validate_lengths(lens, {"wavelength_um": light})
+    planes = [frame.settings.plane_distance_mm for frame in frames]
+    validate_lengths(lens, {"plane_distance_mm": planes}, light)
+    validate_lengths(lens, settings, light)
+
+
+def key_of_frames(lens: Lens, frames: Sequence[Frame], light: Field, *told: str | bytes) -> str:
+    """Digest of all that a result depends on, under which parts of a run are kept."""
+    pictures = [
+        part for frame in frames for part in (digest_of(frame.counts), frame.settings.model_dump_json())
+    ]
+    maps = [
+        digest_of(own)
+        for frame in frames
+        if frame.maps is not None
+        for own in (frame.maps.gain, frame.maps.dark_electrons, frame.maps.bad)
+        if own is not None
+    ]
+    return key_of(lens.model_dump_json(), digest_of(light.values), *told, *pictures, *maps)
+
+
+RING = 0.1
+"""Of the footprint's radius: pixels so near to its border, inside, show the light at the rim."""
+
+SURE = 2.0
+"""Standard deviations of the mean over such pixels by which it may be larger."""
+
+MOST_FAULTY, FAULTY_FRACTION = 4, 0.002
+"""Number of pixels that may be faulty, and besides these the fraction of the pixels on the ring."""
+
+ROWS = 64
+
+
+def light_of_frames(scene: Scene, frames: Sequence[Frame], illumination: Field) -> Light:
+    """The illumination, and scattered light: as much as brings to the rim what frames show there.
+
+    On the nearest plane light lies by its direction. What pixels next to the footprint's border hold is taken
+    for light that fills the aperture evenly; where none lie there, all light is.
+
+    Parameters
+    ----------
+    scene
+        From the object to the pixels of the nearest plane, one sample for each.
+    frames
+        Of one plane or more.
+    illumination
+        On the object grid of the scene.
+    """
+    middle = scene.object_grid.centre_mm
+    pupil = open_pupil(scene, middle, scene.exit_grid.z_mm, RIM_ARMS)
+    rim = trace_bundle(scene, np.asarray(middle), pupil.rim, scene.exit_grid.z_mm)
+    plane = sorted(frames_by_plane(frames)[0], key=lambda frame: frame.settings.exposure)
+    read = [_of_footprint(frame, scene, rim.sensor_mm) for frame in plane]
+    clear = [ring for _, ring in read if ring.is_clear] or [read[0][1]]
+    total, ring = read[0][0], clear[-1]
+    if ring.pixels == 0 or total <= 0.0:
+        return Light(illumination, 1.0)
+    lit = np.isfinite(rim.amplitude)
+    # Of even light, one unit in each direction: on the border's pixels, and in all.
+    border = float(np.mean(rim.amplitude[lit] ** 2)) * scene.exit_grid.cell
+    return Light(illumination, min(max(ring.most / border * _area(rim.cosines) / total, 0.0), 1.0))
+
+
+@dataclass(frozen=True)
+class _Ring:
+    """Light of the pixels next to the border.
+
+    Attributes
+    ----------
+    pixels : int
+        Number of pixels.
+    most : float
+        Mean light of a pixel, as large as it may well be.
+    is_clear : bool
+        Whether no more pixels are clipped than may be faulty.
+    """
+
+    pixels: int
+    most: float
+    is_clear: bool
+
+
+def _ring_of(light: Array, clipped: int) -> _Ring:
+    """The mean over pixels, of which a few may hold anything.
+
+    Faulty pixels, hits of cosmic rays or damaged bytes would otherwise pass for light at the rim. The
+    brightest pixels count as the brightest one behind them (a winsorized mean). Light that is spread over
+    more pixels loses next to nothing by that.
+    """
+    count = len(light)
+    faulty = min(MOST_FAULTY + round(FAULTY_FRACTION * count), count // 2)
+    if count == 0:
+        return _Ring(0, 0.0, clipped == 0)
+    held = np.partition(light, count - 1 - faulty)
+    held = np.minimum(held, held[count - 1 - faulty])
+    mean, deviation = float(held.mean()), float(held.std())
+    return _Ring(count, mean + SURE * deviation / math.sqrt(count), clipped <= faulty)
+
+
+def _of_footprint(frame: Frame, scene: Scene, border_mm: Array) -> tuple[float, _Ring]:
+    """Light of a frame for an exposure of 1: all within the footprint, and on the ring inside its border."""
+    width = RING * float(np.mean(np.linalg.norm(border_mm - border_mm.mean(axis=0), axis=1)))
+    y, x = scene.exit_grid.y_mm, scene.exit_grid.x_mm
+    total, clipped, lights = 0.0, 0, list[Array]()
+    for start in range(0, len(y), ROWS):
+        rows = slice(start, start + ROWS)
+        inside, within = (inside_border(moved(border_mm, by), (y[rows], x)) for by in (0.0, -width))
+        # Negative where noise is: dark pixels must be dark in the mean.
+        light, near = electrons_of(frame, rows) / frame.settings.exposure, inside & ~within
+        total += float(light[inside].sum())
+        lights.append(light[near])
+        clipped += int(np.count_nonzero(frame.counts[rows][near] >= frame.settings.clipped_counts))
+    return total, _ring_of(np.concatenate(lights), clipped)
+
+
+def _area(border: Array) -> float:
+    """Inside a closed border of points (y, x)."""
+    y, x = border.T
+    turned = np.roll(border, -1, axis=0)
+    return 0.5 * abs(float(np.sum(y * turned[:, 1] - x * turned[:, 0])))

@@ -16,7 +16,7 @@ from lensdesign.lens.lens import Lens
 from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
-from wavesim.calibration.joint.some_pixels import SomePixels
+from wavesim.calibration.joint.pixels import SomePixels
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.bench import Bench, LightErrors

@@ -29,7 +29,7 @@ from wavesim.calibration.joint.selection import Selection, select_parameters
 from wavesim.calibration.joint.step import GaussNewtonStep
 from wavesim.calibration.parameters import SENSOR_TILTS, Parameter, Unknowns
 from wavesim.metrics.goodness_of_fit import MODEL_ERROR
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linearised import Linearised, RealArray
 from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.scene.engine import Operator
 from wavesim.scene.settings import Kind

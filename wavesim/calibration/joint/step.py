@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
+from wavesim.reconstruction.linearised import Linearised, RealArray
 
 DAMPING = 0.03
 """Of the squared misfit, what a step by what is typical of a parameter costs: farther, nothing is linear."""

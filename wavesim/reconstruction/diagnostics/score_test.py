@@ -7,7 +7,7 @@ of D is what remains of d_j, found by conjugate gradients. With the residuals r 
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
 are the errors that the frames ask for, and how surely they do. Both come from one linear model about the
-result (:class:`wavesim.reconstruction.linear.linearised.Linearised`).
+result (:class:`wavesim.reconstruction.linearised.Linearised`).
 
 Source: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Math. Proc.
 Camb. Phil. Soc. 44, 50 (1948).
@@ -28,8 +28,7 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import Undetected
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linear.linearised import Linearised, RealArray
-from wavesim.reconstruction.linear.measurement_operator import FreeSpaceMeasurement
+from wavesim.reconstruction.linearised import FreeSpaceMeasurement, Linearised, RealArray
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene

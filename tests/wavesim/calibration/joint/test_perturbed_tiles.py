@@ -7,8 +7,7 @@ import pytest
 from small_twins import bars_under_stop
 
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from wavesim.calibration.joint.lens_changes import Changed, by_engines, by_rays, path_slopes
-from wavesim.calibration.joint.turned_tiles import TurnedTiles
+from wavesim.calibration.joint.perturbed_tiles import Changed, TurnedTiles, by_engines, by_rays, path_slopes
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
 from wavesim.scene.placement import Placement

@@ -9,15 +9,14 @@ import pytest
 from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.joint.pixels import AllPixels
-from wavesim.calibration.joint.some_pixels import SomePixels, TilesToPlanes
+from wavesim.calibration.joint.pixels import AllPixels, SomePixels, TilesToPlanes, with_fast_shape
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.linear.linearised import Linearised
+from wavesim.reconstruction.linearised import Linearised
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
-from wavesim.sensor.measurement import Measurement
+from wavesim.sensor.measurement import Measurement, noise_misfit
 
 BENCH = {
     "plane_2_shift_x_um": 3.0,
@@ -104,3 +103,25 @@ def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None
     moved = Linearised(some.model(there, near), bars, False)
     change = (here.residual - moved.residual) / step
     assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
+
+
+def test_pixels_stay_where_they_are_and_new_ones_tell_nothing() -> None:
+    grid = Grid((438, 437), 3.2e-3, 0.7, (0.1, -0.2))
+    scene = replace(twin_scene(60), exit_grid=grid)
+    rng = np.random.default_rng(1)
+    plane = Measurement(0.0, 1.0 + rng.random(grid.shape), 0.01 + 0.01 * rng.random(grid.shape))
+    wider, (padded,) = with_fast_shape(scene, [plane])
+    assert wider.exit_grid.shape == padded.amplitude.shape == (440, 440)
+    assert wider.exit_grid.y_mm[1:-1] == pytest.approx(grid.y_mm)
+    assert wider.exit_grid.x_mm[1:-2] == pytest.approx(grid.x_mm)
+    assert np.array_equal(padded.amplitude[1:-1, 1:-2], plane.amplitude)
+    assert padded.sigma is not None
+    assert np.isfinite(padded.sigma).sum() == grid.shape[0] * grid.shape[1]
+    assert noise_misfit([padded]) == pytest.approx(noise_misfit([plane]))
+
+
+def test_what_is_fast_or_without_noise_stays() -> None:
+    scene = replace(twin_scene(60), exit_grid=Grid((440, 440), 3.2e-3, 0.7))
+    assert with_fast_shape(scene, [Measurement(0.0, np.ones((440, 440)), np.ones((440, 440)))])[0] is scene
+    slow = replace(scene, exit_grid=Grid((438, 440), 3.2e-3, 0.7))
+    assert with_fast_shape(slow, [Measurement(0.0, np.ones((438, 440)))])[0] is slow
