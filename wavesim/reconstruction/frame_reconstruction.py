@@ -287,7 +287,7 @@ def _begun_on_half(
             active_width=settings.active_width,
             progress=told.on_half,
             residuals=False,
-            rounds=ROUNDS,
+            inner_iterations=ROUNDS,
         )
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)

@@ -1,21 +1,24 @@
-"""Object-domain reconstruction: the object itself from intensities behind the lens.
+"""Object-domain reconstruction: find the object itself from intensities behind the lens.
 
 The object t (its complex transmission) under a known illumination u gives the fields A_n(u t) on the planes
-n. Steps
+n. The solver minimizes the weighted misfit of amplitudes plus a total variation by the steps
 
     t <- prox( t + mean over n of conj(u) A_n*( P_n(A_n(u t)) - A_n(u t) ) / max |u|^2 ),
 
-with P_n the replacement of the amplitude by the recorded one, go down the misfit of amplitudes. Engine and
-free space are nearly unitary: the curvature is 1 at most, and steps with momentum are safe up to 4/3. Each
-step is made of a few rounds of the same kind behind the lens, where planes cost little, before it comes back
-to the object: an alternating descent of the field that the planes ask for and of the object behind it. The
-proximal map of the total variation keeps edges and takes noise out; steps are accelerated (FISTA), and
-momentum begins anew where it leads uphill. Where the illumination is dark, so is the object: a field stop is
-a support.
+where P_n replaces the amplitude of a field by the measured one. Engine and free space are nearly unitary.
+The Hessian is therefore 1 at most, and accelerated steps are stable up to a step length of 4/3.
 
-Sources: A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse
-problems", SIAM J. Imaging Sci. 2, 183 (2009); B. O'Donoghue and E. Candes, "Adaptive restart for accelerated
-gradient schemes", Found. Comput. Math. 15, 715 (2015).
+Each step consists of a few inner iterations of the same kind on the field behind the lens, where planes cost
+little, before the change is taken back to the object. The proximal map of the total variation preserves
+edges and suppresses noise. Steps are accelerated (FISTA), and the momentum restarts where it increases the
+misfit. The object is zero where the illumination is zero: a field stop acts as a support constraint.
+
+References
+----------
+A. Beck and M. Teboulle, "A fast iterative shrinkage-thresholding algorithm for linear inverse problems",
+SIAM J. Imaging Sci. 2, 183 (2009).
+B. O'Donoghue and E. Candes, "Adaptive restart for accelerated gradient schemes", Found. Comput. Math. 15,
+715 (2015).
 """
 
 from __future__ import annotations
@@ -49,35 +52,42 @@ STOPPED: dict[Stop, str] = {
     "rest": ", where the misfit fell no more",
     "iterations": "",
 }
-"""Why iterations ended, in words."""
+"""Text that describes each reason for the end of the iterations."""
 
 SCALE_ITERATIONS = 4
-"""In which an unknown scale is fitted; longer, it and the transmission would drift against each other."""
+"""Iterations in which an unknown scale is fitted. In later ones scale and transmission would drift."""
 
 AMPLITUDE_START = 12
-"""Iterations in which an amplitude object is sought where that is the start."""
+"""Iterations that seek an amplitude object if `start` is "amplitude"."""
+
 
 TV_PER_NOISE = 1.0
-"""Weight of the total variation over the standard deviation of the noise of a step. The noise is taken for as
-much larger than stated as the misfit is: what the model does not explain, or not yet, tells no detail."""
+"""Weight of the total variation over the standard deviation of the noise of a step.
+
+The noise counts as larger than stated by the ratio of the misfit to the misfit of noise alone, because
+residuals that the model does not explain yet carry no detail.
+"""
 
 STEP, FRICTION = 1.3, 1.0
-"""Length of a step, and how soon momentum grows: after j steps it is j / (j + friction)."""
+"""Length of a step, and a constant that limits the momentum: after j steps it is j / (j + `FRICTION`)."""
 
-ROUNDS, FARTHER, FAR = 4, 2.0, 1.2
-"""Rounds of the field behind the lens in a step while the misfit is more than so many times what noise would
-leave, which rounds would fit; how much farther than one they lead, and with them the total variation."""
+INNER_ITERATIONS, INNER_STEP_FACTOR, FAR = 4, 2.0, 1.2
+"""Inner iterations of a step, the factor by which they lengthen it and its total variation, and their limit.
 
-FEW_ROWS = 8
-"""Of the object, compared at a time."""
-
+Inner iterations are used while the misfit exceeds `FAR` times the misfit of noise. Nearer to the noise they
+would fit the noise.
+"""
 AT_NOISE = 1.01
-"""Misfit over that of noise alone, down to which iterations have reached the noise. What the misfit hardly
-tells, such as slow changes of phase, still gets better there, for as long as it falls."""
+"""Misfit over that of noise alone at which iterations count as having reached the noise.
+
+Slowly converging parts, such as smooth phase, still improve there as long as the misfit falls.
+"""
 
 EARLY, NEAR_EARLY, AT_NOISE_EARLY, EARLY_GAIN = 5, 2, 1, 1e-3
-"""At rest: over so many iterations, or so many near the noise or at it, the misfit falls by less than this
-share; at the noise, too, where all further ones together would change it by less."""
+"""Convergence: over `EARLY` iterations (`NEAR_EARLY` near the noise, `AT_NOISE_EARLY` at the noise) the
+misfit falls by less than the fraction `EARLY_GAIN`. At the noise, iterations also end where all further
+iterations together are expected to change the misfit by less than that.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,16 +97,19 @@ class Reconstructed:
     Attributes
     ----------
     transmission : Field
-        On the engine's object grid; 0 where there is no light.
+        Transmission on the engine's object grid; 0 where there is no light.
     misfit : tuple of float
-        For every iteration, the relative L2 difference of all planes' amplitudes and the recorded ones.
+        Relative L2 difference between modelled and measured amplitudes of all planes, before each iteration.
     residual_maps : tuple of ndarray
-        For each plane, amplitude of the result less the recorded one, in units of the recorded one.
+        For each plane, modelled less measured amplitude, in the unit of the measured amplitude.
     scale : float
-        Recorded amplitude for a unit of the model's.
-    stopped_because : str
-        "noise" where the misfit came to what noise alone would leave, "rest" where it fell no more,
-        "iterations" where they were used up.
+        Measured amplitude per unit of the modelled amplitude.
+    stopped_because : {"noise", "rest", "iterations"}
+        Reason for the end of the iterations.
+
+        - "noise": the misfit has reached the value that noise alone leaves (discrepancy principle).
+        - "rest": the misfit has converged.
+        - "iterations": all iterations were used.
     """
 
     transmission: Field
@@ -122,20 +135,21 @@ class Reconstructed:
 
 @dataclass(frozen=True, eq=False)
 class SolverState:
-    """Where a reconstruction stands after an iteration: all that it needs to go on.
+    """State of the solver after an iteration: all that is needed to resume it.
 
     Attributes
     ----------
     transmission, ahead : ndarray
-        The last step, and the point from which the next one goes; real while an amplitude object is sought.
+        Last iterate, and the extrapolated point at which the next gradient is taken. Both are real while an
+        amplitude object is sought.
     momentum : float
-        Steps since it began to grow.
+        Number of steps since the last restart of the momentum.
     misfit : tuple of float
-        Of every iteration so far.
+        Misfit of every iteration so far.
     scale : float or None
-        Recorded amplitude for a unit of the model's; None where nothing is known of it yet.
+        Measured amplitude per unit of the modelled amplitude; None before it is known.
     stage, began : int
-        Kind of object that is being sought, of those that follow each other; iterations before it.
+        Index of the current stage (kind of object that is sought), and number of iterations before it.
     """
 
     transmission: Array
@@ -166,67 +180,75 @@ def reconstruct(
     modes: Sequence[SourceMode] = (),
     rows: Sequence[slice] = (),
     residuals: bool = True,
-    rounds: int = ROUNDS,
+    inner_iterations: int = INNER_ITERATIONS,
     bounded: bool = True,
 ) -> Reconstructed:
-    """Find the object behind recorded amplitudes.
+    """Find the object behind measured amplitudes.
 
     Parameters
     ----------
     engine
-        From the object grid to a plane behind the lens.
+        Forward and adjoint operator from the object grid to a plane behind the lens.
     illumination
-        On the engine's object grid, field stop included; in complex64 all is computed so.
+        Field on the engine's object grid, with the field stop applied. Its data type (complex64 or
+        complex128) is that of the computation.
     recorded
-        One plane or more, with distances from the engine's exit grid. Pixels count by their `sigma`; where it
-        is infinite, nothing is replaced.
+        Measured amplitudes of one or more planes, with distances from the engine's exit grid in mm. Pixels
+        are weighted by their standard deviation `sigma`; a pixel with infinite `sigma` is ignored.
     kind
-        "complex", or "amplitude" for a transmission that is real and between 0 and 1.
+        "complex", or "amplitude" for a real transmission between 0 and 1.
     tv_weight
-        Of the total variation, for transmissions of order 1; 0 leaves it out. "auto": `TV_PER_NOISE` times
-        the noise of a step, which all planes' `sigma` tell, and as much more as the misfit is more than noise
-        alone would leave.
+        Weight of the total variation, for transmissions of order 1; 0 disables it. "auto" means
+        `TV_PER_NOISE` times the noise of a step, which follows from `sigma` of all planes, times the ratio
+        of the misfit to that of noise alone.
     iterations
-        At most; fewer where the misfit rests.
+        Largest number of iterations; fewer are made where the misfit converges.
     until_noise
-        Whether they end, too, where the misfit has come to what noise alone would leave
+        Whether iterations also end where the misfit reaches the value that noise alone would leave
         (:func:`wavesim.sensor.measurement.noise_misfit`).
     scale
-        Recorded amplitude for a unit of the model's, where a picture without object has told it. Left out,
-        it is fitted in the first iterations: then the transmission is known but for a factor.
+        Measured amplitude per unit of the modelled amplitude, where a picture without an object has
+        determined it. Default: fitted in the first iterations; the transmission is then known up to a
+        factor.
     start
-        Transmission to start from; 1 if left out. "amplitude": the first `AMPLITUDE_START` iterations seek an
-        amplitude object, so that a complex one on a dark ground is found, to which 1 is too far.
+        Initial transmission; default: 1. "amplitude": the first `AMPLITUDE_START` iterations seek an
+        amplitude object. This helps to find a complex object on a dark ground, which is far from 1.
     active_width
-        Side of a pixel's photosensitive square as a share of the pitch, over which the model takes means; 0
-        for amplitudes at points, such as those of a simulated field.
+        Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 means samples at
+        points, such as those of a simulated field.
     progress
-        Called after every iteration with its number and misfit.
+        Callback `progress(index, misfit)`, called after every iteration.
     resume
-        Where a run with the same arguments was cut off: it goes on from there.
+        State of an interrupted run with the same arguments, which continues from there.
     keep
-        Called after every iteration with what `resume` takes.
+        Callback `keep(state)`, called after every iteration; `resume` accepts the state.
     scratch
-        Where arrays lie that are kept from one iteration to the next; in memory if left out. What the caller
-        holds stays where it is: move illumination and recorded arrays by :meth:`wavesim.Scratch.moved`.
+        Storage of arrays that are kept from one iteration to the next; default: memory. Arrays of the caller
+        stay where they are; :meth:`wavesim.Scratch.moved` moves them.
     modes
-        Of the light, if its source is wide (:meth:`wavesim.scene.Source.modes`): each goes through the engine
-        of its own.
+        Modes of the light of an extended source (:meth:`wavesim.scene.Source.modes`). Each mode passes
+        through the engine separately.
     rows
-        Of the engine's exit grid, those of each plane's pixels, if it carries light straight to them.
+        Rows of the engine's exit grid that hold the pixels of each plane, if the engine propagates directly
+        to the planes. Default: planes are reached through free space.
     residuals
-        Whether residual maps are made, for which the result goes through the lens once more.
-    rounds
-        Of the field behind the lens in a step, while the misfit is far from the noise.
+        Whether residual maps are computed, which takes one more forward propagation.
+    inner_iterations
+        Inner iterations behind the lens in each step, as long as the misfit is far above the noise.
     bounded
-        Whether amplitudes are at most 1. An unknown scale is fitted to an object that is bright everywhere:
-        the bright parts of an object on a dark ground may then have to exceed 1.
+        Whether the amplitude is at most 1. An unknown scale is fitted to an object that is bright
+        everywhere; bright parts of an object on a dark ground may then have to exceed 1.
+
+    Returns
+    -------
+    Reconstructed
+        The object, the misfit of every iteration, and residual maps.
 
     Raises
     ------
     InputError
-        If a value or a shape is not usable, planes are in different units, modes are of other wavelengths
-        than the illumination, or the disk that holds the scratch files is full.
+        If a value or a shape is invalid, planes are in different units, modes have another wavelength than
+        the illumination, or the disk of the scratch files is full.
     """
     validate_numbers(kind, tv_weight, iterations, scale, active_width)
     validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
@@ -250,7 +272,7 @@ def reconstruct(
     weight, noise = (0.0, model.noise_of_step()) if tv_weight == "auto" else (tv_weight, None)
     distances = tuple(plane.distance_mm for plane in recorded)
     sizes = Sizes(engine.scene.object_grid.shape, engine.scene.exit_grid.shape, distances, dtype=model.dtype)
-    descent = _Descent(
+    descent = _ProximalDescent(
         model,
         weight,
         noise,
@@ -261,28 +283,28 @@ def reconstruct(
         keep,
         sizes,
         scratch,
-        rounds,
+        inner_iterations,
         bounded,
     )
     stages = [(kind, iterations)]
     if start == "amplitude":
         stages.insert(0, ("amplitude", min(AMPLITUDE_START, iterations)))
-    # Given away without a name for it: the arrays of a beginning would else be held to the end.
-    begun = [resume or _beginning(model, start, stages[0][0], scratch)]
+    # The list gives up the initial state, so that its arrays do not stay in memory to the end.
+    initial = [resume or _initial_state(model, start, stages[0][0], scratch)]
     del resume
-    state = descent.run(begun.pop(), stages)
-    now, misfits, stopped = state.transmission, state.misfit, descent.stop(state) or "iterations"
+    state = descent.run(initial.pop(), stages)
+    now, misfits, stop_reason = state.transmission, state.misfit, descent.stop(state) or "iterations"
     del state
     maps = tuple(model.amplitudes(now)) if residuals else ()
     for modelled, plane in zip(maps, recorded, strict=residuals):
         modelled -= plane.amplitude
         modelled *= modelled.dtype.type(unit)
     found = illumination.with_values(now.astype(illumination.values.dtype))
-    return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stopped)
+    return Reconstructed(found, misfits, maps, model.scale * unit / light_unit, stop_reason)
 
 
-def _beginning(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) -> SolverState:
-    """Where no iteration has been made: at the start, or at 1."""
+def _initial_state(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) -> SolverState:
+    """Return the state before the first iteration."""
     is_field = isinstance(start, Field)
     dtype = model.dtype if is_field or kind == "complex" else model.real
     now = scratch.array(model.lit.shape, dtype, "a step")
@@ -291,8 +313,8 @@ def _beginning(model: ForwardModel, start: Any, kind: Kind, scratch: Scratch) ->
 
 
 @dataclass(frozen=True, eq=False)
-class _Descent:
-    """Accelerated proximal steps."""
+class _ProximalDescent:
+    """Accelerated proximal gradient steps."""
 
     model: ForwardModel
     tv_weight: float
@@ -304,11 +326,11 @@ class _Descent:
     keep: Callable[[SolverState], None] | None
     sizes: Sizes
     scratch: Scratch
-    rounds: int
+    inner_iterations: int
     bounded: bool
 
     def run(self, state: SolverState, stages: Sequence[tuple[Kind, int]]) -> SolverState:
-        """Where it stands after all stages: kinds of object, and iterations at which they end."""
+        """Return the state after all stages (kind of object, and iteration at which the stage ends)."""
         if state.scale is not None:
             self.model.scale, self.model.knows_scale = state.scale, True
         for stage, (kind, until) in enumerate(stages):
@@ -319,26 +341,26 @@ class _Descent:
                 state = SolverState(now, now, 0.0, misfit, self.model.scale, stage, len(misfit))
                 del now
             while len(state.misfit) < until and self.stop(state) is None:
-                state = self._stepped(state, kind)
+                state = self._next_state(state, kind)
                 if self.progress is not None:
                     self.progress(len(state.misfit) - 1, state.misfit[-1])
                 if self.keep is not None:
                     self.keep(state)
         return state
 
-    def _stepped(self, state: SolverState, kind: Kind) -> SolverState:
+    def _next_state(self, state: SolverState, kind: Kind) -> SolverState:
         self.model.fits_scale = self.fits_scale and len(state.misfit) < SCALE_ITERATIONS
         now: Array = state.transmission.real if kind == "amplitude" else state.transmission
-        far = self._is_far(state)
-        point, misfit = self._farther(state.ahead, kind, self.rounds if far else 1)
-        point = prox_tv(point, STEP * (FARTHER if far else 1.0) * self._tv_weight(misfit))
+        is_far = self._is_far(state)
+        point, misfit = self._gradient_step(state.ahead, kind, self.inner_iterations if is_far else 1)
+        point = prox_tv(point, STEP * (INNER_STEP_FACTOR if is_far else 1.0) * self._tv_weight(misfit))
         if kind == "amplitude":
             np.clip(point, 0.0, 1.0 if self.bounded else None, out=point)
         step = step_array(self.sizes, kind)
         after = self.scratch.make(step)
         np.multiply(point, self.model.lit, out=after)
         del point
-        steps = 0.0 if _uphill(now, state.ahead, after) else state.momentum
+        steps = 0.0 if _leads_uphill(now, state.ahead, after) else state.momentum
         ahead = self.scratch.make(step)
         np.subtract(after, now, out=ahead)
         ahead *= steps / (steps + FRICTION)
@@ -348,18 +370,18 @@ class _Descent:
         )
 
     def _is_far(self, state: SolverState) -> bool:
-        """Whether the misfit was more than noise leaves, as far as that is known.
+        """Whether the misfit is clearly above that of noise, or the noise is unknown.
 
-        Where planes do not share a field behind the lens, they cannot go down the misfit together by itself.
+        Planes with separate exit fields cannot use inner iterations on a common field.
         """
         if self.model.rows:
             return False
         known = self.misfit_of_noise is not None and state.misfit
         return not known or state.misfit[-1] > FAR * (self.misfit_of_noise or 0.0)
 
-    def _farther(self, ahead: Array, kind: Kind, rounds: int) -> tuple[Array, float]:
-        """Down the misfit from the point ahead, and the misfit there."""
-        point, misfit = self.model.step(ahead, rounds, STEP)
+    def _gradient_step(self, ahead: Array, kind: Kind, inner_iterations: int) -> tuple[Array, float]:
+        """Return the point after a gradient step from the extrapolated point, and the misfit there."""
+        point, misfit = self.model.step(ahead, inner_iterations, STEP)
         point *= point.real.dtype.type(STEP)
         if kind == "amplitude":
             return point.real + ahead.real, misfit
@@ -373,48 +395,55 @@ class _Descent:
         return weight * max(misfit / self.misfit_of_noise, 1.0)
 
     def stop(self, state: SolverState) -> Stop | None:
-        """Why no more iterations are to be made; None where some are."""
+        """Return the reason to stop, or None if iterations continue."""
         if len(state.misfit) - state.began == 0:
             return None
         misfits, noise = state.misfit[state.began :], self.misfit_of_noise
         over = misfits[-1] / noise if self.until_noise and noise else math.inf
-        if over <= AT_NOISE and (_rests(misfits, AT_NOISE_EARLY) or _to_come(misfits) < EARLY_GAIN):
+        if over <= AT_NOISE and (
+            _is_converged(misfits, AT_NOISE_EARLY) or _expected_change(misfits) < EARLY_GAIN
+        ):
             return "noise"
-        rests = len(misfits) > EARLY and _rests(misfits, NEAR_EARLY if over <= FAR else EARLY)
+        rests = len(misfits) > EARLY and _is_converged(misfits, NEAR_EARLY if over <= FAR else EARLY)
         return "rest" if rests else None
 
 
-def _rests(misfits: Sequence[float], iterations: int) -> bool:
-    """Whether the misfit has changed by next to nothing."""
+def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
+    """Whether the misfit hardly changed over the last iterations."""
     return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
 
 
-def _to_come(misfits: Sequence[float]) -> float:
-    """Share by which further iterations would change the misfit, if changes shrank as the last three did."""
+def _expected_change(misfits: Sequence[float]) -> float:
+    """Return the relative change of the misfit that further iterations are expected to make.
+
+    The changes are extrapolated as a geometric series from the last three.
+    """
     changes = np.abs(np.diff(misfits[-4:]))
     if len(changes) < 3 or not changes[0] > changes[1] > changes[2]:
         return math.inf
-    # The slower of the two: where rounds end, a change is small once.
+    # The larger ratio counts, because a single change is small where the inner iterations end.
     ratio = max(changes[1] / changes[0], changes[2] / changes[1])
     return float(changes[2] * ratio / ((1.0 - ratio) * misfits[-1]))
 
 
-def _uphill(now: Array, ahead: Array, after: Array) -> bool:
-    """Whether the way from one step to the next leads against the one from the point ahead."""
-    # Few rows at a time: differences of whole fields would be the largest arrays of a step.
-    blocks = (slice(start, start + FEW_ROWS) for start in range(0, len(now), FEW_ROWS))
+def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:
+    """Whether the last step points against the gradient, so that the momentum must restart."""
+    # A few rows at a time: differences of whole fields would be the largest arrays of a step.
+    blocks = (slice(start, start + 8) for start in range(0, len(now), 8))
     along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
     return sum(float(one.real) for one in along) > 0.0
-
-
-WIDEST_PIXEL = 2.0
-"""Side of the square over which a picture may be averaged, in pixels: more than 1 where it is blurred."""
 
 
 def validate_numbers(
     kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
 ) -> None:
-    """Refuse settings out of their range; all as of :func:`wavesim.reconstruct`."""
+    """Check that settings of :func:`wavesim.reconstruct` are within their range.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range.
+    """
     validate_choice("kind", kind, ("complex", "amplitude"))
     if tv_weight != "auto" and (
         isinstance(tv_weight, str) or not (math.isfinite(tv_weight) and tv_weight >= 0.0)
@@ -423,8 +452,9 @@ def validate_numbers(
     validate_whole_number("iterations", iterations, 1)
     if scale is not None:
         validate_positive("scale", scale)
-    if not 0.0 <= active_width <= WIDEST_PIXEL:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to {WIDEST_PIXEL:g}")
+    # A fill factor above 1 stands for the blur of the picture.
+    if not 0.0 <= active_width <= 2.0:
+        raise InputError(f"active_width = {active_width!r}: must be from 0 to 2")
 
 
 def validate_measurements(
@@ -435,7 +465,13 @@ def validate_measurements(
     modes: Sequence[SourceMode],
     rows: Sequence[slice],
 ) -> None:
-    """Refuse light, planes or a start that are none of an engine; as of :func:`wavesim.reconstruct`."""
+    """Check that illumination, planes and start of :func:`wavesim.reconstruct` fit the grids of the engine.
+
+    Raises
+    ------
+    InputError
+        If a grid, a shape, the start or a wavelength does not fit.
+    """
     if illumination.grid != grids.object_grid:
         raise InputError(f"illumination: its grid {illumination.grid} is not the engine's object grid")
     if not np.any(np.abs(illumination.values) > 0.0):

@@ -302,7 +302,7 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
 
     monkeypatch.setattr(PixelMeans, "carried", counted)
     louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in noisy(case, 1e6)]
-    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "rounds": 3}
+    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "inner_iterations": 3}
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
     assert len(passes) == len(louder) * (1 + 4 * 3)
     model = ForwardModel(case.engine, case.illumination, louder, None, 1.0)
@@ -348,12 +348,12 @@ def test_it_ends_at_the_noise_where_all_that_is_to_come_would_change_nothing(cas
 
 
 def test_a_single_small_change_ends_nothing() -> None:
-    """Where rounds end, one iteration wins little, and those after it much."""
+    """A single iteration gains little where the inner iterations end, and later ones gain much."""
     falls = [0.58, 0.121, 0.012, 0.0047, 0.003]
     misfits = [2.0 - sum(falls[:n]) for n in range(len(falls) + 1)]
     for n in range(len(misfits) + 1):
-        assert object_solver._to_come(misfits[:n]) > 2.0 * EARLY_GAIN
-    assert object_solver._to_come([2.0, 1.8, 1.7, 1.65]) == pytest.approx(
+        assert object_solver._expected_change(misfits[:n]) > 2.0 * EARLY_GAIN
+    assert object_solver._expected_change([2.0, 1.8, 1.7, 1.65]) == pytest.approx(
         0.05 / 1.65
     )  # 1/2 + 1/4 + ... of it
 
@@ -362,8 +362,8 @@ def test_rounds_behind_the_lens_spare_ways_through_it(case: Case, monkeypatch: p
     recorded = noisy(case, 1e6)
     settings: dict[str, Any] = {"tv_weight": "auto", "iterations": 40, "scale": 1.0, "until_noise": True}
     found = reconstruct(case.engine, case.illumination, recorded, **settings)
-    monkeypatch.setattr(object_solver, "FARTHER", 1.0)
-    without = reconstruct(case.engine, case.illumination, recorded, **settings, rounds=1)
+    monkeypatch.setattr(object_solver, "INNER_STEP_FACTOR", 1.0)
+    without = reconstruct(case.engine, case.illumination, recorded, **settings, inner_iterations=1)
     assert found.stopped_because == without.stopped_because == "noise"
     assert len(found.misfit) < 0.8 * len(without.misfit)
     assert score(case, found.transmission) > max(0.99, score(case, without.transmission))

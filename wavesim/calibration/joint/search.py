@@ -437,7 +437,7 @@ class JointSearch:
             active_width=self.pixels.active_width,
             rows=self.pixels.rows,
             residuals=False,
-            rounds=BEHIND,
+            inner_iterations=BEHIND,
         )
         model.scale = found.scale
         values = found.transmission.values
