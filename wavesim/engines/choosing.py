@@ -165,7 +165,7 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SamplingWarning)
         try:
-            cost, parts = built.cost(), built.neglected_of(light)
+            cost, parts = built.cost(), built.error_terms_of(light)
         except (InputError, SamplingError) as problem:
             return Prediction(built.name, settings, refused=str(problem))
     return Prediction(
@@ -175,7 +175,7 @@ def _predicted(built: Engine, settings: dict[str, Any], light: Light | None) -> 
         cost.seconds,
         cost.setup_seconds,
         cost.peak_bytes,
-        parts[0].what if parts else "nothing",
+        parts[0].description if parts else "nothing",
     )
 
 

@@ -53,7 +53,7 @@ class NoLens(Engine):
     def cost(self) -> Cost:
         return Cost(self._transfer.seconds, 0.0, self._transfer.peak_bytes)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         return (ErrorTerm("the lens", math.nan),)
 
     def settings(self) -> dict[str, Any]:

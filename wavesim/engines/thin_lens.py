@@ -216,7 +216,7 @@ class ThinLens(Engine):
     def settings(self) -> dict[str, Any]:
         return {"pitch_mm": self.lens_grids[0].pitch_mm}
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         waves, error = self._misfit()
         what = f"thickness and aberrations of the lens: {waves:.3g} waves rms of the middle object point"
         found = [ErrorTerm(what, error), *self._figures()]

@@ -69,8 +69,8 @@ class WithGhost(Engine):
     def edge_illumination(self, light: Light) -> float:
         return self.straight.edge_illumination(light)
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
-        return self.straight.neglected()
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.straight.error_terms()
 
     def settings(self) -> dict[str, Any]:
         return {"engine": self.straight.name, **self.straight.settings(), "ghost": self.share}

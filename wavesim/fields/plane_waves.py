@@ -228,11 +228,11 @@ class TransferFunction:
             values *= along * across * factor[row, self.columns]
         return spectrum
 
-    def there(self, spectrum: ComplexArray) -> ComplexArray:
+    def forward(self, spectrum: ComplexArray) -> ComplexArray:
         """The field on the second plane, from its spectrum on the first."""
         return np.asarray(scipy.fft.ifftn(self.times(spectrum.copy()), workers=-1, overwrite_x=True))
 
-    def back(self, values: ComplexArray) -> ComplexArray:
+    def adjoint(self, values: ComplexArray) -> ComplexArray:
         """The spectrum on the first plane, from the field on the second: the adjoint; uses the field up."""
         return self.times(np.asarray(scipy.fft.fftn(values, workers=-1, overwrite_x=True)), back=True)
 

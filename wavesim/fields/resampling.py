@@ -81,7 +81,7 @@ class Weights:
         return csr_array((self.weight.ravel(), columns.ravel(), rows), shape=(fine, self.coarse))
 
     @cached_property
-    def back(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
+    def adjoint(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray]:
         """For each coarse sample the first fine one that counts, one past the last, and all their weights."""
         taps, coarse = self.weight.shape[1], np.arange(self.coarse)
         first = np.searchsorted(self.first, coarse - taps + 1)
@@ -153,7 +153,7 @@ def gathered(
 ) -> NDArray:
     """Conjugate transpose of :func:`add_interpolated`: values on the coarse plane."""
     (y, x), real = ways, carried.real.dtype
-    fixed = (plane.view(real), place, carried.view(real), y.back, x.back)
+    fixed = (plane.view(real), place, carried.view(real), y.adjoint, x.adjoint)
 
     return onto_coarse(partial(collect, *fixed), ways, carried.dtype, threads)
 

@@ -125,18 +125,18 @@ class TiltedPropagator:
             weight -= sideways
         return np.asarray(weight * self._turns[number], self._dtype)
 
-    def there(self, spectrum: ComplexArray) -> ComplexArray:
+    def forward(self, spectrum: ComplexArray) -> ComplexArray:
         """The field on the second plane, from its spectrum on the first."""
         total = np.zeros_like(spectrum)
         for number, way in enumerate(self.ways):
-            total += way.there(spectrum) * self.weights(number, slice(0, len(total)))
+            total += way.forward(spectrum) * self.weights(number, slice(0, len(total)))
         return total
 
-    def back(self, values: ComplexArray) -> ComplexArray:
-        """The adjoint of :meth:`there`, where a spectrum counts as much as the field that it makes."""
+    def adjoint(self, values: ComplexArray) -> ComplexArray:
+        """The adjoint of :meth:`forward`, where a spectrum counts as much as the field that it makes."""
         total = np.zeros_like(values)
         for number, way in enumerate(self.ways):
-            total += way.back(values * self.weights(number, slice(0, len(total))).conj())
+            total += way.adjoint(values * self.weights(number, slice(0, len(total))).conj())
         return total
 
 

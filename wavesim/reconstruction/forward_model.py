@@ -186,7 +186,7 @@ class ForwardModel:
                 continue
             part = noise.reshape(shape)
             if not plane.way.is_none:
-                part = scipy.fft.ifftn(plane.way.back(part), workers=-1, overwrite_x=True)
+                part = scipy.fft.ifftn(plane.way.adjoint(part), workers=-1, overwrite_x=True)
             total = part if total is None else np.add(total, part, out=total)
         assert total is not None
         return total

@@ -125,7 +125,7 @@ class MeasurementOperator(Protocol):
     def products(self, change: ComplexArray) -> list[RealArray]:
         """With a change of the field on the exit grid, plane by plane."""
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         """On the exit grid, what pixels' shares of the field make together: the adjoint of the products."""
 
 
@@ -172,7 +172,7 @@ class FreeSpaceMeasurement:
             seen.append(plane.products_with(turned[axis]))
         return seen
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
         for plane, one in zip(self.planes, planes, strict=True):
             plane.add_back(one.astype(self.spectrum.real.dtype), total)
@@ -203,7 +203,7 @@ class PixelMeasurement:
         both = self.values.real * change.real + self.values.imag * change.imag
         return [both[rows] for rows in self.rows]
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         return np.concatenate(planes) * self.values
 
 
@@ -301,7 +301,7 @@ class Linearised:
     def to_object(self, left: RealArray) -> ComplexArray:
         """The adjoint of :meth:`of_object`."""
         left = self.without_scale(left)
-        change = self.sight.back([slope * one for slope, one in zip(self._slopes, left, strict=True)])
+        change = self.sight.adjoint([slope * one for slope, one in zip(self._slopes, left, strict=True)])
         scene = self.model.engine.scene
         back = self.model.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
         # Engines' adjoints are those of integrals, and not of sums.

@@ -64,7 +64,7 @@ class ErrorTerm:
 
     Attributes
     ----------
-    what : str
+    description : str
         In a few words.
     relative_error : float
         Estimate of the exit field's relative L2 error from it, for an object that fills its grid evenly and
@@ -73,7 +73,7 @@ class ErrorTerm:
         Whether it goes with the amplitude at the aperture's rim.
     """
 
-    what: str
+    description: str
     relative_error: float
     at_rim: bool = False
 
@@ -149,7 +149,7 @@ class Engine(ABC):
         """What it will take; does no work of the size of the scene."""
 
     @abstractmethod
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         """What is left out, the worst first."""
 
     @abstractmethod
@@ -169,7 +169,7 @@ class Engine(ABC):
         """
         return 1.0
 
-    def neglected_of(self, light: Light | None = None) -> tuple[ErrorTerm, ...]:
+    def error_terms_of(self, light: Light | None = None) -> tuple[ErrorTerm, ...]:
         """What is left out of the light of one object, the worst first; left out, of all directions alike.
 
         Raises
@@ -177,7 +177,7 @@ class Engine(ABC):
         InputError
             If the light is not that of the scene.
         """
-        parts = self.neglected()
+        parts = self.error_terms()
         if light is None:
             return parts
         light.validate_same_scene(self.scene)
@@ -196,9 +196,9 @@ class Engine(ABC):
         Raises
         ------
         InputError
-            As :meth:`neglected_of`.
+            As :meth:`error_terms_of`.
         """
-        return upper_bound(self.neglected_of(light))
+        return upper_bound(self.error_terms_of(light))
 
     def forward(self, field: Field) -> Field:
         """Carry a field from the object grid to the exit grid.

@@ -171,8 +171,8 @@ class TurnedTiles(Engine):
     def cost(self) -> Cost:
         return self.near.cost()
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
-        return self.near.neglected()
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.near.error_terms()
 
     def settings(self) -> dict[str, Any]:
         return self.near.settings()

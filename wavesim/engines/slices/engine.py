@@ -209,7 +209,7 @@ class AnnularSlices(Engine):
         k, planes = self.scene.wavenumber_per_mm, self._nominal_planes
         return [slice_phase(ray, p, self._oblique, k) for ray, p in zip(self._fan, planes, strict=True)]
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         found = [
             ErrorTerm(f"{self.compensation} compensation within slices", _misfit(self._phases)),
             ErrorTerm("borders of slices", self._border_error()),

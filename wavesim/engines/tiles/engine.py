@@ -251,7 +251,7 @@ class EikonalTiles(Engine):
             "plane_z_mm": self.plane.grid.z_mm,
         }
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         rms, largest = self.probe.neglected_waves
         count, rank = len(self.probe.tiles), 1
         left = self.probe.error(self._quadratic, self._allowed)

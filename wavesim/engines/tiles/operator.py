@@ -259,7 +259,7 @@ class TileOperator:
         else:
             add_interpolated(field, self._ways, self._carried, result, self._place)
 
-    def back(self, values: NDArray, threads: int = 1) -> NDArray:
+    def adjoint(self, values: NDArray, threads: int = 1) -> NDArray:
         """The conjugate transpose of :meth:`carried` and :meth:`add`: values on the object."""
         if self._plans is None:
             return np.zeros((), self._dtype)
@@ -284,7 +284,7 @@ def add_tiles_back(operators: Sequence[TileOperator], values: NDArray, result: N
     """The conjugate transpose of :func:`add_tiles`: adds to the object."""
     for start in range(0, len(operators), GROUP):
         some = operators[start : start + GROUP]
-        parts = at_once([partial(one.back, values, max(1, THREADS // len(some))) for one in some])
+        parts = at_once([partial(one.adjoint, values, max(1, THREADS // len(some))) for one in some])
         for operator, part in zip(some, parts, strict=True):
             result[operator.part] += part
 

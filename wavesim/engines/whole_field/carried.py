@@ -98,7 +98,7 @@ class CarriedStep:
         """Conjugate transpose: the coarse field of a fine one, which is C-contiguous."""
         ways, place = self.ways, (self.window[0].start, self.window[1].start)
         (y, x), carrier = ways.field, self._carrier()
-        fixed = (fine.view(np.float32), place, y.back, x.back, carrier)
+        fixed = (fine.view(np.float32), place, y.adjoint, x.adjoint, carrier)
         return onto_coarse(partial(collect, *fixed), ways.field, np.complex64, threads)
 
     def _carrier(self) -> tuple[NDArray, ...]:

@@ -56,5 +56,5 @@ def carried_bytes(carried: CarriedStep) -> int:
     """What a super-tile keeps of its way to the plane."""
     ways = carried.ways
     arrays = [*ways.first, *ways.share, carried.turns, carried.edge]
-    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.back)]
+    arrays += [a for weights in ways.field for a in (weights.first, weights.weight, *weights.adjoint)]
     return sum(int(array.nbytes) for array in arrays)

@@ -313,7 +313,7 @@ class WholeFieldEngine(Tiled):
             "error": self._error,
         } | ({} if self.device is None else {"device": self.device.name})
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         _, tiles, settings = self._prepared
         path, amplitude, direction = settings.maps.errors
         maps = math.hypot(2.0 * math.pi * path, amplitude, 2.0 * math.pi * direction)

@@ -164,7 +164,7 @@ class WavePropagation(Engine):
             peak = max(peak, held + transfer.peak_bytes)
         return Cost(seconds, setup, max(peak, setup_peak))
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
         system, k = self.scene.system, self.scene.wavenumber_per_mm
         curvature = float(np.max(np.abs([shape.curvature for shape in system.shapes])))
         found = [

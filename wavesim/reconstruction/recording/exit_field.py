@@ -190,7 +190,7 @@ class ExitField:
         elif plane.way.is_none:
             self._change = _added(self._change, field)
         else:
-            self._spectrum_change = _added(self._spectrum_change, plane.way.back(field))
+            self._spectrum_change = _added(self._spectrum_change, plane.way.adjoint(field))
         return told
 
     def go_on(self, share: float) -> None:
@@ -232,7 +232,7 @@ class ExitField:
         if plane.way.is_none:
             assert self.values is not None
             return self.values[plane.rows].copy()
-        return plane.way.there(self.spectrum)
+        return plane.way.forward(self.spectrum)
 
 
 def _power(seen: NDArray[Any]) -> RealArray:

@@ -174,7 +174,7 @@ def test_neglected_is_more_than_what_is_wrong(compensation: str) -> None:
     case = cylinder_scene(0.1)
     for slices in (2, 20, 200):
         engine = AnnularSlices(case.scene, slices, compensation)  # type: ignore[arg-type]
-        said = [n.relative_error for n in engine.neglected()]
+        said = [n.relative_error for n in engine.error_terms()]
         assert said == sorted(said, reverse=True)
         assert relative_error(engine.forward(case.object_field).values, case.exact.values) < math.hypot(*said)
 
@@ -269,7 +269,7 @@ def test_equal_phase_helps_where_phase_is_what_is_wrong(paper_line: Scene) -> No
     worst = {}
     for spacing in ("equal", "equal-phase"):
         engine = AnnularSlices(paper_line, 5, "oblique", spacing)
-        worst[spacing] = next(n for n in engine.neglected() if "within" in n.what).relative_error
+        worst[spacing] = next(n for n in engine.error_terms() if "within" in n.description).relative_error
     assert worst["equal-phase"] < worst["equal"]
 
 
