@@ -153,8 +153,8 @@ class _Plane:
         blur_pixels: float,
     ) -> None:
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
-        self.way, self.known, self.blur_pixels = model.ways[number], known, blur_pixels
-        self.rows = self.pixels.carried(spectrum, self.way)
+        self.propagator, self.known, self.blur_pixels = model.propagators[number], known, blur_pixels
+        self.rows = self.pixels.propagate(spectrum, self.propagator)
         self.amplitude = self.root(self.pixels.intensity(self.rows))
 
     def root(self, intensity: RealArray) -> RealArray:
@@ -164,7 +164,7 @@ class _Plane:
 
     def slope(self, change_spectrum: ComplexArray) -> RealArray:
         """Change of the amplitude with that of the field at the exit."""
-        change = self.pixels.carried(change_spectrum, self.way)
+        change = self.pixels.propagate(change_spectrum, self.propagator)
         return np.asarray(self._blurred(self.pixels.products(self.rows, change)) / self.amplitude)
 
     def _blurred(self, intensity: RealArray) -> RealArray:

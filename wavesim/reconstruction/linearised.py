@@ -25,7 +25,12 @@ from wavesim.reconstruction.recording.kernel import (
     means_along_rows,
     multiply_spread,
 )
-from wavesim.reconstruction.recording.pixel_means import PixelMeans, add_rows_back, half_sample, tilt_changes
+from wavesim.reconstruction.recording.pixel_means import (
+    PixelMeans,
+    add_rows_adjoint,
+    half_sample,
+    tilt_changes,
+)
 from wavesim.runtime.threads import for_blocks, rows_in
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -46,11 +51,11 @@ class CachedSamples:
         To the plane.
     """
 
-    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, way: Way) -> None:
-        self.pixels, self.way = pixels, way
-        self.rows: Rows = pixels.carried(spectrum, way)
+    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, propagator: Way) -> None:
+        self.pixels, self.propagator = pixels, propagator
+        self.rows: Rows = pixels.propagate(spectrum, propagator)
         dtype, (height, width) = spectrum.dtype, spectrum.shape
-        self._up, self._across = (half_sample(count, dtype) for count in (height, width))
+        self._row_shift, self._column_shift = (half_sample(count, dtype) for count in (height, width))
         self._taps = np.array(pixels.taps, dtype.type(0).real.dtype)
         self._samples = tuple(self._sampled(part) for part in self.rows)
 
@@ -60,16 +65,18 @@ class CachedSamples:
 
     def products(self, spectrum: ComplexArray) -> RealArray:
         """Each pixel's mean of Re(conj(u) v), with the spectrum of a change v in front of the way."""
-        return self.products_with(self.pixels.carried(spectrum, self.way))
+        return self.products_with(self.pixels.propagate(spectrum, self.propagator))
 
     def products_with(self, others: Rows) -> RealArray:
         """The same, with a change on the plane itself, as :meth:`PixelMeans.carried` gives it."""
         return self._means(tuple(self._sampled(part) for part in others), -np.inf)
 
-    def add_back(self, change: RealArray, total: ComplexArray) -> None:
+    def add_adjoint(self, change: RealArray, total: ComplexArray) -> None:
         """Add the adjoint of :meth:`products` to a spectrum in front of the way."""
-        if not isinstance(self.way, TransferFunction):
-            self.pixels.add_back((self.rows[0].copy(), self.rows[1].copy()), change, self.way, total)
+        if not isinstance(self.propagator, TransferFunction):
+            self.pixels.add_adjoint(
+                (self.rows[0].copy(), self.rows[1].copy()), change, self.propagator, total
+            )
             return
         taps, half = 2 * self._taps, self._taps.dtype.type(0.5)
         spread: Rows = (np.empty_like(total), np.empty_like(total))
@@ -81,10 +88,10 @@ class CachedSamples:
                 even, odd = (samples[start:stop].copy() for samples in own)
                 multiply_spread(even, odd, change, start, between, taps)
                 even, odd = (scipy.fft.fft(one, axis=1, overwrite_x=True) for one in (even, odd))
-                add_halves(even, odd, self._across, half, part[start:stop])
+                add_halves(even, odd, self._column_shift, half, part[start:stop])
 
             for_blocks(block, len(part), rows_in(part[0].nbytes))
-        add_rows_back(spread, self.way, self._up, total)
+        add_rows_adjoint(spread, self.propagator, self._row_shift, total)
 
     def _sampled(self, part: ComplexArray) -> Rows:
         """In the middles of pixels and at their upper edges, from the spectrum along each row."""
@@ -93,7 +100,7 @@ class CachedSamples:
         def block(start: int, stop: int) -> None:
             own = part[start:stop]
             both = np.empty_like(own), np.empty_like(own)
-            halves(own, self._across, *both)
+            halves(own, self._column_shift, *both)
             for one, samples in zip(both, (even, odd), strict=True):
                 samples[start:stop] = scipy.fft.ifft(one, axis=1, overwrite_x=True)
 
@@ -144,7 +151,9 @@ class FreeSpaceMeasurement:
         self.model, self._wavelength_um = model, model.illumination.wavelength_um
         self.pixels = model.pixels or PixelMeans(model.engine.scene.exit_grid, 0.0)
         self.spectrum: ComplexArray = scipy.fft.fft2(values, workers=-1)
-        self.planes = [CachedSamples(self.pixels, self.spectrum, way) for way in model.ways]
+        self.planes = [
+            CachedSamples(self.pixels, self.spectrum, propagator) for propagator in model.propagators
+        ]
 
     def intensities(self) -> list[RealArray]:
         return [plane.intensity() for plane in self.planes]
@@ -168,14 +177,14 @@ class FreeSpaceMeasurement:
         """With a degree of the sensor's tilt about x (axis 0) or y (1), plane by plane."""
         seen = []
         for plane in self.planes:
-            turned = tilt_changes(self.pixels, self.spectrum, plane.way, self._wavelength_um)
+            turned = tilt_changes(self.pixels, self.spectrum, plane.propagator, self._wavelength_um)
             seen.append(plane.products_with(turned[axis]))
         return seen
 
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
         for plane, one in zip(self.planes, planes, strict=True):
-            plane.add_back(one.astype(self.spectrum.real.dtype), total)
+            plane.add_adjoint(one.astype(self.spectrum.real.dtype), total)
         return np.asarray(scipy.fft.ifft2(total, workers=-1, overwrite_x=True))
 
     def _moved(self, plane: int, factor: ComplexArray) -> RealArray:
@@ -239,13 +248,13 @@ class Linearised:
         self.model, self.lit = model, self._behind_object(model, transmission)
         behind = model.engine.forward(self.lit)
         self._index = behind.index
-        self.sight: MeasurementOperator = (PixelMeasurement if model.rows else FreeSpaceMeasurement)(
+        self.measurement: MeasurementOperator = (PixelMeasurement if model.rows else FreeSpaceMeasurement)(
             model, behind.values
         )
         self._root_weights = [
             np.float32(1.0) if weight is None else np.sqrt(weight) for weight in model.weights
         ]
-        intensity = self.sight.intensities()
+        intensity = self.measurement.intensities()
         size = math.sqrt(
             sum(_sum((w * p.amplitude) ** 2) for w, p in zip(self._root_weights, model.recorded, strict=True))
         )
@@ -273,7 +282,7 @@ class Linearised:
 
     def of_exit(self, change: ComplexArray) -> RealArray:
         """Change of the modelled amplitudes with one of the field on the exit grid."""
-        return self.of_planes(self.sight.products(change))
+        return self.of_planes(self.measurement.products(change))
 
     def of_planes(self, products: Sequence[RealArray]) -> RealArray:
         """With pixels' means of Re(conj(u) v), plane by plane."""
@@ -301,7 +310,9 @@ class Linearised:
     def to_object(self, left: RealArray) -> ComplexArray:
         """The adjoint of :meth:`of_object`."""
         left = self.without_scale(left)
-        change = self.sight.adjoint([slope * one for slope, one in zip(self._slopes, left, strict=True)])
+        change = self.measurement.adjoint(
+            [slope * one for slope, one in zip(self._slopes, left, strict=True)]
+        )
         scene = self.model.engine.scene
         back = self.model.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
         # Engines' adjoints are those of integrals, and not of sums.

@@ -57,10 +57,14 @@ def test_the_way_back_is_the_adjoint(parts: tuple) -> None:
 def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
     """The scale follows by itself, so that what it does is left out of the differences too."""
     here, small = linear(parts), 1e-3
-    way, seen = np.random.default_rng(3).standard_normal(parts[3].shape), here.sight
+    direction, seen = np.random.default_rng(3).standard_normal(parts[3].shape), here.measurement
     assert isinstance(seen, FreeSpaceMeasurement)
     cases = {
-        "object": (here.of_object(way), linear(parts, transmission=parts[3] + 1e-4 * way), 1e-4),
+        "object": (
+            here.of_object(direction),
+            linear(parts, transmission=parts[3] + 1e-4 * direction),
+            1e-4,
+        ),
         "distance": (
             here.of_plane(1, seen.by_distance(1)),
             linear(parts, changed={"distance_mm": 0.6 + small}),
@@ -96,23 +100,25 @@ def spectrum(seed: int) -> np.ndarray:
 
 
 @pytest.fixture(params=TILTS, ids=["upright", "tilted"])
-def kept(request: pytest.FixtureRequest) -> CachedSamples:
-    way = propagator_to(GRID, 0.532, 0.4, complex, (1e-3, -2e-3), request.param)
-    assert isinstance(way, TiltedPropagator) == any(request.param)
-    return CachedSamples(PixelMeans(GRID, 0.9), spectrum(1), way)
+def samples(request: pytest.FixtureRequest) -> CachedSamples:
+    propagator = propagator_to(GRID, 0.532, 0.4, complex, (1e-3, -2e-3), request.param)
+    assert isinstance(propagator, TiltedPropagator) == any(request.param)
+    return CachedSamples(PixelMeans(GRID, 0.9), spectrum(1), propagator)
 
 
-def test_intensities_and_products_are_those_of_the_pixels(kept: CachedSamples) -> None:
-    rows, others = (kept.pixels.carried(spectrum(seed), kept.way) for seed in (1, 2))
-    assert kept.intensity() == pytest.approx(kept.pixels.intensity(rows))
-    assert kept.products(spectrum(2)) == pytest.approx(kept.pixels.products(rows, others))
+def test_intensities_and_products_agree_with_the_pixels(samples: CachedSamples) -> None:
+    rows, others = (samples.pixels.propagate(spectrum(seed), samples.propagator) for seed in (1, 2))
+    assert samples.intensity() == pytest.approx(samples.pixels.intensity(rows))
+    assert samples.products(spectrum(2)) == pytest.approx(samples.pixels.products(rows, others))
 
 
-def test_the_way_back_is_that_of_the_pixels_and_can_be_gone_again(kept: CachedSamples) -> None:
+def test_the_adjoint_is_that_of_the_pixels_and_can_be_repeated(samples: CachedSamples) -> None:
     change = np.random.default_rng(3).random(GRID.shape)
     expected = spectrum(4)
-    kept.pixels.add_back(kept.pixels.carried(spectrum(1), kept.way), change, kept.way, expected)
+    samples.pixels.add_adjoint(
+        samples.pixels.propagate(spectrum(1), samples.propagator), change, samples.propagator, expected
+    )
     for _ in range(2):
         total = spectrum(4)
-        kept.add_back(change, total)
+        samples.add_adjoint(change, total)
         assert total == pytest.approx(expected)

@@ -106,8 +106,8 @@ STEPS = {
     (ForwardModel, "_noise_at_exit"): (Phase.DRAWING_NOISE, STARTING),
     (ForwardModel, "_at_exit"): (Phase.LENS, Phase.SEEING),
     (exit_field.PlaneRecord, "change_samples"): (Phase.CHANGING, Phase.CHANGING),
-    (exit_field.ExitField, "replace"): (Phase.CHANGING, Phase.CHANGING),
-    (ForwardModel, "_to_object"): (Phase.BACK, Phase.SMOOTHING),
+    (exit_field.ExitField, "replace_amplitudes"): (Phase.CHANGING, Phase.CHANGING),
+    (ForwardModel, "_adjoint_to_object"): (Phase.BACK, Phase.SMOOTHING),
     (object_solver, "prox_tv"): (Phase.SMOOTHING, Phase.SMOOTHING),
     (Scratch, "make"): (STEPPING, STEPPING),
     (ForwardModel, "amplitudes"): (Phase.ENDING, Phase.ENDING),
@@ -179,7 +179,7 @@ def test_each_phase_holds_what_is_listed(
         (exit_field, "ROWS", 2),
         (pixel_means, "COLUMNS", 4),
         (bands, "BAND", 400),
-        (bands, "NEW", 2),
+        (bands, "NEW_ROWS", 2),
     ):
         monkeypatch.setattr(place, name, value)  # blocks are small beside a whole field
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)

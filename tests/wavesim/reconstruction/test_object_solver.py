@@ -294,15 +294,20 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
 ) -> None:
     """Its fit goes with each round's first pass, and comes to that of the field which it leaves."""
     passes: list[int] = []
-    carried = PixelMeans.carried
+    propagate = PixelMeans.propagate
 
     def counted(pixels: PixelMeans, *arguments: Any) -> Any:
         passes.append(1)
-        return carried(pixels, *arguments)
+        return propagate(pixels, *arguments)
 
-    monkeypatch.setattr(PixelMeans, "carried", counted)
+    monkeypatch.setattr(PixelMeans, "propagate", counted)
     louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in noisy(case, 1e6)]
-    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "inner_iterations": 3}
+    settings: dict[str, Any] = {
+        "kind": "amplitude",
+        "iterations": 4,
+        "active_width": 1.0,
+        "inner_iterations": 3,
+    }
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
     assert len(passes) == len(louder) * (1 + 4 * 3)
     model = ForwardModel(case.engine, case.illumination, louder, None, 1.0)

@@ -214,14 +214,14 @@ class AllPixels(Pixels):
         ]
 
     def _of_camera(self, linear: Linearised, parameter: Parameter) -> RealArray:
-        name, sight = parameter.name, linear.sight
-        assert isinstance(sight, FreeSpaceMeasurement)
+        name, measurement = parameter.name, linear.measurement
+        assert isinstance(measurement, FreeSpaceMeasurement)
         if name in SENSOR_TILTS:
-            return linear.of_planes(sight.by_tilt(SENSOR_TILTS.index(name)))
+            return linear.of_planes(measurement.by_tilt(SENSOR_TILTS.index(name)))
         plane = plane_number(parameter)
         if name.startswith("plane_distance"):
-            return linear.of_plane(plane, sight.by_distance(plane))
-        return linear.of_plane(plane, sight.by_shift(plane, "xy".index(name.split("_")[3])))
+            return linear.of_plane(plane, measurement.by_distance(plane))
+        return linear.of_plane(plane, measurement.by_shift(plane, "xy".index(name.split("_")[3])))
 
 
 def plane_number(parameter: Parameter) -> int:

@@ -216,13 +216,13 @@ def _of_scene(linear: Linearised, scene: Scene, step: float) -> RealArray:
 
 def _of_planes(linear: Linearised) -> dict[str, RealArray]:
     """Changes for a um of each plane's shift against the first, and for a mm of its distance."""
-    sight = linear.sight
-    assert isinstance(sight, FreeSpaceMeasurement)
+    measurement = linear.measurement
+    assert isinstance(measurement, FreeSpaceMeasurement)
     found = {}
     for n in range(1, len(linear.model.recorded)):
         for axis, letter in enumerate("xy"):
-            found[f"plane_{n + 1}_shift_{letter}_um"] = linear.of_plane(n, sight.by_shift(n, axis))
-        found[f"plane_{n + 1}_distance_mm"] = linear.of_plane(n, sight.by_distance(n))
+            found[f"plane_{n + 1}_shift_{letter}_um"] = linear.of_plane(n, measurement.by_shift(n, axis))
+        found[f"plane_{n + 1}_distance_mm"] = linear.of_plane(n, measurement.by_distance(n))
     return found
 
 

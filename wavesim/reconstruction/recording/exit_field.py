@@ -1,4 +1,6 @@
-"""What a plane recorded, the field behind the lens as planes see it, and what they change of it."""
+"""The field behind the lens on the exit grid, measured data of planes, and the changes that planes ask
+for.
+"""
 
 from __future__ import annotations
 
@@ -21,49 +23,75 @@ ComplexArray = NDArray[np.complexfloating[Any, Any]]
 RealArray = NDArray[np.floating[Any]]
 
 DARK = 1e-6
-"""Of a plane's mean intensity: added to recorded and modelled means of pixels, to bound their ratio."""
+"""Fraction of a plane's mean intensity, added to measured and modelled means of pixels to bound their
+ratio.
+"""
 
 ROWS = 64
-"""Of a plane, for a thread at a time."""
+"""Rows of a plane that a thread processes at a time."""
 
-EVERY_ROW = slice(None)
-"""Of the field on the exit grid, for planes that are reached from all of it."""
-
-
-class Told(NamedTuple):
-    """Of some pixels: the misfit, and weighted sums of modelled times recorded amplitudes, and of powers."""
-
-    missed: float
-    met: float = 0.0
-    own: float = 0.0
+ALL_ROWS = slice(None)
+"""Rows of the exit grid for planes that are reached through free space from the whole grid."""
 
 
-def total_of(parts: Iterable[Told]) -> Told:
-    """Added up in their order."""
-    return Told(*(sum(column) for column in zip(*parts, strict=True)))
+class FitSums(NamedTuple):
+    """Sums over some pixels.
+
+    Attributes
+    ----------
+    squared_misfit : float
+        Weighted sum of squared differences between modelled and measured amplitudes.
+    cross, power : float
+        Weighted sums of modelled times measured amplitudes, and of modelled intensities.
+    """
+
+    squared_misfit: float
+    cross: float = 0.0
+    power: float = 0.0
+
+
+def sum_of_parts(parts: Iterable[FitSums]) -> FitSums:
+    """Return the sums over all parts, added in their order."""
+    return FitSums(*(sum(column) for column in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneRecord:
-    """What was recorded on a plane, in the model's precision; a line is one row.
+    """Measured data of a plane, in the model's precision; a line is one row.
 
-    `rows` of the field behind the lens are what the plane sees of it, the way from there included.
-    `sigma` has no samples where all pixels are alike, `background` where there is none; up to `least` sigma
-    weighs 1.
+    Attributes
+    ----------
+    propagator : TransferFunction or TiltedPropagator
+        Propagator from the exit grid to the plane.
+    rows : slice
+        Rows of the exit grid that belong to the plane.
+    amplitude, sigma, background : ndarray
+        Measured amplitudes, their standard deviations (empty where all are equal) and background intensity
+        (empty where there is none).
+    full_weight_sigma : float
+        Largest standard deviation of a pixel with weight 1.
     """
 
-    way: Way
+    propagator: Way
     rows: slice
     amplitude: RealArray
     sigma: RealArray
     background: RealArray
-    least: float
+    full_weight_sigma: float
 
     @classmethod
     def of(
-        cls, one: Measurement, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
+        cls,
+        measurement: Measurement,
+        propagator: Way,
+        rows: slice,
+        full_weight_sigma: float,
+        dtype: np.dtype[Any],
+        scratch: Scratch,
     ) -> PlaneRecord:
-        def kept(values: RealArray, what: str) -> RealArray:
+        """Return the record of a measurement; arrays of another type are converted and lie in `scratch`."""
+
+        def stored(values: RealArray, what: str) -> RealArray:
             values = np.atleast_2d(values)
             if values.dtype == dtype:
                 return values
@@ -72,51 +100,70 @@ class PlaneRecord:
             return result
 
         none = np.empty((0, 0), dtype)
-        sigma = none if one.sigma is None else kept(one.sigma, "the standard deviations")
-        background = none if one.background is None else kept(one.background, "the backgrounds")
-        return cls(way, rows, kept(one.amplitude, "the recorded amplitudes"), sigma, background, least)
+        sigma = none if measurement.sigma is None else stored(measurement.sigma, "the standard deviations")
+        background = (
+            none if measurement.background is None else stored(measurement.background, "the backgrounds")
+        )
+        return cls(
+            propagator,
+            rows,
+            stored(measurement.amplitude, "the recorded amplitudes"),
+            sigma,
+            background,
+            full_weight_sigma,
+        )
 
     @property
     def energy(self) -> float:
-        """Weighted sum of squared amplitudes."""
-        return sum(self._by_rows(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
+        """Weighted sum of squared measured amplitudes."""
+        return sum(self._map_row_blocks(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
 
-    def products(self, seen: NDArray[Any]) -> tuple[float, float]:
-        """Weighted sums of modelled times recorded amplitudes without background, and of modelled powers.
+    def products(self, modelled: NDArray[Any]) -> tuple[float, float]:
+        """Return weighted sums of modelled times measured amplitudes (without background), and of modelled
+        powers.
 
-        `seen` are intensities, or a field at points.
+        `modelled` holds intensities, or a field at points.
         """
-        found = self._by_rows(lambda part: self._products(_power(seen[part]), part))
-        return sum(met for met, _ in found), sum(own for _, own in found)
+        found = self._map_row_blocks(lambda part: self._products(_power(modelled[part]), part))
+        return sum(cross for cross, _ in found), sum(power for _, power in found)
 
     def change_pixels(self, intensity: RealArray, scale: float) -> float:
-        """Replace pixels' mean intensities by the relative changes wanted; gives the misfit."""
+        """Replace mean intensities of pixels by the relative changes of amplitude; return the squared
+        misfit.
+        """
         change = self.pixel_change(scale)
-        return total_of(self._by_rows(lambda part: change(intensity[part], part.start))).missed
+        return sum_of_parts(
+            self._map_row_blocks(lambda part: change(intensity[part], part.start))
+        ).squared_misfit
 
-    def pixel_change(self, scale: float, *, weighs: bool = False) -> Callable[[RealArray, int], Told]:
-        """What :meth:`change_pixels` does, of rows from a number on; it may tell :meth:`products`."""
+    def pixel_change(
+        self, scale: float, *, with_products: bool = False
+    ) -> Callable[[RealArray, int], FitSums]:
+        """Return a function that does the same as :meth:`change_pixels` for rows from a given index on.
+
+        The function also returns the sums of :meth:`products` if `with_products` is set.
+        """
         real = self.amplitude.dtype.type
         mean = float(np.vdot(self.amplitude, self.amplitude)) / self.amplitude.size / scale**2
         dark = real(DARK * mean)
 
-        def rows(intensity: RealArray, first: int) -> Told:
+        def rows(intensity: RealArray, first: int) -> FitSums:
             part = slice(first, first + len(intensity))
-            products = self._products(intensity, part) if weighs else (0.0, 0.0)
-            told = (*self._recorded(part), real(scale), dark, self._background(part))
-            return Told(float(change_pixels(intensity, *told)), *products)
+            products = self._products(intensity, part) if with_products else (0.0, 0.0)
+            arguments = (*self._recorded(part), real(scale), dark, self._background(part))
+            return FitSums(float(change_pixels(intensity, *arguments)), *products)
 
         return rows
 
     def change_samples(self, field: ComplexArray, scale: float) -> float:
-        """Replace a field by the change wanted; gives the misfit."""
+        """Replace a field by the change that gives it the measured amplitudes; return the squared misfit."""
         factor = self.amplitude.dtype.type(scale)
 
         def rows(part: slice) -> float:
-            told = (*self._recorded(part), factor, self._background(part))
-            return float(change_samples(field[part], *told))
+            arguments = (*self._recorded(part), factor, self._background(part))
+            return float(change_samples(field[part], *arguments))
 
-        return sum(self._by_rows(rows))
+        return sum(self._map_row_blocks(rows))
 
     def _products(self, intensity: RealArray, part: slice) -> tuple[float, float]:
         amplitude, *others = self._recorded(part)
@@ -128,21 +175,21 @@ class PlaneRecord:
         return self.background[part] if self.background.size else self.background
 
     def _recorded(self, part: slice) -> tuple[RealArray, RealArray, Any]:
-        return self.amplitude[part], self.sigma[part], self.amplitude.dtype.type(self.least)
+        return self.amplitude[part], self.sigma[part], self.amplitude.dtype.type(self.full_weight_sigma)
 
-    def _by_rows(self, work: Callable[[slice], Any]) -> list[Any]:
+    def _map_row_blocks(self, work: Callable[[slice], Any]) -> list[Any]:
         return for_blocks(lambda start, stop: work(slice(start, stop)), len(self.amplitude), ROWS)
 
 
 class ExitField:
-    """The field on the exit grid, seen on one plane after the other, and what planes change of it.
+    """The field on the exit grid, and the changes that planes ask for, processed plane by plane.
 
     Parameters
     ----------
     values
-        Of the field; used up.
+        Values of the field; they are overwritten.
     pixels
-        None for samples at points.
+        Pixels that integrate; None for samples at points.
     """
 
     def __init__(self, values: ComplexArray, pixels: PixelMeans | None) -> None:
@@ -151,102 +198,108 @@ class ExitField:
         self._spectrum: ComplexArray | None = None
         self._change: ComplexArray | None = None
         self._spectrum_change: ComplexArray | None = None
-        self._done: ComplexArray | None = None
-        self._rows: tuple[ComplexArray, ComplexArray] | None = None
+        self._total_change: ComplexArray | None = None
+        self._pixel_rows: tuple[ComplexArray, ComplexArray] | None = None
         if pixels is not None:
             self._spectrum, self.values = self.spectrum, None
 
     @property
     def spectrum(self) -> ComplexArray:
-        """Of the field; computed where it is first needed."""
+        """Spectrum of the field, computed when it is first needed."""
         if self._spectrum is None:
             assert self.values is not None
-            # The values themselves go where pixels integrate, for then no plane needs them.
+            # Where pixels integrate, no plane needs the values themselves: the transform overwrites them.
             self._spectrum = scipy.fft.fftn(self.values, workers=-1, overwrite_x=self.pixels is not None)
         return self._spectrum
 
     def intensity(self, plane: PlaneRecord) -> RealArray:
-        """On a plane: pixels' means, or at points."""
+        """Return the mean intensities of pixels on a plane, or those at points."""
         if self.pixels is not None:
-            self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
-            return self.pixels.intensity(self._rows)
+            self._pixel_rows = self.pixels.propagate(self.spectrum, plane.propagator, self._pixel_rows)
+            return self.pixels.intensity(self._pixel_rows)
         return _power(self._samples(plane))
 
-    def replace(self, plane: PlaneRecord, scale: float, *, weighs: bool = False) -> Told:
-        """Take the amplitudes recorded on a plane, and tell the misfit before, or products, too."""
+    def replace_amplitudes(self, plane: PlaneRecord, scale: float, *, with_products: bool = False) -> FitSums:
+        """Impose the amplitudes measured on a plane; return the squared misfit before, and sums of
+        products.
+        """
         if self.pixels is not None:
-            self._rows = self.pixels.carried(self.spectrum, plane.way, self._rows)
+            self._pixel_rows = self.pixels.propagate(self.spectrum, plane.propagator, self._pixel_rows)
             if self._spectrum_change is None:
                 self._spectrum_change = np.zeros_like(self.spectrum)
-            change = plane.pixel_change(scale, weighs=weighs)
-            return total_of(self.pixels.changed(self._rows, change, plane.way, self._spectrum_change))
+            change = plane.pixel_change(scale, with_products=with_products)
+            return sum_of_parts(
+                self.pixels.apply_change(self._pixel_rows, change, plane.propagator, self._spectrum_change)
+            )
         field = self._samples(plane)
-        products = plane.products(field) if weighs else (0.0, 0.0)
-        told = Told(plane.change_samples(field, scale), *products)
-        if plane.rows != EVERY_ROW:
+        products = plane.products(field) if with_products else (0.0, 0.0)
+        sums = FitSums(plane.change_samples(field, scale), *products)
+        if plane.rows != ALL_ROWS:
             if self._change is None:
                 self._change = np.zeros_like(self.values)
             self._change[plane.rows] += field
-        elif plane.way.is_none:
-            self._change = _added(self._change, field)
+        elif plane.propagator.is_none:
+            self._change = _sum_of(self._change, field)
         else:
-            self._spectrum_change = _added(self._spectrum_change, plane.way.adjoint(field))
-        return told
+            self._spectrum_change = _sum_of(self._spectrum_change, plane.propagator.adjoint(field))
+        return sums
 
-    def go_on(self, share: float) -> None:
-        """Go a share of the change, which counts as done, and begin a new one."""
+    def advance(self, fraction: float) -> None:
+        """Move the field by a fraction of the collected change, and begin to collect a new one."""
         if self.pixels is not None:
             assert self._spectrum_change is not None
             change, field = self._spectrum_change, self.spectrum
             self._spectrum_change = None
         else:
             assert self.values is not None
-            change, field = self._added_up(), self.values
+            change, field = self._take_new_change(), self.values
             self._spectrum = None
-        add_share(field, change, share)
-        self._done = _added(self._done, change)
+        add_fraction(field, change, fraction)
+        self._total_change = _sum_of(self._total_change, change)
 
-    def changed(self) -> ComplexArray:
-        """The sum of all changes, at the exit; uses up all else, and keeps nothing."""
-        self.values = self._spectrum = self._rows = None
-        done, self._done = self._done, None
-        if done is None:
-            return self._added_up()
+    def take_change(self) -> ComplexArray:
+        """Return the sum of all changes on the exit grid; all arrays of this object are given up."""
+        self.values = self._spectrum = self._pixel_rows = None
+        total_change, self._total_change = self._total_change, None
+        if total_change is None:
+            return self._take_new_change()
         if self.pixels is None:
-            return _added(done, self._added_up())
+            return _sum_of(total_change, self._take_new_change())
         assert self._spectrum_change is not None
-        done += self._spectrum_change
+        total_change += self._spectrum_change
         self._spectrum_change = None
-        return np.asarray(scipy.fft.ifftn(done, workers=-1, overwrite_x=True))
+        return np.asarray(scipy.fft.ifftn(total_change, workers=-1, overwrite_x=True))
 
-    def _added_up(self) -> ComplexArray:
-        """What planes change, at the exit; keeps nothing of it."""
+    def _take_new_change(self) -> ComplexArray:
+        """Return the change collected from the planes, on the exit grid, and clear it."""
         change, spectrum = self._change, self._spectrum_change
         self._change = self._spectrum_change = None
         if spectrum is None:
             assert change is not None
             return change
-        return _added(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
+        return _sum_of(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
 
     def _samples(self, plane: PlaneRecord) -> ComplexArray:
-        if plane.way.is_none:
+        if plane.propagator.is_none:
             assert self.values is not None
             return self.values[plane.rows].copy()
-        return plane.way.forward(self.spectrum)
+        return plane.propagator.forward(self.spectrum)
 
 
-def _power(seen: NDArray[Any]) -> RealArray:
-    """Of a field; an intensity is one already."""
-    return np.asarray(seen.real**2 + seen.imag**2 if np.iscomplexobj(seen) else seen)
+def _power(modelled: NDArray[Any]) -> RealArray:
+    """Return |field|^2; real values are intensities already."""
+    return np.asarray(modelled.real**2 + modelled.imag**2 if np.iscomplexobj(modelled) else modelled)
 
 
-def _added(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:
+def _sum_of(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:
     return part if total is None else np.add(total, part, out=total)
 
 
-def add_share(total: ComplexArray, part: ComplexArray, share: float) -> None:
-    """Add a share of a part, in blocks of rows: its product would be one more field."""
-    factor = total.real.dtype.type(share)
+def add_fraction(total: ComplexArray, part: ComplexArray, fraction: float) -> None:
+    """Add a fraction of an array in blocks of rows, because the product would need another field in
+    memory.
+    """
+    factor = total.real.dtype.type(fraction)
 
     def rows(start: int, stop: int) -> None:
         total[start:stop] += factor * part[start:stop]
