@@ -276,8 +276,8 @@ MUTATIONS = (
     Mutation(
         "A5: a and b swapped",
         "wavesim/reconstruction/retrieval/kernel.py",
-        "before[i, j] = own * mean[i, j] - a * now[i, j] - b * before[i, j]",
-        "before[i, j] = own * mean[i, j] - b * now[i, j] - a * before[i, j]",
+        "previous[i, j] = factor * mean[i, j] - a * now[i, j] - b * previous[i, j]",
+        "previous[i, j] = factor * mean[i, j] - b * now[i, j] - a * previous[i, j]",
         "tests/wavesim/reconstruction/test_phase_retrieval.py",
     ),
     Mutation(

@@ -38,11 +38,11 @@ from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
 from wavesim.reconstruction.problem import ReconstructionProblem, reconstruction_problem, validate_frames
 from wavesim.reconstruction.refocusing import refocus_field
-from wavesim.reconstruction.resumable import keeper, progress_kept, retrieve_resumably
-from wavesim.reconstruction.source_width import found_width
+from wavesim.reconstruction.resumable import retrieve_resumably, saved_state, state_saver
+from wavesim.reconstruction.source_width import find_source_width
 from wavesim.reconstruction.stopped_down import (
+    INNER_ITERATIONS,
     ITERATIONS,
-    ROUNDS,
     coarse_problem,
     on_all_samples,
 )
@@ -216,13 +216,13 @@ def _run(
     start = None
     if settings.source_deg == "find":
         with engine_on(case.light.grid) as engine:
-            width_deg, start = found_width(engine, case.light, case.given, settings, told.step)
+            width_deg, start = find_source_width(engine, case.light, case.given, settings, told.step)
         case = case._replace(source=Source(width_deg))
     if settings.method == "paper":
         found = _paper(case, settings, engine_on, told)
     else:
         # Given away without a name for it: its arrays would else be held to the end.
-        begun = [progress_kept(case.checkpoint, case.scratch)]
+        begun = [saved_state(case.checkpoint, case.scratch)]
         if begun == [None] and start is None:
             begun = [_begun_on_half(case, settings, take, told)]
         case, found = _object(case, settings, take, told, start, begun)
@@ -287,7 +287,7 @@ def _begun_on_half(
             active_width=settings.active_width,
             progress=told.on_half,
             residuals=False,
-            inner_iterations=ROUNDS,
+            inner_iterations=INNER_ITERATIONS,
         )
     values = found.transmission.values
     values = on_all_samples(values.real if kind == "amplitude" else values, case.light.grid.shape)
@@ -387,7 +387,7 @@ def _solved(
         active_width=settings.active_width,
         progress=told.iteration,
         resume=resume,
-        keep=keeper(kept),
+        keep=state_saver(kept),
         scratch=case.scratch,
         modes=case.modes,
         bounded=bounded,

@@ -1,10 +1,11 @@
 """The paper's dual-plane phase retrieval: a field from intensities alone (Appendix A).
 
-In every iteration the field at the exit vertex is carried to all planes (A1), takes the amplitudes that were
-recorded there (A2), is carried back (A3), smoothed along the gradient of its total variation (A4), averaged
-over the planes, and pushed on by a weighted feedback (A5). The correlation of amplitudes at the first plane
-(A6) tells how well the data are met. It does not tell that the field is right: near 1 it may belong to
-another field with almost the same intensities. A plane that was held out tells more.
+Every iteration propagates the field at the exit vertex to all planes (A1), replaces its amplitude by the
+measured one (A2), propagates it back (A3), smooths it along the gradient of its total variation (A4),
+averages it over the planes, and extrapolates it by a weighted feedback (A5). The correlation of amplitudes
+at the first plane (A6) measures the agreement with the data. A correlation near 1 does not prove that the
+field is right: another field may have almost the same intensities. A plane that was held out is a stronger
+test.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from numpy.typing import NDArray
 from lensdesign.errors import InputError, validate_whole_number
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.retrieval.iteration import (
+    AmplitudeMatch,
     Array,
     ComplexArray,
-    Match,
     Passes,
     plane_for,
 )
@@ -39,31 +40,35 @@ FEEDBACK = (0.7, 0.5)
 TV_STEP = 0.05
 """Step t of A4."""
 
-LIT, LARGEST_TV_SHARE = 1e-4, 2e-2
-"""Amplitudes above this share of the largest are lit; the step may be this share of their median at most."""
+LIT, LARGEST_TV_FRACTION = 1e-4, 2e-2
+"""Fraction of the largest amplitude above which a pixel is lit, and limit of the step over the lit
+median.
+"""
 
-WATCHED, LEAST_GAIN = 50, 1e-3
-"""Stagnation: over so many iterations what a correlation lacks to 1 shrinks by less than this share."""
+STAGNATION_ITERATIONS, STAGNATION_GAIN = 50, 1e-3
+"""Stagnation: over so many iterations, 1 minus the correlation falls by less than the fraction
+`STAGNATION_GAIN`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Retrieved:
-    """A retrieved field, and what speaks for it.
+    """A retrieved field, and its agreement with the data.
 
     Attributes
     ----------
     field : Field
-        At the plane sought.
+        Field at the plane sought.
     correlation : tuple of float
-        A6 at the first plane, for every iteration.
+        Correlation A6 at the first plane, for every iteration.
     residuals : tuple of float
-        For each plane, the L2 norm of the difference of amplitudes over that of the recorded one.
+        For each plane, L2 norm of the difference of amplitudes over that of the measured one.
     held_out_residual : float or None
-        The same for the plane that was not used.
+        The same quantity for the plane that was not used.
     stagnated_at : int or None
-        Iteration from which on nothing more was gained; None while it still gained.
+        Iteration after which the correlation no longer improved; None while it still improved.
     residual_curve : tuple of float
-        For every iteration, the relative L2 difference of amplitudes at the first plane.
+        For every iteration, relative L2 difference of amplitudes at the first plane.
     """
 
     field: Field
@@ -76,14 +81,14 @@ class Retrieved:
 
 @dataclass(frozen=True, eq=False)
 class RetrievalState:
-    """Where a retrieval stands after an iteration: all that it needs to go on.
+    """State of a retrieval after an iteration: all that is needed to resume it.
 
     Attributes
     ----------
     now, before : ndarray
-        The field sought, after this iteration and after the one before.
+        Field sought after this iteration, and after the previous one.
     correlation, residual_curve : tuple of float
-        Of every iteration so far, as of :class:`Retrieved`.
+        Curves of all iterations so far; see :class:`Retrieved`.
     """
 
     now: ComplexArray
@@ -107,65 +112,74 @@ def retrieve(
     resume: RetrievalState | None = None,
     keep: Callable[[RetrievalState], None] | None = None,
 ) -> Retrieved:
-    """Find the field whose amplitudes were recorded.
+    """Find the field whose amplitudes were measured.
 
     Parameters
     ----------
     grid
-        Of the field sought; amplitudes lie on the same samples of their planes.
+        Grid of the field sought; the amplitudes have the same samples on their planes.
     wavelength_um
-        Vacuum wavelength.
+        Vacuum wavelength in um.
     recorded
-        Two planes or more.
+        Measured amplitudes of two or more planes.
     start
-        A field on the grid (that of the forward model, amplitude and phase), or an even or a random phase
-        with the first plane's amplitude.
+        Initial field on the grid (amplitude and phase of the forward model), or a constant ("uniform") or
+        random ("random") phase with the amplitude of the first plane.
     iterations
-        Number of iterations, with those of `resume`.
+        Total number of iterations, including those of `resume`.
     feedback
         Weights a and b of A5.
     tv_step
-        Step t of A4; 0 leaves it out. It adds up to about t to the field, whatever the field's scale. A
-        bright field spans five decades of intensity: scaled to a peak of 1 it is destroyed by the paper's
-        0.05, scaled to a median of 64 where it is lit it is not.
+        Step t of A4; 0 disables it. The step changes the field by up to about t, whatever the scale of the
+        field. The intensity of a bright field spans five decades. Scaled to a peak of 1, such a field is
+        destroyed by the paper's step of 0.05; scaled to a median of 64 where it is lit, it is not.
     held_out
-        A plane that is not used, to judge the result.
+        Measured plane that is not used, to judge the result.
     seed
-        Of a random start.
+        Seed of a random start.
     progress
-        Called after every iteration with its number and correlation.
+        Callback `progress(index, correlation)`, called after every iteration.
     resume
-        Where a run with the same arguments was cut off: it goes on from there, as if it had not been.
+        State of an interrupted run with the same arguments, which continues from there.
     keep
-        Called after every iteration with what `resume` takes. The next iterations use its arrays again: write
-        or copy them before returning.
+        Callback `keep(state)`, called after every iteration; `resume` accepts the state. The next iterations
+        reuse its arrays: write or copy them before returning.
+
+    Returns
+    -------
+    Retrieved
+        The field, its correlation and residuals.
 
     Raises
     ------
     InputError
-        If shapes, distances or weights are not usable, there are fewer than two planes, amplitudes
-        cannot be squared, or the step of the total variation is too large for these amplitudes.
+        If shapes, distances or weights are invalid, there are fewer than two planes, the squares of
+        amplitudes overflow or vanish, or the total-variation step is too large for these amplitudes.
     """
-    _refuse(grid, recorded, iterations, feedback, tv_step)
-    state = _begun(grid, start, recorded[0].amplitude, seed) if resume is None else _resumed(grid, resume)
-    del start, resume  # copied: who keeps no other reference to their arrays has that memory again
+    _validate(grid, recorded, iterations, feedback, tv_step)
+    state = (
+        _initial_state(grid, start, recorded[0].amplitude, seed)
+        if resume is None
+        else _copied_state(grid, resume)
+    )
+    del start, resume  # they have been copied, so that the caller's last reference can be released
     with passes_for(grid, wavelength_um, recorded, state.now.dtype) as passes:
-        state = iterated(passes, state, iterations, feedback, tv_step, progress, keep)
-    found = Field(grid, state.now, wavelength_um)
+        state = run_iterations(passes, state, iterations, feedback, tv_step, progress, keep)
+    field = Field(grid, state.now, wavelength_um)
     correlation, curve = state.correlation, state.residual_curve
     del state, passes
     return Retrieved(
-        found,
+        field,
         correlation,
-        tuple(residual(found, plane) for plane in recorded),
-        None if held_out is None else residual(found, held_out),
+        tuple(residual(field, plane) for plane in recorded),
+        None if held_out is None else residual(field, held_out),
         stagnation(correlation),
         curve,
     )
 
 
-def _begun(grid: Grid, start: Start, amplitude: Array, seed: int) -> RetrievalState:
-    """Before the first iteration."""
+def _initial_state(grid: Grid, start: Start, amplitude: Array, seed: int) -> RetrievalState:
+    """Return the state before the first iteration."""
     dtype: Any = np.complex64 if amplitude.dtype == np.float32 else np.complex128
     if isinstance(start, Field):
         if start.grid != grid:
@@ -182,8 +196,8 @@ def _begun(grid: Grid, start: Start, amplitude: Array, seed: int) -> RetrievalSt
     return RetrievalState(now, np.zeros_like(now), (), ())
 
 
-def _resumed(grid: Grid, state: RetrievalState) -> RetrievalState:
-    """A copy, of which the arrays may be used."""
+def _copied_state(grid: Grid, state: RetrievalState) -> RetrievalState:
+    """Return a copy of a state, whose arrays may be overwritten."""
     if state.now.shape != grid.shape or state.before.shape != grid.shape:
         raise InputError(f"resume: its shape {state.now.shape} is not that of the field sought, {grid.shape}")
     now, before = (np.array(values, order="C") for values in (state.now, state.before))
@@ -194,13 +208,15 @@ def _resumed(grid: Grid, state: RetrievalState) -> RetrievalState:
 def passes_for(
     grid: Grid, wavelength_um: float, recorded: Sequence[Measurement], dtype: Any
 ) -> Iterator[Passes]:
-    """The passes of iterations over recorded planes, for fields of a complex type, with their threads."""
+    """Yield the passes of iterations over measured planes, for fields of a complex type, with their
+    threads.
+    """
     planes = [plane_for(grid, wavelength_um, p.distance_mm, p.amplitude, p.known, dtype) for p in recorded]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield Passes(planes, pool)
 
 
-def iterated(
+def run_iterations(
     passes: Passes,
     state: RetrievalState,
     iterations: int,
@@ -209,75 +225,94 @@ def iterated(
     progress: Callable[[int, float], None] | None,
     keep: Callable[[RetrievalState], None] | None,
 ) -> RetrievalState:
-    """Iterations up to their number; the arrays of `state` are used for them."""
+    """Iterate up to a number of iterations; the arrays of `state` are overwritten."""
     a, b = feedback
     rows = (-1, state.now.shape[-1])
-    passes.begin(state.now.reshape(rows))
+    passes.start(state.now.reshape(rows))
     for k in range(len(state.correlation), iterations):
         weights = (1.0, 0.0, 0.0) if k < 2 else (1.0 + a + b, a, b)
-        met = passes.step(state.now.reshape(rows), state.before.reshape(rows), weights, tv_step)
+        match = passes.step(state.now.reshape(rows), state.before.reshape(rows), weights, tv_step)
         state = RetrievalState(
             state.before,
             state.now,
-            (*state.correlation, met.correlation),
-            (*state.residual_curve, met.residual),
+            (*state.correlation, match.correlation),
+            (*state.residual_curve, match.residual),
         )
         if progress is not None:
-            progress(k, met.correlation)
+            progress(k, match.correlation)
         if keep is not None:
             keep(state)
     return state
 
 
 def amplitude_correlation(a: Array, b: Array) -> float:
-    """Correlation of two amplitudes (A6)."""
+    """Return the correlation of two amplitudes (A6)."""
     x, y = a - a.mean(dtype=float), b - b.mean(dtype=float)
     norm = math.sqrt(float(np.sum(x * x, dtype=float)) * float(np.sum(y * y, dtype=float)))
     return float(np.sum(x * y, dtype=float)) / norm if norm > 0.0 else 0.0
 
 
 def residual(field: Field, plane: Measurement) -> float:
-    """Relative L2 difference of a field's amplitude on a plane and the recorded one, in known pixels."""
-    return _met(field, plane)[0].residual
+    """Return the relative L2 difference between a field's amplitude on a plane and the measured one.
+
+    Only valid pixels count.
+    """
+    return _match_on_plane(field, plane)[0].residual
 
 
 def residual_and_map(field: Field, plane: Measurement) -> tuple[float, Array]:
-    """The same, and the field's amplitude less the recorded one in every pixel."""
-    met, there = _met(field, plane)
-    left = np.abs(there)
-    left -= plane.amplitude
-    return met.residual, left
+    """Return the result of :func:`residual`, and the field's amplitude less the measured one in every
+    pixel.
+    """
+    match, field_on_plane = _match_on_plane(field, plane)
+    residual_map = np.abs(field_on_plane)
+    residual_map -= plane.amplitude
+    return match.residual, residual_map
 
 
-def _met(field: Field, plane: Measurement) -> tuple[Match, ComplexArray]:
-    """How well a field meets a plane, and the field there."""
+def _match_on_plane(field: Field, plane: Measurement) -> tuple[AmplitudeMatch, ComplexArray]:
+    """Return the agreement of a field with a plane, and the field on that plane."""
     values = np.ascontiguousarray(field.values)
     now = values.reshape(-1, values.shape[-1])
     with passes_for(field.grid, field.wavelength_um, [plane], now.dtype) as passes:
-        passes.begin(now)
-        passes.arrive()
-        met, there = passes.match(now, passes.planes[0])
-    return met, there.reshape(values.shape)
+        passes.start(now)
+        passes.propagate()
+        match, field_on_plane = passes.match(now, passes.planes[0])
+    return match, field_on_plane.reshape(values.shape)
 
 
 def stagnation(correlation: Sequence[float]) -> int | None:
-    """First iteration from which on hardly anything was gained to the end; None if something was."""
+    """Return the first iteration after which the correlation hardly improved, or None if it improved."""
     missing = 1.0 - np.asarray(correlation, float)
-    found = None
-    for k in reversed(range(max(len(missing) - WATCHED, 0))):
-        if missing[k + WATCHED] <= (1.0 - LEAST_GAIN) * missing[k]:
+    first_stagnant = None
+    for k in reversed(range(max(len(missing) - STAGNATION_ITERATIONS, 0))):
+        if missing[k + STAGNATION_ITERATIONS] <= (1.0 - STAGNATION_GAIN) * missing[k]:
             break
-        found = k
-    return found
+        first_stagnant = k
+    return first_stagnant
 
 
 def agreement(fields: Sequence[Field]) -> float:
-    """Smallest correlation of any two fields, those of several starts; 1 where they differ by a factor.
+    """Return the smallest correlation of any two fields; it is 1 if they differ only by a factor.
+
+    Parameters
+    ----------
+    fields
+        Results of several starts.
 
     Raises
     ------
     InputError
-        If there are fewer than two.
+        If there are fewer than two fields.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from wavesim import Field, Grid
+    >>> from wavesim.reconstruction import agreement
+    >>> first = Field(Grid((4,), 1e-3, 0.0), np.array([1.0, 1j, -1.0, 2.0]), 0.5)
+    >>> round(agreement([first, first.with_values(1j * first.values)]), 6)
+    1.0
     """
     if len(fields) < 2:
         raise InputError(f"agreement of {len(fields)} field(s): must be of two at least")
@@ -288,48 +323,49 @@ def agreement(fields: Sequence[Field]) -> float:
 def replace_amplitude(
     field: NDArray[np.complexfloating], amplitude: Array, known: NDArray[np.bool_] | None = None
 ) -> None:
-    """A2, in place, in pixels that are known; where the field vanishes it takes the phase 0."""
+    """Do A2 in place in valid pixels; where the field vanishes it gets the phase 0."""
     from wavesim.reconstruction.retrieval.kernel import replace
 
-    rows, wanted, told = (None if v is None else np.atleast_2d(v) for v in (field, amplitude, known))
+    rows, target, known_rows = (None if v is None else np.atleast_2d(v) for v in (field, amplitude, known))
     assert rows is not None
-    replace(rows.view(rows.real.dtype), wanted, told)
+    replace(rows.view(rows.real.dtype), target, known_rows)
 
 
-def validate_planes(recorded: Sequence[Measurement], shape: tuple[int, ...], whose: str) -> None:
-    """Refuse amplitudes that cannot be those of a field; `whose` names the grid that has the shape.
+def validate_planes(recorded: Sequence[Measurement], shape: tuple[int, ...], owner: str) -> None:
+    """Check that measured planes fit a grid of a shape; `owner` names the grid in messages.
 
     Raises
     ------
     InputError
-        If a shape or a distance does not fit, or amplitudes are not finite, negative, or all dark.
+        If a shape, distance, shift, background or standard deviation is invalid, or amplitudes are not
+        finite, negative, or all dark.
     """
-    for number, plane in enumerate(recorded, start=1):
+    for plane_index, plane in enumerate(recorded, start=1):
         if plane.amplitude.shape != shape:
-            raise InputError(f"plane {number}: its shape {plane.amplitude.shape} is not {whose} {shape}")
+            raise InputError(f"plane {plane_index}: its shape {plane.amplitude.shape} is not {owner} {shape}")
         if not math.isfinite(plane.distance_mm):
-            raise InputError(f"plane {number}: distance_mm = {plane.distance_mm!r}: must be finite")
+            raise InputError(f"plane {plane_index}: distance_mm = {plane.distance_mm!r}: must be finite")
         if not all(map(math.isfinite, plane.shift_mm)):
-            raise InputError(f"plane {number}: shift_mm = {plane.shift_mm!r}: must be finite")
-        behind = plane.background
-        if behind is not None and (
-            behind.shape != shape or not np.all((behind >= 0.0) & np.isfinite(behind))
+            raise InputError(f"plane {plane_index}: shift_mm = {plane.shift_mm!r}: must be finite")
+        background = plane.background
+        if background is not None and (
+            background.shape != shape or not np.all((background >= 0.0) & np.isfinite(background))
         ):
             raise InputError(
-                f"plane {number}: background must be finite and not negative, of the shape {shape}"
+                f"plane {plane_index}: background must be finite and not negative, of the shape {shape}"
             )
         if not np.all(np.isfinite(plane.amplitude)) or np.any(plane.amplitude < 0.0):
-            raise InputError(f"plane {number}: amplitudes must be finite and not negative")
+            raise InputError(f"plane {plane_index}: amplitudes must be finite and not negative")
         if not np.any(plane.amplitude > 0.0):
-            raise InputError(f"plane {number}: is all dark")
+            raise InputError(f"plane {plane_index}: is all dark")
         if plane.sigma is not None:
             if plane.sigma.shape != shape or not np.all(plane.sigma > 0.0):
-                raise InputError(f"plane {number}: sigma must be above 0, of the shape {shape}")
+                raise InputError(f"plane {plane_index}: sigma must be above 0, of the shape {shape}")
             if not np.any(np.isfinite(plane.sigma) & (plane.amplitude > 0.0)):
-                raise InputError(f"plane {number}: is dark or not known (infinite sigma) in all pixels")
+                raise InputError(f"plane {plane_index}: is dark or not known (infinite sigma) in all pixels")
 
 
-def _refuse(
+def _validate(
     grid: Grid,
     recorded: Sequence[Measurement],
     iterations: int,
@@ -339,10 +375,10 @@ def _refuse(
     if len(recorded) < 2:
         raise InputError(f"{len(recorded)} plane(s) recorded: must be two at least")
     validate_planes(recorded, grid.shape, "the grid's")
-    for number, plane in enumerate(recorded, start=1):
+    for plane_index, plane in enumerate(recorded, start=1):
         if any(plane.shift_mm) or plane.background is not None:
             raise InputError(
-                f"plane {number}: Appendix A knows neither shifts nor backgrounds; method object takes both"
+                f"plane {plane_index}: Appendix A supports neither shifts nor backgrounds; use method object"
             )
     if len({plane.distance_mm for plane in recorded}) < len(recorded):
         raise InputError("two planes have the same distance_mm: they must differ")
@@ -358,7 +394,7 @@ def _refuse(
         )
     first = recorded[0].amplitude
     typical = float(np.median(first[first > LIT * first.max()]))
-    if tv_step > LARGEST_TV_SHARE * typical:
+    if tv_step > LARGEST_TV_FRACTION * typical:
         raise InputError(
             f"tv_step = {tv_step:g}: would destroy plane 1, whose amplitudes have a median of {typical:.3g} "
             f"where it is lit; scale planes and start by {64.0 / typical:.3g}, or take a smaller step"

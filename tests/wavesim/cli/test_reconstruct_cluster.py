@@ -38,7 +38,7 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -
 def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     uses, most = [0], [1000]
 
     class Away(ThisComputer):

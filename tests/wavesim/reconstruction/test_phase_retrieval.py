@@ -11,7 +11,7 @@ from wavesim.fields.plane_waves import fft_frequencies, transfer
 from wavesim.fields.propagator import propagate
 from wavesim.reconstruction.phase_retrieval import (
     FEEDBACK,
-    WATCHED,
+    STAGNATION_ITERATIONS,
     RetrievalState,
     Retrieved,
     agreement,
@@ -144,7 +144,7 @@ def test_stagnation_is_seen() -> None:
     falling = 1.0 - 0.5 * 0.99 ** np.arange(200)
     assert stagnation(falling) is None
     stuck = np.concatenate([falling[:100], np.full(100, falling[99])])
-    assert stagnation(stuck) == pytest.approx(99, abs=WATCHED)
+    assert stagnation(stuck) == pytest.approx(99, abs=STAGNATION_ITERATIONS)
     assert stagnation(falling[:10]) is None
 
 
@@ -164,7 +164,7 @@ def test_progress_is_told() -> None:
         ({"recorded": [Measurement(d, -np.ones(GRID.shape)) for d in DISTANCES]}, "not negative"),
         (
             {"recorded": [Measurement(d, np.ones(GRID.shape), shift_mm=(0.0, d)) for d in DISTANCES]},
-            "Appendix A knows neither shifts nor backgrounds",
+            "Appendix A supports neither shifts nor backgrounds",
         ),
         ({"recorded": [Measurement(d, np.zeros(GRID.shape)) for d in DISTANCES]}, "all dark"),
         ({"recorded": [Measurement(d, np.ones(GRID.shape)) for d in (1.0, np.inf)]}, "distance_mm = inf"),
