@@ -25,8 +25,8 @@ from wavesim.metrics.goodness_of_fit import (
 from wavesim.metrics.plane_residuals import PlaneResidual
 from wavesim.reconstruction.diagnostics.bench_estimates import smooth_phase_waves
 from wavesim.reconstruction.diagnostics.cause_trials import CauseTrials
-from wavesim.reconstruction.diagnostics.held_out import is_given, maps_of_all
-from wavesim.reconstruction.diagnostics.orientation import misoriented
+from wavesim.reconstruction.diagnostics.held_out import is_given, residual_maps_of
+from wavesim.reconstruction.diagnostics.orientation import orientation_findings
 from wavesim.reconstruction.diagnostics.score_test import ScoreTest, score_test
 from wavesim.reconstruction.field_stop import FieldStop, StopSearch
 from wavesim.reconstruction.found_object import Array
@@ -92,7 +92,7 @@ def judge_result(
         if is_given(plane)
     ]
     given, maps = [plane for plane, _ in known], [error for _, error in known]
-    findings = misoriented(given, maps)
+    findings = orientation_findings(given, maps)
 
     def judged(trials: Sequence[Trial] = (), undetected: Sequence[Undetected] = ()) -> GoodnessOfFit:
         return verdict(
@@ -214,7 +214,7 @@ def _residuals(
     planes = []
     errors = engine_errors or [None] * len(maps)
     for plane, error, held, about, engine in zip(
-        case.recorded, maps, case.held, case.planes, errors, strict=True
+        case.recorded, maps, case.held_out, case.planes, errors, strict=True
     ):
         assert plane.sigma is not None
         left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
@@ -278,7 +278,7 @@ def engine_errors(
     maps: Sequence[Array],
 ) -> tuple[Array, ...]:
     """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
-    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    more = residual_maps_of(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 

@@ -1,4 +1,4 @@
-"""The object that was found behind frames, and how good it is."""
+"""The object found from frames, with its figures of quality."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.floating[Any]]
 
 
 class Focus(NamedTuple):
-    """The sharpest distance, and the curve that told."""
+    """The sharpest distance, and the curve of sharpness (SVFG) over all distances."""
 
     distance_mm: float
     distances_mm: Array
@@ -33,47 +33,47 @@ class Focus(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FoundObject:
-    """The object behind frames, and how good it is.
+    """The object found from frames, and the quality of the result.
 
     Attributes
     ----------
     settings : ReconstructionSettings
-        With which it was found.
+        Settings of the reconstruction.
     patch : Patch
-        The object's samples and its field stop.
+        Samples of the object and its field stop.
     transmission : Field
-        Of the object, or of the region asked for; 0 where there is no light.
+        Transmission of the object, or of the requested region; 0 where there is no light.
     inside : ndarray of bool
-        Its samples within the field stop.
+        Samples of the transmission within the field stop.
     planes : tuple of PlaneFrames
-        What the frames of each plane say.
-    recorded : tuple of Recorded
-        Amplitudes as the planes recorded them.
+        Distance, exposures and saturation of each plane.
+    recorded : tuple of Measurement
+        Measured amplitudes of the planes.
     residual_maps : tuple of ndarray
-        For each plane, amplitude of the result less the recorded one.
+        For each plane, modelled less measured amplitude.
     curve : tuple of float
-        For every iteration the misfit (object) or the correlation A6 (paper).
-    verdict : Verdict
-        Whether the planes are explained, and what may differ where they are not.
+        Misfit (method object) or correlation A6 (method paper) of every iteration.
+    verdict : GoodnessOfFit
+        Whether the planes are explained, and possible causes where they are not.
     focus : Focus, optional
-        Where the object is sharpest, if that was asked for.
+        Distance at which the object is sharpest, if it was requested.
     of_method : dict
-        Figures of one method alone.
+        Figures that only one method has.
     true : Field, optional
         The true object on the same samples, if it was given.
     truth : dict
-        Figures against the true object; empty without it.
+        Figures of the comparison with the true object; empty without it.
     charts : tuple
-        Elements of the USAF chart in the middle, and of those beside it.
+        Elements of the USAF chart in the middle, and of those at other positions.
     diversity : float
-        What the planes tell of the phase (:func:`wavesim.sensor.windows.diversity`).
+        Diversity of the planes (:func:`wavesim.sensor.windows.diversity`).
     engine : Engine
-        From the object to the nearest plane.
+        Engine from the object to the nearest plane.
     memory : Memory
-        What was said to be taken.
+        Estimate of the memory.
     predicted_error : float
-        Upper bound of the engine's relative L2 error on that plane, for light with as much at the aperture's
-        rim as the frames show there.
+        Upper bound of the engine's relative L2 error on the nearest plane, for light with as much intensity
+        at the rim of the aperture as the frames show.
     """
 
     settings: ReconstructionSettings
@@ -96,47 +96,50 @@ class FoundObject:
     predicted_error: float
 
     def figures(self) -> dict[str, Any]:
-        """All figures, ready for JSON: of the planes, the focus, the true object and the charts."""
-        chosen, pitch_mm = self.settings, self.patch.grid.pitch_mm
+        """Return all figures for JSON: planes, focus, true object and charts."""
+        settings, pitch_mm = self.settings, self.patch.grid.pitch_mm
         return {
-            "method": chosen.method,
-            "kind": chosen.kind if chosen.method == "object" else "complex",
-            "start": chosen.first,
+            "method": settings.method,
+            "kind": settings.kind if settings.method == "object" else "complex",
+            "start": settings.first,
             "iterations": len(self.curve),
             **self.of_method,
             "planes": [
                 {
-                    "plane_distance_mm": told.distance_mm,
-                    "exposures": list(told.exposures),
+                    "plane_distance_mm": plane_frames.distance_mm,
+                    "exposures": list(plane_frames.exposures),
                     **plane_metrics(plane.amplitude, plane.sigma, error),
-                    "saturated_share": told.saturated_share,
+                    "saturated_share": plane_frames.saturated_share,
                 }
-                for told, plane, error in zip(self.planes, self.recorded, self.residual_maps, strict=True)
+                for plane_frames, plane, error in zip(
+                    self.planes, self.recorded, self.residual_maps, strict=True
+                )
             ],
             "verdict": self.verdict.as_dict(),
             "diversity": self.diversity,
             "field_stop_mm": self.patch.field_stop_mm,
             "field_stop_at_mm": list(self.patch.field_stop_at_mm),
-            "field_stop_from": chosen.field_stop_from,
+            "field_stop_from": settings.field_stop_from,
             "object_pitch_um": 1e3 * pitch_mm,
             "samples": self.patch.grid.shape[0],
-            "region_mm": None if chosen.region_mm is None else _region(self.transmission.grid),
+            "region_mm": None if settings.region_mm is None else _region(self.transmission.grid),
             "refocus_um": None if self.focus is None else 1e3 * self.focus.distance_mm,
             "truth": self.truth,
-            "usaf": self._of_charts(),
+            "usaf": self._chart_figures(),
         }
 
-    def _of_charts(self) -> dict[str, Any]:
-        """Contrast of each element of the chart and the finest resolved; the same of those beside it."""
+    def _chart_figures(self) -> dict[str, Any]:
+        """Return contrast and finest resolved element of each chart."""
         if not self.charts or self.settings.usaf is None:
             return {}
-        passed_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
-        ground = self.settings.usaf
+        coherent_limit_um = 0.5 * self.patch.wavelength_um / self.engine.scene.lens.object.numerical_aperture
+        polarity = self.settings.usaf
         middle, *others = (
-            chart_metrics(self.transmission, chart, ground, passed_um, self.inside) for chart in self.charts
+            chart_metrics(self.transmission, chart, polarity, coherent_limit_um, self.inside)
+            for chart in self.charts
         )
-        beside = zip(self.settings.chart_at_mm, others, strict=True)
-        return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in beside]}
+        others_by_point = zip(self.settings.chart_at_mm, others, strict=True)
+        return middle | {"beside": [{"at_mm": list(point)} | figures for point, figures in others_by_point]}
 
     def __repr__(self) -> str:
         return f"FoundObject({', '.join(f'{name} {value}' for name, value in self._rows())})"
@@ -145,21 +148,21 @@ class FoundObject:
         return html_table("Object behind frames", self._rows(), html_picture(self.transmission.values))
 
     def _rows(self) -> list[tuple[str, str]]:
-        chosen, (rows, columns) = self.settings, self.transmission.grid.shape
-        ended = "correlation A6" if chosen.method == "paper" else "misfit"
-        told = [
-            ("method", f"{chosen.method}, engine {self.engine.name}"),
+        settings, (rows, columns) = self.settings, self.transmission.grid.shape
+        curve_name = "correlation A6" if settings.method == "paper" else "misfit"
+        lines = [
+            ("method", f"{settings.method}, engine {self.engine.name}"),
             ("samples", f"{rows} x {columns} of {1e3 * self.transmission.grid.pitch_mm:.4g} um"),
-            ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[chosen.field_stop_from]}"),
-            ("iterations", f"{len(self.curve)}, {ended} {self.curve[-1]:.5g}"),
+            ("field stop", f"{self.patch.stop_words}, {STOP_ORIGINS[settings.field_stop_from]}"),
+            ("iterations", f"{len(self.curve)}, {curve_name} {self.curve[-1]:.5g}"),
         ]
-        told.append(("verdict", self.verdict.words))
+        lines.append(("verdict", self.verdict.words))
         if self.focus is not None:
-            told.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} um behind the object plane"))
-        return told + [(name, f"{value:.4g}") for name, value in self.truth.items() if value is not None]
+            lines.append(("sharpest", f"{1e3 * self.focus.distance_mm:.2f} um behind the object plane"))
+        return lines + [(name, f"{value:.4g}") for name, value in self.truth.items() if value is not None]
 
 
 def _region(shown: Grid) -> list[float]:
-    """x and y of the centre, width and height, of the samples that are shown."""
+    """Return x and y of the center, width and height of the displayed samples, in mm."""
     (half_y, half_x), (x, y) = shown.half_widths_mm, shown.centre_mm
     return [x, y, 2.0 * half_x, 2.0 * half_y]

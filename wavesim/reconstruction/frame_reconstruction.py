@@ -32,7 +32,7 @@ from wavesim.reconstruction.assessment import (
     starts_needed,
     stop_search,
 )
-from wavesim.reconstruction.diagnostics.held_out import maps_of_all
+from wavesim.reconstruction.diagnostics.held_out import residual_maps_of
 from wavesim.reconstruction.field_stop import FieldStop
 from wavesim.reconstruction.found_object import Array, Focus, FoundObject
 from wavesim.reconstruction.object_solver import Reconstructed, SolverState, reconstruct
@@ -238,7 +238,7 @@ def _run(
     true, truth = None, dict[str, float | None]()
     if case.truth is not None:
         told.step("comparison with the true object")
-        true, light = (cut_field(field, case.shown) for field in (case.truth, case.light))
+        true, light = (cut_field(field, case.shown_grid) for field in (case.truth, case.light))
         scene = case.engine.scene
         truth = truth_metrics(transmission, true, light, case.inside, scene, case.scratch)
     return FoundObject(
@@ -326,7 +326,7 @@ def _object(
                 found = _by_complex_object(case, settings, engine, told, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
-                maps = maps_of_all(
+                maps = residual_maps_of(
                     engine, case.light, case.recorded, settings.active_width, found, case.modes
                 )
             curve += found.misfit
@@ -355,9 +355,9 @@ def _object(
     }
     if settings.source_deg:
         said["source_deg"] = case.source.width_deg
-    part, behind = cut_field(found.transmission, case.carried), None
+    part, behind = cut_field(found.transmission, case.refocus_grid), None
     if settings.focus_mm is not None:
-        behind = part.with_values(cut_field(case.light, case.carried).values * part.values)
+        behind = part.with_values(cut_field(case.light, case.refocus_grid).values * part.values)
     whole = None if isinstance(case.engine, Tiled) else found.transmission
     transmission = part if behind is None else None
     return case, MethodResult(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
@@ -432,7 +432,7 @@ def _paper(
         )
     said = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
     told.step("back to the object")
-    with engine_on(case.carried) as engine:
+    with engine_on(case.refocus_grid) as engine:
         return MethodResult(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, said)
 
 
@@ -440,10 +440,10 @@ def _refocused(
     case: ReconstructionProblem, focus_mm: tuple[float, float], behind: Field, told: _Told
 ) -> tuple[Field, Focus]:
     """The sharpest of all distances; a field is carried, not a transmission."""
-    if behind.grid != case.shown:  # a part of the field must not end as if it were cut off
-        behind = behind.with_values(behind.values * soft_rim(case.shown, behind.grid))
+    if behind.grid != case.shown_grid:  # a part of the field must not end as if it were cut off
+        behind = behind.with_values(behind.values * soft_rim(case.shown_grid, behind.grid))
     found = refocus_field(behind, focus_mm, case.depth_mm, told.count)
     # The light is taken where the object was thought to be: over a few depths of focus it hardly changes.
     light = cut_field(case.light, behind.grid)
     there = transmission_of(replace(found.field, grid=light.grid), light)
-    return cut_field(there, case.shown), Focus(found.distance_mm, found.distances_mm, found.svfg)
+    return cut_field(there, case.shown_grid), Focus(found.distance_mm, found.distances_mm, found.svfg)

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, shift
 from wavesim.fields.field import Field, Grid
 from wavesim.reconstruction.diagnostics.bench_estimates import (
     background,
-    centre,
+    centroid,
     shift_pixels,
     smooth_phase_waves,
 )
@@ -20,23 +20,23 @@ PICTURE = gaussian_filter(np.random.default_rng(3).random((60, 80)), 2.0, mode="
 
 @pytest.mark.parametrize("x_y", [(0.0, 0.0), (3.0, -2.0), (-0.4, 1.3)])
 def test_a_shift_is_found_to_a_tenth_of_a_pixel(x_y: tuple[float, float]) -> None:
-    seen = shift(PICTURE, x_y[::-1], order=5, mode="grid-wrap")
-    assert shift_pixels(seen, PICTURE) == pytest.approx(x_y, abs=0.1)
+    measured = shift(PICTURE, x_y[::-1], order=5, mode="grid-wrap")
+    assert shift_pixels(measured, PICTURE) == pytest.approx(x_y, abs=0.1)
 
 
 def test_the_centre_of_two_pixels_is_between_them() -> None:
     picture = np.zeros((5, 9))
     picture[1, 2] = picture[2, 6] = 3.0
-    assert centre(picture) == (4.0, 1.5)
+    assert centroid(picture) == (4.0, 1.5)
 
 
 def test_a_background_is_read_where_it_is_dark() -> None:
-    made = np.zeros((10, 10))
-    made[:5] = 2.0
-    share, level = background(made + 0.1, made)
+    modelled = np.zeros((10, 10))
+    modelled[:5] = 2.0
+    share, level = background(modelled + 0.1, modelled)
     assert level == pytest.approx(0.1)
     assert share == pytest.approx(0.1 / 1.1)
-    assert background(made[:5], made[:5]) == (0.0, 0.0)
+    assert background(modelled[:5], modelled[:5]) == (0.0, 0.0)
 
 
 def test_a_phase_is_found_without_unwrapping() -> None:
