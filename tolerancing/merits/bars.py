@@ -239,7 +239,7 @@ class Chain:
             tv_weight="auto" if noisy else QUIET_TV,
             iterations=iterations,
             scale=1.0,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         return np.asarray(found.transmission.values)
 

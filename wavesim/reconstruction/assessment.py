@@ -142,7 +142,7 @@ def judge_result(
                 kind=settings.kind,
                 tv_weight=settings.tv_weight,
                 scale=settings.scale,
-                active_width=settings.active_width,
+                fill_factor=settings.fill_factor,
                 diversity=case.diversity,
                 modes=case.modes,
                 stops=stop_search(case, settings, engine, progress),
@@ -169,7 +169,7 @@ def _score_test(
             settings.kind,
             scale=found.of_method["scale"],
             fits_scale=settings.scale is None,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             model_error=found.model_error,
             progress=progress,
         )
@@ -189,7 +189,7 @@ def stop_search(
         grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
-        settings.active_width,
+        settings.fill_factor,
         case.modes,
         progress,
     )
@@ -278,7 +278,7 @@ def engine_errors(
     maps: Sequence[Array],
 ) -> tuple[Array, ...]:
     """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
-    more = residual_maps_of(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    more = residual_maps_of(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 
@@ -341,7 +341,7 @@ def agreement_of_starts(
             until_noise=True,
             scale=settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             modes=modes,
         )
         ends.append(light.with_values(light.values * other.transmission.values))

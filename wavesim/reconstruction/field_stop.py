@@ -101,7 +101,7 @@ class StopSearch:
 
     Parameters
     ----------
-    engine, recorded, kind, scale, active_width, modes
+    engine, recorded, kind, scale, fill_factor, modes
         See :func:`wavesim.reconstruct`.
     light_of
         Function that returns the light on the object for a field stop.
@@ -117,7 +117,7 @@ class StopSearch:
     patch_mm: float
     kind: Kind
     scale: float | None = None
-    active_width: float = 0.0
+    fill_factor: float = 0.0
     modes: Sequence[SourceMode] = ()
     progress: Callable[[str], None] = lambda text: None
     _misfits: dict[tuple[FieldStop, int], float] = field(default_factory=dict, init=False, repr=False)
@@ -173,7 +173,7 @@ class StopSearch:
         for _ in range(2):
             light = self.light_of(self._within_patch(np.array([0.0, 0.0, probe_mm])))
             grains = np.exp(1j * gaussian_filter(random.standard_normal(light.grid.shape), 1.5) * 8.0)
-            model = ForwardModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
             plane = self.recorded[plane_index]
             modelled = model.amplitudes(grains.astype(light.values.dtype))[plane_index].astype(float)
             modelled *= math.sqrt(float((plane.amplitude.astype(float) ** 2).sum() / (modelled**2).sum()))
@@ -207,7 +207,7 @@ class StopSearch:
         axes = scene.exit_grid.y_mm, scene.exit_grid.x_mm
 
         def centroids(light: Field) -> Array:
-            model = ForwardModel(self.engine, light, self.recorded, None, self.active_width)
+            model = ForwardModel(self.engine, light, self.recorded, None, self.fill_factor)
             modelled = model.amplitudes(model.lit.astype(light.values.dtype))
             return np.array([_centroid(one, axes) for one in modelled])
 
@@ -242,7 +242,7 @@ class StopSearch:
             tv_weight="auto",
             iterations=iterations,
             scale=self.scale,
-            active_width=self.active_width,
+            fill_factor=self.fill_factor,
             modes=self.modes,
             residuals=False,
         )

@@ -57,7 +57,7 @@ class ForwardModel:
         See :func:`wavesim.reconstruct`.
     scale
         Measured amplitude per unit of the modelled amplitude; None means 1, to be fitted.
-    active_width
+    fill_factor
         Linear fill factor of a pixel (side of its photosensitive square over the pitch); 0 means a point.
     scratch
         Storage of arrays that persist; default: memory.
@@ -75,7 +75,7 @@ class ForwardModel:
         illumination: Field,
         recorded: Sequence[Measurement],
         scale: float | None,
-        active_width: float = 0.0,
+        fill_factor: float = 0.0,
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
         rows: Sequence[slice] = (),
@@ -89,7 +89,7 @@ class ForwardModel:
         self.dtype, self.real = illumination.values.dtype, power.dtype
         del power
         grid = engine.scene.exit_grid
-        self.pixels = PixelMeans(grid, active_width) if active_width > 0.0 or self.modes else None
+        self.pixels = PixelMeans(grid, fill_factor) if fill_factor > 0.0 or self.modes else None
         self.propagators = [
             propagator_to(grid, illumination.wavelength_um, p.distance_mm, self.dtype, p.shift_mm, p.tilt_deg)
             for p in recorded

@@ -284,7 +284,7 @@ def _begun_on_half(
             iterations=min(ITERATIONS, settings.most_iterations),
             until_noise=True,
             scale=settings.scale,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             progress=told.on_half,
             residuals=False,
             inner_iterations=INNER_ITERATIONS,
@@ -327,7 +327,7 @@ def _object(
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = residual_maps_of(
-                    engine, case.light, case.recorded, settings.active_width, found, case.modes
+                    engine, case.light, case.recorded, settings.fill_factor, found, case.modes
                 )
             curve += found.misfit
             limited = is_engine_limited(case, maps, found.misfit[-1])
@@ -384,7 +384,7 @@ def _solved(
         until_noise=True,
         scale=settings.scale,
         start=start,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         progress=told.iteration,
         resume=resume,
         keep=state_saver(kept),

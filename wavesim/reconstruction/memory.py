@@ -175,11 +175,11 @@ def step_array(
 
 
 def descent_arrays(
-    sizes: Sizes, kind: Kind, active_width: float, modes: int = 1, tilted: bool = False
+    sizes: Sizes, kind: Kind, fill_factor: float, modes: int = 1, tilted: bool = False
 ) -> Inventory:
     """Return the arrays of :func:`wavesim.reconstruct` besides its inputs.
 
-    `kind` and `active_width` are those of that function, `modes` is the number of modes of an extended
+    `kind` and `fill_factor` are those of that function, `modes` is the number of modes of an extended
     source, and `tilted` states whether the sensor is tilted.
     """
     object_shape, exit_shape, quadrant_shape, dtype, real = (
@@ -222,7 +222,7 @@ def descent_arrays(
         common += _tilt_arrays(sizes)
     if modes > 1:
         return common + _mode_arrays(sizes, modes)
-    return common + (_pixel_arrays(sizes) if active_width > 0.0 else _point_arrays(sizes))
+    return common + (_pixel_arrays(sizes) if fill_factor > 0.0 else _point_arrays(sizes))
 
 
 def _tilt_arrays(sizes: Sizes) -> Inventory:
@@ -305,7 +305,7 @@ def reconstruction_bytes(
     distances_mm: Sequence[float],
     *,
     kind: Kind = "complex",
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     with_sigma: bool = True,
     modes: int = 1,
     tilted: bool = False,
@@ -320,7 +320,7 @@ def reconstruction_bytes(
         Engine from the object to the exit grid.
     distances_mm
         Distances of the planes from the engine's exit grid, in mm.
-    kind, active_width
+    kind, fill_factor
         See :func:`wavesim.reconstruct`.
     with_sigma
         Whether the measured amplitudes have standard deviations.
@@ -335,7 +335,7 @@ def reconstruction_bytes(
         Bytes in memory and in files. Illumination, measured arrays and last steps can be stored in files.
     """
     sizes = Sizes.of(engine, distances_mm)
-    working = descent_arrays(sizes, kind, active_width, modes, tilted)
+    working = descent_arrays(sizes, kind, fill_factor, modes, tilted)
     return need_of(given_arrays(sizes, with_sigma=with_sigma) + working)
 
 
@@ -385,7 +385,7 @@ def run_arrays(
     *,
     method: str,
     kind: Kind,
-    active_width: float,
+    fill_factor: float,
     frames_bytes: int,
     shown: tuple[int, ...],
     carried: int,
@@ -398,7 +398,7 @@ def run_arrays(
 
     Parameters
     ----------
-    engine, distances_mm, kind, active_width
+    engine, distances_mm, kind, fill_factor
         See :func:`reconstruction_bytes`; amplitudes are float32 and have standard deviations.
     method
         "object" or "paper".
@@ -416,7 +416,7 @@ def run_arrays(
         See :func:`reconstruction_bytes`.
     """
     sizes, of_object = Sizes.of(engine, distances_mm), method == "object"
-    working = descent_arrays(sizes, kind, active_width, modes, tilted) if of_object else _paper_arrays(sizes)
+    working = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
     object_shape = math.prod(sizes.object_shape)
     preparation = (

@@ -172,7 +172,7 @@ def reconstruct(
     until_noise: bool = False,
     scale: float | None = None,
     start: Field | Literal["amplitude"] | None = None,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     progress: Callable[[int, float], None] | None = None,
     resume: SolverState | None = None,
     keep: Callable[[SolverState], None] | None = None,
@@ -213,7 +213,7 @@ def reconstruct(
     start
         Initial transmission; default: 1. "amplitude": the first `AMPLITUDE_START` iterations seek an
         amplitude object. This helps to find a complex object on a dark ground, which is far from 1.
-    active_width
+    fill_factor
         Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 means samples at
         points, such as those of a simulated field.
     progress
@@ -250,7 +250,7 @@ def reconstruct(
         If a value or a shape is invalid, planes are in different units, modes have another wavelength than
         the illumination, or the disk of the scratch files is full.
     """
-    validate_numbers(kind, tv_weight, iterations, scale, active_width)
+    validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
     validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
     scratch = scratch or Scratch()
     unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
@@ -264,7 +264,7 @@ def reconstruct(
         illumination,
         recorded,
         scale and scale * light_unit / unit,
-        active_width,
+        fill_factor,
         scratch,
         modes,
         rows,
@@ -435,7 +435,7 @@ def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:
 
 
 def validate_numbers(
-    kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, fill_factor: float
 ) -> None:
     """Check that settings of :func:`wavesim.reconstruct` are within their range.
 
@@ -453,8 +453,8 @@ def validate_numbers(
     if scale is not None:
         validate_positive("scale", scale)
     # A fill factor above 1 stands for the blur of the picture.
-    if not 0.0 <= active_width <= 2.0:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to 2")
+    if not 0.0 <= fill_factor <= 2.0:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 2")
 
 
 def validate_measurements(

@@ -75,7 +75,7 @@ KEY_SETTINGS = (
     "tv_weight",
     "start",
     "scale",
-    "active_width",
+    "fill_factor",
     "source_deg",
 )
 """Settings that affect the iterations, besides those of the engine."""
@@ -306,7 +306,7 @@ def _arrays(
         [math.hypot(plane.distance_mm, *plane.shift_mm) for plane in recorded],
         method=settings.method,
         kind=settings.kind,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         frames_bytes=sum(frame.counts.nbytes for frame in frames),
         shown=shown_grid.shape,
         carried=0 if settings.focus_mm is None else refocus_grid.size,

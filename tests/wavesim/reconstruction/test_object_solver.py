@@ -305,7 +305,7 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
     settings: dict[str, Any] = {
         "kind": "amplitude",
         "iterations": 4,
-        "active_width": 1.0,
+        "fill_factor": 1.0,
         "inner_iterations": 3,
     }
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
@@ -406,11 +406,11 @@ def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | Non
     assert np.iscomplexobj(kept[-1].ahead)
 
 
-@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("complex", 0.0)])
-def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, active_width: float) -> None:
+@pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("complex", 0.0)])
+def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, fill_factor: float) -> None:
     room, used = Scratch(tmp_path, 0.0), []
     quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-3)) for p in case.recorded]
-    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "active_width": active_width}
+    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "fill_factor": fill_factor}
     settings |= {"iterations": 4, "keep": lambda _: used.append(room.bytes_in_files)}
     in_files, in_memory = (
         reconstruct(case.engine, case.illumination, quiet, scratch=scratch, **settings)
@@ -436,7 +436,7 @@ def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind,
         ({"tv_weight": -1.0}, "tv_weight"),
         ({"iterations": 0}, "iterations = 0"),
         ({"scale": 0.0}, "scale = 0.0"),
-        ({"active_width": 2.5}, "active_width = 2.5"),
+        ({"fill_factor": 2.5}, "fill_factor = 2.5"),
         ({"tv_weight": "auto"}, "needs sigma"),
         ({"tv_weight": "strong"}, "tv_weight = 'strong'"),
         ({"start": "random"}, "start = 'random'"),

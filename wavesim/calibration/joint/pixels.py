@@ -78,7 +78,7 @@ class Pixels(ABC):
         At nominal distances from the exit grid.
     scale : float or None
         Recorded amplitude for a unit of the model's, where it is known.
-    active_width : float
+    fill_factor : float
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
     make : callable
         Makes the engine of a scene.
@@ -88,7 +88,7 @@ class Pixels(ABC):
     illumination: Field
     recorded: Sequence[Measurement]
     scale: float | None
-    active_width: float
+    fill_factor: float
     make: Callable[[Scene], Engine]
 
     rows: tuple[slice, ...] = ()
@@ -179,7 +179,7 @@ class AllPixels(Pixels):
             light_on(self.illumination, bench),
             planes_at(self.recorded, bench),
             self.scale,
-            self.active_width,
+            self.fill_factor,
         )
 
     def _is_carried(self, parameter: Parameter) -> bool:
@@ -390,7 +390,7 @@ def some_pixels(every: Pixels, frames: Sequence[Frame], apart: int) -> SomePixel
     found = SomePixels(
         replace(every.scene, exit_grid=points),
         every.illumination,
-        [recorded_points(plane, one.distance_mm, apart, every.active_width) for plane, one in planes],
+        [recorded_points(plane, one.distance_mm, apart, every.fill_factor) for plane, one in planes],
         every.scale,
         0.0,
         every.make,

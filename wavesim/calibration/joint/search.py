@@ -434,7 +434,7 @@ class JointSearch:
             until_noise=iterations is not None,
             scale=self.pixels.scale,
             start=None if start is None else model.illumination.with_values(start),
-            active_width=self.pixels.active_width,
+            fill_factor=self.pixels.fill_factor,
             rows=self.pixels.rows,
             residuals=False,
             inner_iterations=BEHIND,

@@ -40,7 +40,7 @@ def residual_maps_of(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
-    active_width: float,
+    fill_factor: float,
     found: Reconstructed,
     modes: Sequence[SourceMode] = (),
 ) -> tuple[NDArray[np.floating[Any]], ...]:
@@ -48,14 +48,14 @@ def residual_maps_of(
 
     Parameters
     ----------
-    engine, light, recorded, active_width
+    engine, light, recorded, fill_factor
         See :func:`wavesim.reconstruct`.
     found
         Result from the planes that were not held out.
     modes
         Modes of the light; see :func:`wavesim.reconstruct`.
     """
-    model = ForwardModel(engine, light, recorded, found.scale, active_width, modes=modes)
+    model = ForwardModel(engine, light, recorded, found.scale, fill_factor, modes=modes)
     modelled = model.amplitudes(found.transmission.values)
     return tuple(amplitude - plane.amplitude for amplitude, plane in zip(modelled, recorded, strict=True))
 

@@ -121,7 +121,7 @@ def score_test(
     *,
     scale: float,
     fits_scale: bool,
-    active_width: float,
+    fill_factor: float,
     model_error: float,
     progress: Callable[[str], None] = lambda what: None,
 ) -> ScoreTest:
@@ -129,7 +129,7 @@ def score_test(
 
     Parameters
     ----------
-    engine, light, recorded, kind, active_width
+    engine, light, recorded, kind, fill_factor
         See :func:`wavesim.reconstruct`; the light is that of a point source.
     transmission : ndarray
         The object found, on the samples of the light.
@@ -150,7 +150,7 @@ def score_test(
     TransferLensError
         If rays or samples do not allow small displacements of the scene.
     """
-    model = ForwardModel(engine, light, recorded, scale, active_width)
+    model = ForwardModel(engine, light, recorded, scale, fill_factor)
     values = transmission.real if kind == "amplitude" else transmission
     linear = Linearised(model, values, fits_scale)
     model.scale = linear.scale

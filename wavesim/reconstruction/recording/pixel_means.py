@@ -53,7 +53,7 @@ class PixelMeans:
     ----------
     grid
         Grid with one sample in the middle of each pixel.
-    active_width
+    fill_factor
         Linear fill factor of a pixel: side of its photosensitive square over the pitch.
 
     Attributes
@@ -64,9 +64,9 @@ class PixelMeans:
         Weights of the middle sample, and of samples on either side.
     """
 
-    def __init__(self, grid: Grid, active_width: float) -> None:
+    def __init__(self, grid: Grid, fill_factor: float) -> None:
         self.grid = grid
-        self.taps = _taps(active_width)
+        self.taps = _taps(fill_factor)
 
     def propagate(self, spectrum: ComplexArray, propagator: Way, buffers: Rows | None = None) -> Rows:
         """Propagate a field to a plane, in rows through the middles of pixels and through their upper edges.
@@ -366,7 +366,7 @@ def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 
 
-def _taps(active_width: float) -> list[float]:
+def _taps(fill_factor: float) -> list[float]:
     """Return weights of the middle sample and of pairs, fitted to the pixel's transfer function.
 
     The fit covers twice the bandwidth of the field. An intensity has less power towards that limit, and the
@@ -377,6 +377,6 @@ def _taps(active_width: float) -> list[float]:
     weights = 1.0 - cycles
     # The weights sum to 1, which fixes that of the middle.
     found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
+        weights[:, None] * (cosines - 2.0), weights * (np.sinc(fill_factor * cycles) - 1.0), rcond=None
     )
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]
