@@ -97,7 +97,7 @@ class Seen:
             return ()
         sought = {p.name for p in self.parameters()}
         light = self.parameters("all", light_order=LIGHT_ORDER)
-        return tuple(p.name for p in light if p.part == "light" and p.name not in sought)
+        return tuple(p.name for p in light if p.group == "light" and p.name not in sought)
 
     def parameters(self, text: str | None = None, light_order: int | None = None) -> tuple[Parameter, ...]:
         """Those that are asked for, of all that may be sought."""

@@ -215,7 +215,7 @@ def calibrate_empty(
     tell = progress or (lambda what, done, count: None)
     everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)
     asked = seen.parameters(light_order=LIGHT_ORDER_ALONE)
-    sought = tuple(p for p in everything if p.part == "light" or p in asked)
+    sought = tuple(p for p in everything if p.group == "light" or p in asked)
     begin = Unknowns(lens, replace(start or Bench(seen.start), light=LightErrors()))
     kept_in = None if folder is None else folder / EMPTY_CHECKPOINT
     known = np.ones(seen.framed.light.grid.shape, np.float32)

@@ -1,6 +1,6 @@
-"""The search for a few parameters of an expensive model with derivatives: Gauss-Newton, within bounds.
+"""Bounded Gauss-Newton search for a few parameters of an expensive model with derivatives.
 
-It goes along directions in which the linear model's residual changes alike.
+The search uses scaled directions in which the residual of the linear model changes equally.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from lensdesign.errors import TransferLensError
 RealArray = NDArray[np.floating]
 
 LARGEST_STEP, SMALLEST_STEP = 0.5, 1e-4
-"""First and last radius of the region in which a linear model is trusted, in coordinates of curvature 1."""
+"""First and last radius of the trust region, in coordinates of curvature 1."""
 
 TOLERANCE = 1e-6
-"""Of the bounds, relative."""
+"""Relative tolerance of the bounds."""
 
-STIFFEST = 1e3
-"""Ratio of curvatures beyond which a direction is not stretched further."""
+LARGEST_CURVATURE_RATIO = 1e3
+"""Ratio of curvatures beyond which a direction is not scaled further."""
 
 
 @dataclass(frozen=True)
@@ -34,151 +34,164 @@ class Minimum:
     Attributes
     ----------
     point : ndarray, shape (n,)
-    size : float
-        Length of the residual there.
+        Parameters.
+    residual_norm : float
+        Length of the residual at the point.
     evaluations : int
+        Number of evaluations of the model.
     stopped_because : str
+        Reason for the end of the search.
     """
 
     point: Array
-    size: float
+    residual_norm: float
     evaluations: int
     stopped_because: str
 
 
-def stiff_directions(slopes: RealArray, reach: Array) -> tuple[Array, Array]:
-    """Directions in which a linear model is stiff in its own measure, and its curvature along each.
+def curvature_directions(jacobian: RealArray, search_range: Array) -> tuple[Array, Array]:
+    """Return the principal directions of a linear model's Hessian, and the curvature along each.
 
     Parameters
     ----------
-    slopes : ndarray, shape (n, m)
-        Change of the model for a unit of each parameter.
-    reach : ndarray, shape (n,)
+    jacobian : ndarray, shape (n, m)
+        Change of the model per unit of each parameter.
+    search_range : ndarray, shape (n,)
         Natural scale of each parameter.
 
     Returns
     -------
     directions : ndarray, shape (n, n)
-        As columns; of unit length where parameters are measured by their reach.
+        Directions as columns, of unit length in units of the scales.
     curvatures : ndarray, shape (n,)
-        Squared change of the residual for a unit; at most `STIFFEST` times apart.
+        Squared change of the residual per unit; their ratio is limited to `LARGEST_CURVATURE_RATIO`.
     """
-    scaled = slopes * reach[:, None].astype(slopes.dtype)
+    scaled = jacobian * search_range[:, None].astype(jacobian.dtype)
     values, vectors = np.linalg.eigh(np.asarray(scaled @ scaled.T, float))
-    return np.asarray(reach[:, None] * vectors), np.maximum(values, values[-1] / STIFFEST)
+    return np.asarray(search_range[:, None] * vectors), np.maximum(
+        values, values[-1] / LARGEST_CURVATURE_RATIO
+    )
 
 
 class GaussNewton:
-    """Makes the length of a residual small where the model's derivatives are known, or nearly so.
+    """Minimizes the length of a residual of a model with (approximately) known derivatives.
 
-    Along each step they are corrected by what the step did (Broyden's update).
+    The derivatives are corrected along each step by the actual change of the model (Broyden's update).
 
     Parameters
     ----------
     model
-        Residual (shape (m,), recorded less modelled) and change of the model for a unit of each parameter
-        (shape (n, m)) at a point.
-    start, reach : ndarray, shape (n,)
-        Where the search begins; it looks from -reach to reach.
+        Function that returns the residual, shape (m,), measured less modelled, and the change of the model
+        per unit of each parameter, shape (n, m), at a point.
+    start, search_range : ndarray, shape (n,)
+        Start of the search, which is limited to -search_range to search_range.
     """
 
     def __init__(
-        self, model: Callable[[Array], tuple[RealArray, RealArray]], start: Array, reach: Array
+        self, model: Callable[[Array], tuple[RealArray, RealArray]], start: Array, search_range: Array
     ) -> None:
-        self.model, self.point, self.reach = model, np.array(start, float), reach
+        self.model, self.point, self.search_range = model, np.array(start, float), search_range
 
-    def run(self, gain: float, most: int) -> Minimum:
-        """Search until a step lowers the squared residual by less than a share, or evaluations are used up.
+    def run(self, least_gain: float, most_evaluations: int) -> Minimum:
+        """Search until a step gains less than a fraction of the squared residual, or all evaluations are
+        used.
+
+        Parameters
+        ----------
+        least_gain
+            Smallest relative decrease of the squared residual in a step.
+        most_evaluations
+            Largest number of evaluations of the model.
 
         Raises
         ------
         TransferLensError
-            What the model raised at the start. Points at which it raises later are avoided.
+            If the model raises it at the start. Later points at which it raises are avoided.
         """
-        left, slopes = self.model(self.point)
-        directions, curvatures = stiff_directions(slopes, self.reach)
-        self.stretch = directions / np.sqrt(curvatures)
-        slopes = self._stretched(slopes)
+        residual, jacobian = self.model(self.point)
+        directions, curvatures = curvature_directions(jacobian, self.search_range)
+        self.scaling = directions / np.sqrt(curvatures)
+        jacobian = self._scaled_jacobian(jacobian)
         radius, evaluations, reason = LARGEST_STEP, 1, "mountings used up"
-        while evaluations < most:
-            step = self._step(slopes, left, radius)
+        while evaluations < most_evaluations:
+            step = self._step(jacobian, residual, radius)
             length = float(np.linalg.norm(step))
-            size = max(_squared(left), np.finfo(float).tiny)
-            expected = 1.0 - _squared(left - step @ slopes) / size
-            if expected < gain or length < SMALLEST_STEP:
+            squared_residual = max(_squared(residual), np.finfo(float).tiny)
+            expected_gain = 1.0 - _squared(residual - step @ jacobian) / squared_residual
+            if expected_gain < least_gain or length < SMALLEST_STEP:
                 reason = "converged"
                 break
             evaluations += 1
-            there = self.point + self.stretch @ step
-            found = self._tried(there)
+            point = self.point + self.scaling @ step
+            found = self._evaluated(point)
             if found is None:
                 radius = 0.4 * length
                 continue
-            gained = 1.0 - _squared(found[0]) / size
-            # Derivatives may be a few percent off, which in soft directions is more than they are.
-            ahead = slopes if gained <= 0.0 else self._stretched(found[1])
-            missed = (left - found[0]) - step @ ahead
-            slopes = ahead + np.outer(step / length**2, missed).astype(ahead.dtype)
-            if gained <= 0.0:
+            gain = 1.0 - _squared(found[0]) / squared_residual
+            # Errors of a few percent of the derivatives may exceed the derivatives in soft directions.
+            next_jacobian = jacobian if gain <= 0.0 else self._scaled_jacobian(found[1])
+            error = (residual - found[0]) - step @ next_jacobian
+            jacobian = next_jacobian + np.outer(step / length**2, error).astype(next_jacobian.dtype)
+            if gain <= 0.0:
                 radius = 0.4 * length
                 continue
-            self.point, left = there, found[0]
-            if gained < gain:
+            self.point, residual = point, found[0]
+            if gain < least_gain:
                 reason = "converged"
                 break
-            if gained > 0.7 * expected:
+            if gain > 0.7 * expected_gain:
                 radius = max(radius, 2.0 * length)
-        return Minimum(self.point, float(np.sqrt(_squared(left))), evaluations, reason)
+        return Minimum(self.point, float(np.sqrt(_squared(residual))), evaluations, reason)
 
-    def _stretched(self, slopes: RealArray) -> RealArray:
-        return np.asarray(self.stretch.T.astype(slopes.dtype) @ slopes)
+    def _scaled_jacobian(self, jacobian: RealArray) -> RealArray:
+        return np.asarray(self.scaling.T.astype(jacobian.dtype) @ jacobian)
 
-    def _tried(self, point: Array) -> tuple[RealArray, RealArray] | None:
+    def _evaluated(self, point: Array) -> tuple[RealArray, RealArray] | None:
         try:
             return self.model(point)
         except TransferLensError:
             return None
 
-    def _step(self, slopes: RealArray, left: RealArray, radius: float) -> Array:
-        """Lowest point of the linear model within a radius and within the bounds."""
+    def _step(self, jacobian: RealArray, residual: RealArray, radius: float) -> Array:
+        """Return the minimum of the linear model within the trust radius and the bounds."""
         import nlopt
 
-        curvature = np.asarray(slopes @ slopes.T, float)
-        pull = np.asarray(slopes @ left, float)
-        lowest: list[tuple[float, Array]] = [(0.0, np.zeros(len(pull)))]
+        hessian = np.asarray(jacobian @ jacobian.T, float)
+        descent = np.asarray(jacobian @ residual, float)
+        best: list[tuple[float, Array]] = [(0.0, np.zeros(len(descent)))]
 
         def model(y: Array, gradient: Array) -> float:
-            value = float(0.5 * y @ curvature @ y - pull @ y)
+            value = float(0.5 * y @ hessian @ y - descent @ y)
             if gradient.size:
-                gradient[:] = curvature @ y - pull
-            if value < lowest[0][0] and np.max(bounds(y)) <= TOLERANCE:
-                lowest[0] = (value, y.copy())
+                gradient[:] = hessian @ y - descent
+            if value < best[0][0] and np.max(bounds(y)) <= TOLERANCE:
+                best[0] = (value, y.copy())
             return value
 
         def bounds(y: Array) -> Array:
-            there = self.point + self.stretch @ y
+            point = self.point + self.scaling @ y
             return np.array(
                 [
-                    *(there / self.reach - 1.0),
-                    *(-there / self.reach - 1.0),
+                    *(point / self.search_range - 1.0),
+                    *(-point / self.search_range - 1.0),
                     np.dot(y, y) / radius**2 - 1.0,
                 ]
             )
 
-        def within(result: Array, y: Array, gradient: Array) -> None:
+        def constraints(result: Array, y: Array, gradient: Array) -> None:
             result[:] = bounds(y)
             if gradient.size:
-                rows = self.stretch / self.reach[:, None]
+                rows = self.scaling / self.search_range[:, None]
                 gradient[:] = np.concatenate([rows, -rows, 2.0 * y[None] / radius**2])
 
-        opt = nlopt.opt(nlopt.LD_SLSQP, len(pull))
+        opt = nlopt.opt(nlopt.LD_SLSQP, len(descent))
         opt.set_min_objective(model)
-        opt.add_inequality_mconstraint(within, np.full(2 * len(pull) + 1, TOLERANCE))
+        opt.add_inequality_mconstraint(constraints, np.full(2 * len(descent) + 1, TOLERANCE))
         opt.set_xtol_abs(1e-7)
         opt.set_maxeval(500)
         with suppress(nlopt.RoundoffLimited):  # which loses the point
-            opt.optimize(lowest[0][1])
-        return lowest[0][1]
+            opt.optimize(best[0][1])
+        return best[0][1]
 
 
 def _squared(values: RealArray) -> float:

@@ -1,12 +1,13 @@
-"""The lens as mounted, from frames of a known object: decenter, tilt, working distance, plane distances.
+"""Mounting of the lens from frames of a known object: decenter, tilt, working distance, plane distances.
 
-The misfit of amplitudes depends on the mounting through the lens alone, and its derivatives come from rigid
-motions: moving the lens is moving object and sensor the other way, so that with G the generator of a motion
+The misfit of amplitudes depends on the mounting only through the lens. Its derivatives follow from rigid
+motions, because a motion of the lens is equivalent to the opposite motion of object and sensor. With the
+generator G of a motion and the propagation A,
 
     dA/dp = G_exit A - A G_object.
 
-A first, coarse search compares blurred intensities. Decenter and tilt of one lens do nearly the same to its
-light: the search goes along directions in which the misfit is alike.
+A first, coarse search compares blurred intensities. Decenter and tilt of a lens have nearly the same effect
+on its light; the search therefore uses directions in which the misfit has similar curvature.
 """
 
 from __future__ import annotations
@@ -45,21 +46,22 @@ Make = Callable[[Scene], Engine]
 Progress = Callable[[str, int, Placement, float], None]
 
 COARSE_BLUR_PIXELS = 8.0
-"""Of the coarse search: wider than the fringes at the border of the field stop's shadow."""
+"""Blur of the coarse search, wider than the fringes at the border of the field stop's shadow."""
 
 COARSE_MOUNTINGS = 8
-"""That the coarse search may try; it only has to come near."""
+"""Largest number of mountings in the coarse search, which only needs to come near."""
 
 LEAST_GAIN = 3e-3
-"""A search by derivatives ends when a step lowers the squared misfit by less than this share."""
+"""The fine search ends when a step reduces the squared misfit by less than this fraction."""
 
-DECENTER_REACH, TILT_REACH_DEG, DISTANCE_REACH = 0.1, 5.0, 0.02
-"""Farthest that is looked: decenters as a share of the lens's diameter, distances as a share of
-the object's."""
+DECENTER_RANGE, TILT_RANGE_DEG, DISTANCE_RANGE = 0.1, 5.0, 0.02
+"""Range of the search: decenters over the lens's diameter, tilts in deg, distances over that of the
+object.
+"""
 
 
 def eikonal_tiles(scene: Scene) -> Engine:
-    """The engine that calibration takes if none is named: eikonal tiles with an error of 0.1."""
+    """Return the default engine of a calibration: eikonal tiles with an error of at most 0.1."""
     return engine_for(scene, "eikonal", error=0.1)
 
 
@@ -77,78 +79,89 @@ def calibrate(
     most_mountings: int = 80,
     progress: Progress | None = None,
 ) -> Calibrated:
-    """Find how the lens is mounted.
+    """Find the mounting of the lens from frames of a known object.
 
     Parameters
     ----------
     scene
         The nominal lens and grids.
     illumination
-        On the nominal object grid, field stop included.
+        Field on the nominal object grid, with the field stop applied.
     recorded
-        One plane or more, at nominal distances from the exit grid.
+        Measured amplitudes of one or more planes, at nominal distances from the exit grid.
     known
         Transmission of the object.
     parameters
-        What is unknown, by the names of :func:`wavesim.sensor.mounting.parameter_names`.
+        Parameters to find; see :func:`wavesim.sensor.mounting.parameter_names`.
     scale, fill_factor
-        As of :func:`wavesim.reconstruct`.
+        See :func:`wavesim.reconstruct`.
     start
-        Where the search begins, and what holds for parameters that are not sought.
+        Mounting at which the search starts, and values of parameters that are not sought.
     make
-        Makes the engine of a scene.
+        Function that returns the engine of a scene.
     most_mountings
-        That are tried in the fine search.
+        Largest number of mountings in the fine search.
     progress
-        Called after each mounting tried with the search's name, its number, the mounting and its misfit.
+        Callback `progress(search, count, mounting, misfit)`, called after each mounting.
+
+    Returns
+    -------
+    Calibrated
+        The mounting, and the misfits of all mountings that were tried.
 
     Raises
     ------
     InputError
-        If a value or a shape is not usable, or no light gets through the lens at the start.
+        If a value or a shape is invalid, or no light passes the lens at the start.
     """
     validate_parameters(parameters, len(recorded))
     validate_whole_number("most_mountings", most_mountings, 1)
     if known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
-    seen = _Seen(scene, illumination, recorded, known, scale, fill_factor, make)
-    begin, rigid = start, tuple(name for name in parameters if name in RIGID)
+    problem = _MountingProblem(scene, illumination, recorded, known, scale, fill_factor, make)
+    fine_start, rigid = start, tuple(name for name in parameters if name in RIGID)
     if rigid:
-        coarse = _Trail("coarse", seen.shadows, start, rigid, progress)
-        begin = coarse.mounting(
-            coarse.search(_reach(scene.lens, rigid), min(most_mountings, COARSE_MOUNTINGS)).point
+        coarse_search = _MountingSearch("coarse", problem.blurred, start, rigid, progress)
+        fine_start = coarse_search.mounting(
+            coarse_search.search(
+                _search_range(scene.lens, rigid), min(most_mountings, COARSE_MOUNTINGS)
+            ).point
         )
-    fine = _Trail("fine", seen.frames, begin, tuple(parameters), progress)
-    reach = _reach(scene.lens, parameters)
-    found = fine.search(reach, most_mountings)
-    at_reach = tuple(n for n, v, r in zip(parameters, found.point, reach, strict=True) if abs(v) > 0.999 * r)
+    fine_search = _MountingSearch("fine", problem.frames, fine_start, tuple(parameters), progress)
+    search_range = _search_range(scene.lens, parameters)
+    found = fine_search.search(search_range, most_mountings)
+    at_reach = tuple(
+        n for n, v, r in zip(parameters, found.point, search_range, strict=True) if abs(v) > 0.999 * r
+    )
     return Calibrated(
-        bench=Bench(fine.mounting(found.point)),
+        bench=Bench(fine_search.mounting(found.point)),
         parameters=tuple(parameters),
         values=tuple(found.point.tolist()),
         deviations=None,
         typical=None,
-        misfit_before=seen.frames(start, ()).misfit,
-        misfit=found.size,
-        trail=tuple(fine.tried),
+        misfit_before=problem.frames(start, ()).misfit,
+        misfit=found.residual_norm,
+        trail=tuple(fine_search.trail),
         at_reach=at_reach,
         stopped_because=found.stopped_because,
         misfit_of_noise=noise_misfit(recorded),
     )
 
 
-def _reach(lens: Lens, parameters: Sequence[str]) -> Array:
-    """How far from the design each parameter is looked for."""
-    width = 2.0 * min(s.semi_diameter_mm or np.inf for s in lens.surfaces)
-    if not np.isfinite(width):
-        width = abs(lens.object_z_mm)
-    reach = dict.fromkeys(DECENTERS, DECENTER_REACH * width) | dict.fromkeys(TILTS, TILT_REACH_DEG)
-    return np.array([reach.get(name, DISTANCE_REACH * abs(lens.object_z_mm)) for name in parameters])
+def _search_range(lens: Lens, parameters: Sequence[str]) -> Array:
+    """Return the range of the search for each parameter."""
+    diameter_mm = 2.0 * min(s.semi_diameter_mm or np.inf for s in lens.surfaces)
+    if not np.isfinite(diameter_mm):
+        diameter_mm = abs(lens.object_z_mm)
+    search_range = dict.fromkeys(DECENTERS, DECENTER_RANGE * diameter_mm) | dict.fromkeys(
+        TILTS, TILT_RANGE_DEG
+    )
+    return np.array([search_range.get(name, DISTANCE_RANGE * abs(lens.object_z_mm)) for name in parameters])
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """The frames, and what is known of how they came about; fields as of :func:`calibrate`."""
+class _MountingProblem:
+    """Frames and known object; for the fields see :func:`calibrate`."""
 
     scene: Scene
     illumination: Field
@@ -158,12 +171,12 @@ class _Seen:
     fill_factor: float
     make: Make
 
-    def shadows(self, mounting: Placement, names: Sequence[str]) -> Response:
-        """Blurred."""
+    def blurred(self, mounting: Placement, names: Sequence[str]) -> Response:
+        """Return the response of blurred intensities."""
         return self._response(mounting, names, COARSE_BLUR_PIXELS)
 
     def frames(self, mounting: Placement, names: Sequence[str]) -> Response:
-        """As they are."""
+        """Return the response of the frames themselves."""
         return self._response(mounting, names, 0.0)
 
     def _response(self, mounting: Placement, names: Sequence[str], blur_pixels: float) -> Response:
@@ -186,8 +199,8 @@ class _Seen:
         )
 
 
-class _Trail:
-    """A search among mountings, and a trail of those tried."""
+class _MountingSearch:
+    """A search among mountings, with a record of all trials."""
 
     def __init__(
         self,
@@ -199,22 +212,24 @@ class _Trail:
     ) -> None:
         self.name, self.respond, self.start = name, respond, start
         self.parameters, self.progress = parameters, progress
-        self.tried: list[tuple[tuple[float, ...], float]] = []
+        self.trail: list[tuple[tuple[float, ...], float]] = []
 
     def mounting(self, point: Array) -> Placement:
         return with_values(self.start, self.parameters, list(point))
 
-    def search(self, reach: Array, most: int) -> Minimum:
-        """By the responses' own derivatives, which are those of the whole model."""
+    def search(self, search_range: Array, most_evaluations: int) -> Minimum:
+        """Search with the derivatives of the whole model."""
 
         def model(point: Array) -> tuple[RealArray, RealArray]:
             response = self.respond(self.mounting(point), self.parameters)
-            self._tell(point, response.misfit)
+            self._record(point, response.misfit)
             return response.residual, response.changes
 
-        return GaussNewton(model, values_of(self.start, self.parameters), reach).run(LEAST_GAIN, most)
+        return GaussNewton(model, values_of(self.start, self.parameters), search_range).run(
+            LEAST_GAIN, most_evaluations
+        )
 
-    def _tell(self, point: Array, misfit: float) -> None:
-        self.tried.append((tuple(point.tolist()), misfit))
+    def _record(self, point: Array, misfit: float) -> None:
+        self.trail.append((tuple(point.tolist()), misfit))
         if self.progress is not None:
-            self.progress(self.name, len(self.tried), self.mounting(point), misfit)
+            self.progress(self.name, len(self.trail), self.mounting(point), misfit)

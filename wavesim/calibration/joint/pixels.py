@@ -123,7 +123,7 @@ class Pixels(ABC):
         for n, parameter in enumerate(parameters):
             if self._is_carried(parameter):
                 result[n] = linear.of_exit(next(changes))
-            elif parameter.part == "light":
+            elif parameter.group == "light":
                 # Amplitude and phase of one mode go through the lens alike.
                 orders, change = light_orders(parameter.name), self.light_change(unknowns, parameter)
                 mode = light_mode(orders, change.shape)
@@ -183,7 +183,7 @@ class AllPixels(Pixels):
         )
 
     def _is_carried(self, parameter: Parameter) -> bool:
-        return parameter.part in ("lens", "mounting")
+        return parameter.group in ("lens", "mounting")
 
     def ray_slopes(
         self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]
@@ -301,7 +301,7 @@ class SomePixels(Pixels):
         return ForwardModel(operator, light, planes, self.scale, rows=self.rows)
 
     def _is_carried(self, parameter: Parameter) -> bool:
-        return parameter.part != "light" and not parameter.name.endswith("_background")
+        return parameter.group != "light" and not parameter.name.endswith("_background")
 
     def ray_slopes(self, unknowns: Unknowns, engine: Operator, parameters: Sequence[Parameter]) -> RaySlopes:
         assert isinstance(engine, TilesToPlanes)

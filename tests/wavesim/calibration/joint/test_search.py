@@ -167,9 +167,9 @@ def test_values_of_another_lens_are_refused(lens: Lens, tmp_path: Path, values: 
 def test_parameters_are_asked_for_by_part_or_name(lens: Lens) -> None:
     allowed = bench_parameters(lens, 2, 0.06, 0.532)
     assert chosen_parameters("all", allowed) == allowed
-    assert {p.part for p in chosen_parameters("light,camera", allowed)} == {"light", "camera"}
+    assert {p.group for p in chosen_parameters("light,camera", allowed)} == {"light", "camera"}
     assert [p.name for p in chosen_parameters("rigid", allowed)][:2] == ["decenter_x_mm", "decenter_y_mm"]
-    assert not any(p.part == "light" for p in bench_parameters(lens, 2, 0.06, 0.532, light_order=0))
+    assert not any(p.group == "light" for p in bench_parameters(lens, 2, 0.06, 0.532, light_order=0))
     with pytest.raises(InputError, match="each once"):
         chosen_parameters("lens,surface_1_index", allowed)
     with pytest.raises(InputError, match="did you mean light_tilt_"):
