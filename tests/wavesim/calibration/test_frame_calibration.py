@@ -66,7 +66,7 @@ def test_frames_without_an_object_tell_the_light(measured: Calibrated) -> None:
     assert measured.explained
     assert measured.deviations is not None
     for name, value, deviation in zip(measured.parameters, measured.values, measured.deviations, strict=True):
-        assert abs(value - TRUE.get(name, 0.0)) < 4.0 * deviation, (name, value, deviation)
+        assert abs(value - TRUE.get(name, 0.0)) < 3.0 * deviation, (name, value, deviation)
     told = dict(zip(measured.parameters, measured.values, strict=True))
     assert told["light_tilt_x_deg"] == pytest.approx(0.5, rel=0.05)
     assert told["light_tilt_y_deg"] == pytest.approx(-0.3, rel=0.05)
@@ -143,7 +143,7 @@ def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruct
     assert not any(found.applied.values())
     assert found.deviations is not None
     pulls = np.array(found.values) / np.array(found.deviations)
-    assert 0.4 < np.sqrt(np.mean(pulls**2)) < 1.6
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     bench = read_calibration(path, lens)
