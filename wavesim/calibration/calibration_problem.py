@@ -1,4 +1,4 @@
-"""A search for what a bench is like, among all parameters, which goes on where it was cut off."""
+"""A calibration from frames: its statement, and the resumable search among all parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.poses import Pose
 from wavesim.calibration.calibrated import Calibrated, traded
-from wavesim.calibration.joint.pixels import AllPixels, Pixels, pixels_apart, some_pixels, with_fast_shape
+from wavesim.calibration.joint.pixels import (
+    CalibrationPixels,
+    DensePixels,
+    padded_to_fast_shape,
+    pixel_spacing,
+    sparse_pixels,
+)
 from wavesim.calibration.joint.search import JointSearch, SearchState
 from wavesim.calibration.parameters import (
     LIGHT_ORDER,
@@ -39,10 +45,10 @@ from wavesim.sensor.measurement import noise_misfit
 from wavesim.sensor.recording import Progress
 from wavesim.sensor.windows import exit_scene, imaging_engine
 
-HELD = 5
-"""Arrays as large as all parameters' changes of all pixels that a search holds at its end."""
+ARRAYS_PER_PARAMETER = 5
+"""Arrays of the size of all pixels per parameter that exist at the end of a search."""
 
-NOT_TELLING = {
+IGNORED_SETTINGS = {
     "patch_mm",
     "field_stop_mm",
     "field_stop_at_mm",
@@ -51,11 +57,34 @@ NOT_TELLING = {
     "illumination",
     "most_mountings",
 }
-"""Settings that a trail does not depend on, or that the light has in it already."""
+"""Settings that do not affect a search, or that affect it only through the light."""
 
 
-class Seen:
-    """Frames, what was set, and the engines that searches take."""
+class CalibrationProblem:
+    """Frames, settings, and the engines of a calibration.
+
+    Parameters
+    ----------
+    lens
+        The nominal lens.
+    frames
+        Frames of one or more planes.
+    settings
+        Settings of the calibration.
+    priors
+        Expected standard deviations by parameter, where they differ from the usual ones.
+
+    Attributes
+    ----------
+    pixels : CalibrationPixels
+        Pixels that the search uses.
+    scene : Scene
+        Nominal scene to the pixels of the nearest plane.
+    recorded : tuple of Measurement
+        Measured planes.
+    start : Placement
+        Nominal mounting.
+    """
 
     def __init__(
         self,
@@ -69,39 +98,54 @@ class Seen:
         self.recorded = tuple(recorded_planes(frames))
         self.scene = exit_scene(lens, framed.patch, framed.sensor, framed.planes_mm[0])
         self.start = Placement(Pose(pivot_z_mm=settings.pivot_z_mm))
-        self._behind = light_of_frames(self.scene, framed.frames, framed.light)
-        self._made: dict[str, Engine] = {}
+        self._light = light_of_frames(self.scene, framed.frames, framed.light)
+        self._engines: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
-        told = settings.scale, settings.fill_factor, self.make
-        some, apart = None, pixels_apart(framed.patch, self.scene)
-        if apart > 1 and settings.engine == EikonalTiles.name:
-            every = AllPixels(self.scene, light, self.recorded, *told)
-            some = some_pixels(every, framed.frames, apart)
-        scene, recorded = with_fast_shape(self.scene, self.recorded)
-        self.pixels: Pixels = some or AllPixels(scene, light, recorded, *told)
+        pixel_settings = settings.scale, settings.fill_factor, self.make
+        sparse, spacing = None, pixel_spacing(framed.patch, self.scene)
+        if spacing > 1 and settings.engine == EikonalTiles.name:
+            dense = DensePixels(self.scene, light, self.recorded, *pixel_settings)
+            sparse = sparse_pixels(dense, framed.frames, spacing)
+        scene, recorded = padded_to_fast_shape(self.scene, self.recorded)
+        self.pixels: CalibrationPixels = sparse or DensePixels(scene, light, recorded, *pixel_settings)
 
     def make(self, scene: Scene) -> Engine:
-        """The same scene is asked for more than once in a row."""
+        """Return the engine of a scene; the last one is stored, because scenes are often requested twice in
+        a row.
+        """
         key = repr(scene)
-        if key not in self._made:
-            self._made.clear()
-            self._made[key] = imaging_engine(
-                scene, self.settings, runs=2 * self.settings.iterations, light=self._behind.on(scene)
+        if key not in self._engines:
+            self._engines.clear()
+            self._engines[key] = imaging_engine(
+                scene, self.settings, runs=2 * self.settings.iterations, light=self._light.on(scene)
             )
-        return self._made[key]
+        return self._engines[key]
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Parameters of the light, which an object that is complex itself takes on; none of an amplitude."""
+        """Parameters of the light that a complex object can imitate; none for an amplitude object."""
         if self.settings.kind == "amplitude":
             return ()
-        sought = {p.name for p in self.parameters()}
+        names_sought = {p.name for p in self.parameters()}
         light = self.parameters("all", light_order=LIGHT_ORDER)
-        return tuple(p.name for p in light if p.group == "light" and p.name not in sought)
+        return tuple(p.name for p in light if p.group == "light" and p.name not in names_sought)
 
     def parameters(self, text: str | None = None, light_order: int | None = None) -> tuple[Parameter, ...]:
-        """Those that are asked for, of all that may be sought."""
-        patch, asked = self.framed.patch, text or self.settings.parameters
+        """Return the requested parameters with their priors.
+
+        Parameters
+        ----------
+        text
+            Names or groups; default: those of the settings.
+        light_order
+            Highest sum of orders of the light's modes; default: by the kind of object.
+
+        Raises
+        ------
+        SettingError
+            If a name is unknown, or not possible with this kind of object.
+        """
+        patch, requested = self.framed.patch, text or self.settings.parameters
         side_mm = patch.grid.shape[0] * patch.grid.pitch_mm
         if light_order is None:
             light_order = LIGHT_ORDER if self.settings.kind == "amplitude" else 0
@@ -109,76 +153,85 @@ class Seen:
             self.lens, len(self.framed.planes_mm), side_mm, patch.wavelength_um, light_order=light_order
         )
         try:
-            chosen = chosen_parameters(asked, allowed)
+            chosen = chosen_parameters(requested, allowed)
         except InputError as error:
-            hint = "; beside a complex object no light is sought: {kind} amplitude" * (not light_order)
-            raise SettingError(f"{{parameters}} = {asked!r}: {error}{hint}") from None
+            hint = "; with a complex object no light is sought: use {kind} amplitude" * (not light_order)
+            raise SettingError(f"{{parameters}} = {requested!r}: {error}{hint}") from None
         return with_priors(chosen, self.priors, all_names(self.lens))
 
 
-def searched(
-    seen: Seen,
+def search_bench(
+    problem: CalibrationProblem,
     parameters: tuple[Parameter, ...],
-    begin: Unknowns,
-    kept_in: Path | None,
-    tell: Progress,
+    start: Unknowns,
+    checkpoint_path: Path | None,
+    progress: Progress,
     known: NDArray[Any] | None = None,
 ) -> Calibrated:
-    """What frames tell of a bench, of an object that is known, or together with it.
+    """Search for the parameters of a bench, with a known object or together with the object.
 
     Parameters
     ----------
-    seen
-        The frames.
+    problem
+        Statement of the calibration.
     parameters
-        What is sought.
-    begin
-        Where the search begins, and what holds for the rest.
-    kept_in
-        File that keeps what was tried.
-    tell
-        Told how far it is.
+        Parameters that are sought.
+    start
+        Start of the search, with values of all other parameters.
+    checkpoint_path
+        File of the search's state; None disables it.
+    progress
+        Callback `progress(stage, completed, total)`.
     known
         Transmission of the object where it is known.
+
+    Returns
+    -------
+    Calibrated
+        The bench, estimates and their covariance.
 
     Raises
     ------
     InputError
-        What the model raises where the search begins.
+        If the model raises it at the start of the search.
     MemoryLimitError
-        If what the parameters do to all pixels takes more memory than is free.
+        If the derivatives of all pixels need more memory than is available.
     KeyboardInterrupt
-        Saying what is kept.
+        If the search is interrupted; the message says what was saved.
     """
-    settings, light = seen.settings, seen.framed.light
-    _refuse_too_large(len(parameters), seen)
-    told = settings.model_dump_json(exclude=NOT_TELLING)
-    key = key_of_frames(seen.lens, seen.framed.frames, light, told, repr((dict(begin.values), parameters)))
-    run = _Run(
-        begin,
+    settings, light = problem.settings, problem.framed.light
+    _check_memory(len(parameters), problem)
+    settings_json = settings.model_dump_json(exclude=IGNORED_SETTINGS)
+    key = key_of_frames(
+        problem.lens, problem.framed.frames, light, settings_json, repr((dict(start.values), parameters))
+    )
+    run = _SearchRecord(
+        start,
         tuple(p.name for p in parameters),
-        None if kept_in is None else Checkpoint(kept_in, key),
+        None if checkpoint_path is None else Checkpoint(checkpoint_path, key),
     )
     what = "the frames as designed" if known is None else "the frames without an object"
-    tell(what, 0, settings.most_mountings)
-    noise = noise_misfit(seen.pixels.recorded)
+    progress(what, 0, settings.most_mountings)
+    noise = noise_misfit(problem.pixels.recorded)
     search = JointSearch(
-        seen.pixels,
+        problem.pixels,
         settings.kind,
         parameters,
         settings.iterations,
         settings.most_mountings,
         noise,
         known,
-        lambda number, _, misfit: tell(_misfit_told(misfit, noise), number, settings.most_mountings),
-        run.keep,
+        lambda number, _, misfit: progress(_misfit_text(misfit, noise), number, settings.most_mountings),
+        run.save,
     )
     try:
         with one_blas_thread():
-            found = search.run(run.begun())
+            found = search.run(run.initial_state())
     except KeyboardInterrupt:
-        told = "the same command goes on from there" if run.kept and kept_in else "nothing was written"
-        raise KeyboardInterrupt(f"interrupted after {run.kept} mountings; {told}") from None
+        outcome = (
+            "the same command goes on from there" if run.saved and checkpoint_path else "nothing was written"
+        )
+        raise KeyboardInterrupt(f"interrupted after {run.saved} mountings; {outcome}") from None
     return Calibrated(
         bench=found.unknowns.bench,
         parameters=run.names,
@@ -194,54 +247,57 @@ def searched(
         covariance=found.covariance,
         traded=traded(run.names, found.covariance),
         nominal=tuple(name for name, is_needed in zip(run.names, found.needed, strict=True) if not is_needed),
-        undetermined=seen.undetermined if known is None else (),
+        undetermined=problem.undetermined if known is None else (),
         applied=dict(zip(run.names, found.unknowns.of(run.names).tolist(), strict=True)),
     )
 
 
-def _refuse_too_large(count: int, seen: Seen) -> None:
-    """Refuse what memory does not hold: the change of each pixel with each parameter, `HELD` times over."""
-    pixels = sum(plane.amplitude.size for plane in seen.pixels.recorded)
-    needed, free = HELD * count * pixels * np.dtype(np.float32).itemsize, memory_limit(None)
-    if needed > free:
+def _check_memory(count: int, problem: CalibrationProblem) -> None:
+    """Check that the derivatives of all pixels fit in memory."""
+    pixels = sum(plane.amplitude.size for plane in problem.pixels.recorded)
+    needed_bytes, free_bytes = (
+        ARRAYS_PER_PARAMETER * count * pixels * np.dtype(np.float32).itemsize,
+        memory_limit(None),
+    )
+    if needed_bytes > free_bytes:
         raise MemoryLimitError(
-            f"to seek {count} parameters in {pixels} pixels takes {1e-9 * needed:.3g} GB, and "
-            f"{1e-9 * free:.3g} GB are allowed: seek fewer of them (parameters), or in a smaller window of "
-            "the frames"
+            f"a search for {count} parameters in {pixels} pixels needs {1e-9 * needed_bytes:.3g} GB, and "
+            f"{1e-9 * free_bytes:.3g} GB are allowed: seek fewer parameters, or use a smaller "
+            "window of the frames"
         )
 
 
-def _misfit_told(misfit: float, noise: float | None) -> str:
+def _misfit_text(misfit: float, noise: float | None) -> str:
     return f"misfit {misfit:.4f}" if noise is None else f"misfit {misfit / noise:.2f} times the noise"
 
 
-class _Run:
-    """What a search has come to, and its file."""
+class _SearchRecord:
+    """The state of a search, and its checkpoint."""
 
     def __init__(self, start: Unknowns, names: tuple[str, ...], checkpoint: Checkpoint | None) -> None:
         self._start, self.names, self._checkpoint = start, names, checkpoint
-        self.kept = 0
+        self.saved = 0
 
-    def begun(self) -> SearchState:
-        """Where an earlier run was cut off, or the start."""
-        kept = None if self._checkpoint is None else self._checkpoint.load()
-        if kept is None:
+    def initial_state(self) -> SearchState:
+        """Return the state of an interrupted search, or the start."""
+        saved = None if self._checkpoint is None else self._checkpoint.load()
+        if saved is None:
             return SearchState(self._start)
-        self.kept = len(kept["misfits"])
-        rows = zip(kept["values"].tolist(), kept["misfits"].tolist(), strict=True)
+        self.saved = len(saved["misfits"])
+        rows = zip(saved["values"].tolist(), saved["misfits"].tolist(), strict=True)
         trail = tuple((self._start.changed(self.names, values), misfit) for values, misfit in rows)
-        here = self._start.changed(self.names, kept["here"].tolist())
-        return SearchState(here, int(kept["stage"]), float(kept["stretch"]), trail)
+        current = self._start.changed(self.names, saved["here"].tolist())
+        return SearchState(current, int(saved["stage"]), float(saved["stretch"]), trail)
 
-    def keep(self, stand: SearchState) -> None:
-        """After each step."""
-        self.kept = len(stand.trail)
+    def save(self, state: SearchState) -> None:
+        """Save the state after a step."""
+        self.saved = len(state.trail)
         if self._checkpoint is None:
             return
         self._checkpoint.keep(
-            here=stand.unknowns.of(self.names),
-            values=[unknowns.of(self.names) for unknowns, _ in stand.trail],
-            misfits=[misfit for _, misfit in stand.trail],
-            stage=stand.stage,
-            stretch=stand.stretch,
+            here=state.unknowns.of(self.names),
+            values=[unknowns.of(self.names) for unknowns, _ in state.trail],
+            misfits=[misfit for _, misfit in state.trail],
+            stage=state.stage,
+            stretch=state.stretch,
         )

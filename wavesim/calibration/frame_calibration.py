@@ -1,4 +1,4 @@
-"""What a bench is like, from frames and a design, in one call."""
+"""Calibration of a bench from frames and a design, in one call."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from wavesim.calibration.calibrated import Calibrated
-from wavesim.calibration.calibration_problem import Seen, searched
+from wavesim.calibration.calibration_problem import CalibrationProblem, search_bench
 from wavesim.calibration.known_object import calibrate
 from wavesim.calibration.parameters import LIGHT_ORDER_ALONE, Unknowns
 from wavesim.fields.field import Field
@@ -22,7 +22,7 @@ from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, PlaneResidual, 
 from wavesim.reconstruction.field_stop import StopSearch
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
-from wavesim.reconstruction.linearised import Linearised
+from wavesim.reconstruction.linear_model import LinearModel
 from wavesim.reconstruction.problem import validate_frames
 from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
 from wavesim.scene.bench import Bench, LightErrors
@@ -39,9 +39,10 @@ from wavesim.sensor.mounting import RIGID, light_on, parameter_names, planes_at,
 from wavesim.sensor.recording import Progress
 from wavesim.targets.patch import lit, lit_patch, read_object
 
-SEEN_OVER_NOISE, SEEN = 4.0, 0.2
-"""What a smooth light leaves of frames that saw an object: times the noise, or, where there is much of that,
-a share of the amplitude beside it."""
+OBJECT_OVER_NOISE, OBJECT_FRACTION = 4.0, 0.2
+"""Misfit of a smooth light above which empty frames contain an object: over the noise, and as a fraction of
+the amplitude beyond the noise.
+"""
 
 
 class EmptyWarning(UserWarning):
@@ -61,60 +62,65 @@ def calibrate_frames(
     judges: bool = True,
     **changes: Any,
 ) -> Calibrated:
-    """Find what the bench is like: light, lens, mounting and camera.
+    """Calibrate a bench: light, lens, mounting and camera.
 
-    It is the one with which frames and reconstruction agree best; :func:`wavesim.reconstruct_frames` takes
-    it. Frames of a known object tell the mounting alone.
+    The result is the bench for which frames and reconstruction agree best;
+    :func:`wavesim.reconstruct_frames` accepts it. Frames of a known object determine the mounting only.
 
     Parameters
     ----------
     lens
         The nominal lens.
     frames
-        One or more of each plane, as :func:`wavesim.image` or :func:`wavesim.read_frames` gives them.
+        One or more frames of each plane, from :func:`wavesim.image` or :func:`wavesim.read_frames`.
     settings
-        All that may be set; defaults if left out.
+        All settings; default: `CalibrationSettings()`.
     known
-        Transmission of the object on the patch's samples, where it is known, or its file or folder.
+        Transmission of a known object on the patch's samples, or its file or folder.
     empty
-        Frames of the same planes without an object. The light is what they tell
-        (:func:`calibrate_empty`), and the search for the rest goes on from there.
+        Frames of the same planes without an object. They determine the light (:func:`calibrate_empty`), and
+        the search for other parameters starts from there.
     priors
-        Standard deviations of parameters, by their names, where more is known of lens or bench than is usual:
-        from a tolerance study by :func:`tolerancing.study.calibration_priors`.
+        Standard deviations of parameters by name, where more is known than for a usual bench;
+        :func:`tolerancing.study.calibration_priors` takes them from a tolerance study.
     folder
-        Where what was tried is kept, so that a search which was cut off goes on with the same call.
+        Folder of the checkpoint; the same call continues an interrupted search.
     progress
-        Told what is done, how many mountings are tried, and the most that will be.
+        Callback `progress(stage, completed, total)` with the number of benches.
     judges
-        Whether the object is reconstructed on the bench found, as :func:`wavesim.reconstruct_frames` does it
-        with the same settings, and its verdict stated. A known object is judged by itself, without that.
+        Whether the object is reconstructed on the bench found, by :func:`wavesim.reconstruct_frames` with
+        the same settings, to state the verdict. With a known object the verdict needs no reconstruction.
     **changes
-        Settings by name, in place of those of `settings`.
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    Calibrated
+        The bench, the estimates, and the verdict.
 
     Raises
     ------
     InputError, SamplingError
-        If a value is not usable, no light gets through the lens, or empty frames saw an object.
+        If a value is invalid, no light passes the lens, or empty frames contain an object.
     KeyboardInterrupt
-        Saying what is kept.
+        If the search is interrupted; the message says what was saved.
 
     Warns
     -----
     EmptyWarning
-        If empty frames are not quite explained.
+        If empty frames are not fully explained.
     """
-    chosen = (settings or CalibrationSettings()).replaced(**changes)
-    validate_frames(lens, frames, chosen)
-    tell = progress or (lambda what, done, count: None)
-    settings = _with_stop(lens, frames, chosen, tell)
-    found = _calibrated(lens, frames, settings, known, empty, priors, folder, tell, judges)
+    requested_settings = (settings or CalibrationSettings()).replaced(**changes)
+    validate_frames(lens, frames, requested_settings)
+    progress = progress or (lambda what, done, count: None)
+    settings = _with_stop(lens, frames, requested_settings, progress)
+    found = _calibrated(lens, frames, settings, known, empty, priors, folder, progress, judges)
     patch = lit_patch(lens, settings, frames[0].settings.wavelength_um)[0]
     found = replace(
         found,
         field_stop_mm=patch.field_stop_mm,
         field_stop_at_mm=patch.field_stop_at_mm,
-        field_stop_from=chosen.field_stop_from,
+        field_stop_from=requested_settings.field_stop_from,
     )
     if found.verdict is None or not found.stop_doubt:
         return found
@@ -122,22 +128,22 @@ def calibrate_frames(
 
 
 def _with_stop(
-    lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, tell: Progress
+    lens: Lens, frames: Sequence[Frame], settings: CalibrationSettings, progress: Progress
 ) -> CalibrationSettings:
-    """Settings that state the field stop, which is found first where they ask for that."""
+    """Return settings with a stated field stop, which is found first if requested."""
     if settings.field_stop != "find":
         return settings
-    seen = Seen(lens, frames, settings)
-    patch = seen.framed.patch
+    problem = CalibrationProblem(lens, frames, settings)
+    patch = problem.framed.patch
     search = StopSearch(
-        seen.make(seen.scene),
-        seen.recorded,
+        problem.make(problem.scene),
+        problem.recorded,
         lambda stop: lit(patch.with_stop(*stop), settings),
         lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
         settings.fill_factor,
-        progress=lambda text: tell(text, 0, 0),
+        progress=lambda text: progress(text, 0, 0),
     )
     return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
 
@@ -150,29 +156,32 @@ def _calibrated(
     empty: Sequence[Frame] | None,
     priors: Mapping[str, float] | None,
     folder: Path | None,
-    tell: Progress,
+    progress: Progress,
     judges: bool,
 ) -> Calibrated:
-    """The bench behind a field stop that is stated."""
-    seen = Seen(lens, frames, settings, priors)
+    """Return the bench for a stated field stop."""
+    problem = CalibrationProblem(lens, frames, settings, priors)
     if known is not None:
         if empty is not None or priors is not None:
             other = "empty" if priors is None else "priors"
             raise SettingError(f"{{known}}, {{{other}}}: give one of them")
-        known = read_object(known, seen.framed.patch) if isinstance(known, Path) else known
-        return _of_known_object(seen, _mounting_alone(seen, known, tell), known)
-    begin, kept_in = Unknowns(lens, Bench(seen.start)), None if folder is None else folder / CHECKPOINT
+        known = read_object(known, problem.framed.patch) if isinstance(known, Path) else known
+        return _with_verdict_of_known_object(problem, _calibrate_mounting(problem, known, progress), known)
+    start, checkpoint_path = (
+        Unknowns(lens, Bench(problem.start)),
+        None if folder is None else folder / CHECKPOINT,
+    )
     if empty is None:
-        found = searched(seen, seen.parameters(), begin, kept_in, tell)
-        return _judged(lens, frames, settings, found, tell) if judges else found
+        found = search_bench(problem, problem.parameters(), start, checkpoint_path, progress)
+        return _with_verdict(lens, frames, settings, found, progress) if judges else found
     validate_same_frames(empty, frames)
-    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=tell)
-    rest = tuple(p for p in seen.parameters(light_order=0) if p.name in measured.parameters)
-    if not rest:
-        return _judged(lens, frames, settings, measured, tell) if judges else measured
-    begin = begin.changed(measured.parameters, list((measured.applied or {}).values()))
-    found = _with_light_of(measured, searched(seen, rest, begin, kept_in, tell))
-    return _judged(lens, frames, settings, found, tell) if judges else found
+    measured = calibrate_empty(lens, empty, settings, priors=priors, folder=folder, progress=progress)
+    remaining = tuple(p for p in problem.parameters(light_order=0) if p.name in measured.parameters)
+    if not remaining:
+        return _with_verdict(lens, frames, settings, measured, progress) if judges else measured
+    start = start.changed(measured.parameters, list((measured.applied or {}).values()))
+    found = _with_light(measured, search_bench(problem, remaining, start, checkpoint_path, progress))
+    return _with_verdict(lens, frames, settings, found, progress) if judges else found
 
 
 def calibrate_empty(
@@ -186,86 +195,96 @@ def calibrate_empty(
     progress: Progress | None = None,
     **changes: Any,
 ) -> Calibrated:
-    """Find the light, and what else is asked for, from frames without an object.
+    """Find the light, and other requested parameters, from frames without an object.
 
-    The light is smooth: of its amplitude and phase, modes up to the fourth order are found.
+    The light is smooth: modes of its amplitude and phase up to the fourth order are found.
 
     Parameters
     ----------
     lens, settings, priors, folder, progress, **changes
-        As of :func:`calibrate_frames`.
+        See :func:`calibrate_frames`.
     empty
-        The frames.
+        Frames without an object.
     start
-        Lens, mounting and camera, as far as they are not sought; its light is left out.
+        Lens, mounting and camera as far as they are not sought; its light is ignored.
+
+    Returns
+    -------
+    Calibrated
+        The light and the bench.
 
     Raises
     ------
     InputError, SamplingError
-        As of :func:`calibrate_frames`.
+        If a value is invalid, no light passes the lens, or the frames contain an object.
 
     Warns
     -----
     EmptyWarning
-        If the frames are not quite explained.
+        If the frames are not fully explained.
     """
     settings = (settings or CalibrationSettings()).replaced(**changes)
     validate_frames(lens, empty, settings)
-    seen = Seen(lens, empty, settings, priors)
-    tell = progress or (lambda what, done, count: None)
-    everything = seen.parameters("all", light_order=LIGHT_ORDER_ALONE)
-    asked = seen.parameters(light_order=LIGHT_ORDER_ALONE)
-    sought = tuple(p for p in everything if p.group == "light" or p in asked)
-    begin = Unknowns(lens, replace(start or Bench(seen.start), light=LightErrors()))
-    kept_in = None if folder is None else folder / EMPTY_CHECKPOINT
-    known = np.ones(seen.framed.light.grid.shape, np.float32)
-    found = searched(seen, sought, begin, kept_in, tell, known)
-    found = _of_known_object(seen, found, seen.framed.light.with_values(known))
-    noise, over = found.misfit_of_noise or 0.0, found.over_noise or 0.0
-    if over > SEEN_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > SEEN:
-        if kept_in is not None:
-            kept_in.unlink(missing_ok=True)
+    problem = CalibrationProblem(lens, empty, settings, priors)
+    progress = progress or (lambda what, done, count: None)
+    everything = problem.parameters("all", light_order=LIGHT_ORDER_ALONE)
+    requested = problem.parameters(light_order=LIGHT_ORDER_ALONE)
+    parameters_sought = tuple(p for p in everything if p.group == "light" or p in requested)
+    unknowns = Unknowns(lens, replace(start or Bench(problem.start), light=LightErrors()))
+    checkpoint_path = None if folder is None else folder / EMPTY_CHECKPOINT
+    known = np.ones(problem.framed.light.grid.shape, np.float32)
+    found = search_bench(problem, parameters_sought, unknowns, checkpoint_path, progress, known)
+    found = _with_verdict_of_known_object(problem, found, problem.framed.light.with_values(known))
+    noise, over_noise = found.misfit_of_noise or 0.0, found.over_noise or 0.0
+    if over_noise > OBJECT_OVER_NOISE or math.sqrt(max(found.misfit**2 - noise**2, 0.0)) > OBJECT_FRACTION:
+        if checkpoint_path is not None:
+            checkpoint_path.unlink(missing_ok=True)
         raise SettingError(
-            f"{{empty}}: a smooth light leaves {over:.1f} times the noise of these frames: must be frames "
-            "without an object, through this lens" + _HINT * (len(asked) < len(everything))
+            f"{{empty}}: a smooth light leaves {over_noise:.1f} times the noise of these frames: "
+            "must be frames without an object, through this lens" + _HINT * (len(requested) < len(everything))
         )
     if not found.explained:
         warnings.warn(
-            f"frames without an object: a smooth light leaves {over:.1f} times the noise, so that it is "
-            "known no better",
+            f"frames without an object: a smooth light leaves {over_noise:.1f} times the noise, which limits "
+            "the accuracy of the light",
             EmptyWarning,
             stacklevel=2,
         )
     return found
 
 
-_HINT = "; where lens or camera are not as designed, all that differs is sought by `wavesim calibrate`"
+_HINT = "; if lens or camera differ from the design, `wavesim calibrate` can find these parameters"
 
 
 def validate_same_frames(empty: Sequence[Frame], frames: Sequence[Frame]) -> None:
-    """Refuse frames without an object that are not of the light, the pixels and the planes of the object's.
+    """Check that frames without an object have the wavelength, the pixels and the planes of the object's
+    frames.
 
     Raises
     ------
     InputError
-        Naming what differs.
+        If they differ; the message names the difference.
     """
     for name in ("wavelength_um", "pixel_pitch_um"):
-        one, other = (getattr(some[0].settings, name) for some in (empty, frames))
-        if not math.isclose(one, other, rel_tol=1e-6):
+        empty_value, frames_value = (getattr(frame_set[0].settings, name) for frame_set in (empty, frames))
+        if not math.isclose(empty_value, frames_value, rel_tol=1e-6):
             raise SettingError(
-                f"{{empty}}: {name} = {one:g}; that of the object's frames is {other:g}: must be the same"
+                f"{{empty}}: {name} = {empty_value:g}; that of the object's frames is "
+                f"{frames_value:g}: must be the same"
             )
-    here, there = ([plane.distance_mm for plane in planes_of_frames(some)] for some in (empty, frames))
-    if not (len(here) == len(there) and np.allclose(here, there, rtol=1e-6, atol=0.0)):
-        said, wanted = (", ".join(f"{z:g}" for z in planes) for planes in (here, there))
+    empty_mm, frames_mm = (
+        [plane.distance_mm for plane in planes_of_frames(frame_set)] for frame_set in (empty, frames)
+    )
+    if not (len(empty_mm) == len(frames_mm) and np.allclose(empty_mm, frames_mm, rtol=1e-6, atol=0.0)):
+        empty_text, frames_text = (", ".join(f"{z:g}" for z in planes) for planes in (empty_mm, frames_mm))
         raise SettingError(
-            f"{{empty}}: planes at {said} mm; the object's frames have {wanted} mm: must be the same"
+            f"{{empty}}: planes at {empty_text} mm; the object's frames have {frames_text} mm: "
+            "must be the same"
         )
 
 
-def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
-    """What was found, with the light that empty frames tell in front."""
+def _with_light(measured: Calibrated, found: Calibrated) -> Calibrated:
+    """Return a result, with the light from empty frames in front."""
     assert measured.deviations is not None
     assert measured.typical is not None
     assert found.deviations is not None
@@ -287,59 +306,61 @@ def _with_light_of(measured: Calibrated, found: Calibrated) -> Calibrated:
     )
 
 
-def _judged(
+def _with_verdict(
     lens: Lens,
     frames: Sequence[Frame],
     settings: CalibrationSettings,
     found: Calibrated,
     progress: Progress | None,
 ) -> Calibrated:
-    """The same with the verdict of a reconstruction, which alone says whether frames are explained."""
-    given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
-    judged = reconstruct_frames(
-        lens, frames, ReconstructionSettings(**given), calibration=found.bench, progress=progress
+    """Return the result with the verdict of a reconstruction."""
+    settings_given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
+    reconstruction = reconstruct_frames(
+        lens, frames, ReconstructionSettings(**settings_given), calibration=found.bench, progress=progress
     )
-    return replace(found, verdict=judged.verdict)
+    return replace(found, verdict=reconstruction.verdict)
 
 
-def _of_known_object(seen: Seen, found: Calibrated, known: Field) -> Calibrated:
-    """The same with the verdict of what a known object leaves of the frames on the bench found."""
-    bench, settings = found.bench, seen.settings
-    engine = seen.make(placed_scene(seen.scene, bench.placement))
-    light, planes = light_on(seen.framed.light, bench), planes_at(seen.recorded, bench)
+def _with_verdict_of_known_object(problem: CalibrationProblem, found: Calibrated, known: Field) -> Calibrated:
+    """Return the result with the verdict for a known object on the bench found."""
+    bench, settings = found.bench, problem.settings
+    engine = problem.make(placed_scene(problem.scene, bench.placement))
+    light, planes = light_on(problem.framed.light, bench), planes_at(problem.recorded, bench)
     model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
     if settings.scale is None:
-        model.scale = Linearised(model, np.asarray(known.values), True).scale
+        model.scale = LinearModel(model, np.asarray(known.values), True).scale
     nothing = np.zeros(0, np.intp)
     residuals = [
-        PlaneResidual(plane.distance_mm, plane.amplitude, sigma, own - plane.amplitude, nothing, np.zeros(0))
-        for plane, own in zip(planes, model.amplitudes(np.asarray(known.values)), strict=True)
+        PlaneResidual(
+            plane.distance_mm, plane.amplitude, sigma, modelled - plane.amplitude, nothing, np.zeros(0)
+        )
+        for plane, modelled in zip(planes, model.amplitudes(np.asarray(known.values)), strict=True)
         if (sigma := plane.sigma) is not None
     ]
     return replace(found, verdict=verdict(residuals) if residuals else None)
 
 
-def _mounting_alone(seen: Seen, known: Field, tell: Progress) -> Calibrated:
-    settings = seen.settings
+def _calibrate_mounting(problem: CalibrationProblem, known: Field, progress: Progress) -> Calibrated:
+    settings = problem.settings
     return calibrate(
-        seen.scene,
-        seen.framed.light,
-        seen.recorded,
+        problem.scene,
+        problem.framed.light,
+        problem.recorded,
         known=known,
-        parameters=_named(settings.parameters, parameter_names(len(seen.framed.planes_mm))),
+        parameters=_chosen_names(settings.parameters, parameter_names(len(problem.framed.planes_mm))),
         scale=settings.scale,
         fill_factor=settings.fill_factor,
-        start=seen.start,
-        make=seen.make,
+        start=problem.start,
+        make=problem.make,
         most_mountings=settings.most_mountings,
-        progress=lambda name, number, _, misfit: tell(
-            f"{name} search: misfit {misfit:.4f}", number, settings.most_mountings
+        progress=lambda name, count, _, misfit: progress(
+            f"{name} search: misfit {misfit:.4f}", count, settings.most_mountings
         ),
     )
 
 
-def _named(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
-    """Parameters asked for."""
+def _chosen_names(text: str, allowed: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the requested parameters."""
     groups = {"rigid": RIGID, "all": allowed}
     names = groups.get(text) or tuple(part.strip() for part in text.split(",") if part.strip())
     try:

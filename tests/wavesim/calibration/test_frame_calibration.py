@@ -16,7 +16,7 @@ from lensdesign.lens.lens import Lens
 from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
-from wavesim.calibration.joint.pixels import SomePixels
+from wavesim.calibration.joint.pixels import SparsePixels
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.bench import Bench, LightErrors
@@ -116,12 +116,12 @@ def test_of_a_small_patch_some_pixels_are_enough(monkeypatch: pytest.MonkeyPatch
     frames = image(lens, "star", placement=bench, exposures=(1.0, 30.0, 1000.0), **small).frames
     taken: list[int] = []
 
-    def spied(self: SomePixels, *given: Any) -> ForwardModel:
+    def spied(self: SparsePixels, *given: Any) -> ForwardModel:
         taken.append(self.recorded[0].amplitude.shape[0])
         return model(self, *given)
 
-    model = SomePixels.model
-    monkeypatch.setattr(SomePixels, "model", spied)
+    model = SparsePixels.model
+    monkeypatch.setattr(SparsePixels, "model", spied)
     names = "plane_2_shift_x_um,plane_2_shift_y_um"
     found = calibrate_frames(lens, frames, parameters=names, most_mountings=8, iterations=4, **small)
     assert set(taken) == {taken[0]}

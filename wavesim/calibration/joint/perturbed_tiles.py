@@ -1,9 +1,12 @@
-"""How rays behind a slightly different lens, or on a sensor that sits elsewhere, differ from a tile's.
+"""Eikonal tiles of a lens or sensor pose that differs slightly from that of given tiles.
 
-A ray's path is stationary: to first order a change of the lens changes the path from an object point to a
-sensor point by what the changed lens's rays show there, and nothing else. A tile's field is multiplied by
-i k times that of its centre; away from it the path changes by the change of the direction in which rays leave
-the object, times the distance from the centre.
+The optical path of a ray is stationary. To first order, a change of the lens changes the path from an object
+point to a sensor point by the path difference of the changed lens's rays, and by nothing else. The field of
+a tile is multiplied by the phasor of this change at the tile's center. Away from the center, the path
+changes by the change of the direction in which rays leave the object, times the distance from the center.
+
+The same holds for a sensor that is slightly off the grid of the tiles. This takes a hundredth of the time of
+new tiles. Amplitudes, and the path of a tile beyond its first order, stay unchanged.
 """
 
 from __future__ import annotations
@@ -29,13 +32,13 @@ from wavesim.scene.engine import Cost, Engine, ErrorTerm, Operator
 from wavesim.scene.scene import Scene
 
 ORDER = 10
-"""Of the polynomials through changes of path, which are smooth."""
+"""Order of the polynomials that fit changes of the path, which are smooth."""
 
 
 class SensorPose(NamedTuple):
-    """How a sensor sits off the grid of an engine: farther along z, aside, and tilted about its middle.
+    """Pose of a sensor relative to the grid of an engine: distance along z, lateral shift, and tilt.
 
-    Tilts are those of :class:`wavesim.scene.Placement`.
+    Tilts follow the convention of :class:`wavesim.scene.Placement`.
     """
 
     distance_mm: float = 0.0
@@ -51,29 +54,29 @@ def ray_changes(
     tile: Tile,
     carrier: RayMap,
     grid: Grid,
-    seat: SensorPose = ON_GRID,
-    before: SmoothMap | None = None,
+    sensor_pose: SensorPose = ON_GRID,
+    removed: SmoothMap | None = None,
 ) -> SmoothMap:
-    """How a scene's rays differ from those that carry a tile.
+    """Return how the rays of a changed scene differ from those of a tile.
 
     Parameters
     ----------
     scene
-        With the changed lens.
+        Scene with the changed lens.
     tile, carrier
-        Part of the object, and the rays of its centre as they were.
+        Part of the object, and the original rays of its center.
     grid
-        Of the plane to which they go.
-    seat
-        Of the sensor, off that grid.
-    before
-        Changes that there are already, which are taken out.
+        Grid of the plane to which the rays go.
+    sensor_pose
+        Pose of the sensor relative to that grid.
+    removed
+        Existing changes, which are subtracted.
 
     Returns
     -------
     SmoothMap
-        On the sensor: how much longer the path from the tile's centre is (mm), and changes of the cosines
-        along y and x with which rays leave it.
+        On the sensor: increase of the path from the tile's center in mm, and changes of the direction
+        cosines along y and x with which rays leave the object.
 
     Raises
     ------
@@ -85,79 +88,83 @@ def ray_changes(
         rays = trace_bundle(scene, np.asarray(tile.centre_mm), pupil, grid.z_mm)
         if not np.any(rays.ok):
             raise InputError("no ray of the changed lens arrives: the change is too large")
-        there, path_mm = _on_seat(rays, float(scene.system.index[0, -1]), grid, seat)
-        here = there[rays.ok]
+        sensor_points, path_mm = _on_sensor(rays, float(scene.system.index[0, -1]), grid, sensor_pose)
+        arriving = sensor_points[rays.ok]
         changes = np.concatenate([path_mm[None], rays.cosines.T])[:, rays.ok]
-        changes -= carrier.maps.at(here)[[0, 2, 3]]
-        if before is not None:
-            changes -= before.at(here)
-        return fit_map(here, changes, ORDER)
+        changes -= carrier.maps.at(arriving)[[0, 2, 3]]
+        if removed is not None:
+            changes -= removed.at(arriving)
+        return fit_map(arriving, changes, ORDER)
 
 
-def _on_seat(rays: RayBundle, index: float, grid: Grid, seat: SensorPose) -> tuple[Array, Array]:
-    """Where rays meet the sensor, (y, x) in its own frame about the grid's middle, and their paths (mm)."""
-    if seat == ON_GRID:
+def _on_sensor(rays: RayBundle, index: float, grid: Grid, sensor_pose: SensorPose) -> tuple[Array, Array]:
+    """Return where rays meet the sensor, (y, x) in its frame about the grid's center, and their paths in
+    mm.
+    """
+    if sensor_pose == ON_GRID:
         return rays.sensor_mm, rays.path_mm
-    across = rays.slopes[:, ::-1] / index
-    heading = np.column_stack([across, np.sqrt(1.0 - np.sum(across**2, axis=1))])
-    begin = np.pad(rays.sensor_mm[:, ::-1] - grid.centre_mm, ((0, 0), (0, 1)))
-    begin -= [*seat.shift_mm, seat.distance_mm]
-    turned = rotation_matrix(*np.deg2rad(seat.tilt_deg))
-    normal = turned[:, 2]
-    length = -(begin @ normal) / (heading @ normal)
-    own = (begin + length[:, None] * heading) @ turned[:, :2] + grid.centre_mm
-    return own[:, ::-1], rays.path_mm + index * length
+    transverse = rays.slopes[:, ::-1] / index
+    direction = np.column_stack([transverse, np.sqrt(1.0 - np.sum(transverse**2, axis=1))])
+    start = np.pad(rays.sensor_mm[:, ::-1] - grid.centre_mm, ((0, 0), (0, 1)))
+    start -= [*sensor_pose.shift_mm, sensor_pose.distance_mm]
+    rotation = rotation_matrix(*np.deg2rad(sensor_pose.tilt_deg))
+    normal = rotation[:, 2]
+    length = -(start @ normal) / (direction @ normal)
+    in_sensor_frame = (start + length[:, None] * direction) @ rotation[:, :2] + grid.centre_mm
+    return in_sensor_frame[:, ::-1], rays.path_mm + index * length
 
 
-class TurnedTiles(Engine):
-    """Tiles near those of another engine.
+class PerturbedTiles(Engine):
+    """Tiles that differ slightly from those of another engine.
 
     Parameters
     ----------
-    near
-        Whose scene has the same grids, but for the object's distance.
+    reference
+        Engine whose scene has the same grids, except for the distance of the object.
     scene
-        With the changed lens.
-    seat
-        Of the sensor, off the grid of the tiles.
+        Scene with the changed lens.
+    sensor_pose
+        Pose of the sensor relative to the grid of the tiles.
 
     Raises
     ------
     InputError
-        If there is free space between the tiles' plane and a sensor that sits off the grid.
+        If there is free space between the tiles' plane and a sensor that is off the grid.
     """
 
     name = "turned-tiles"
 
-    def __init__(self, near: EikonalTiles, scene: Scene, seat: SensorPose = ON_GRID) -> None:
+    def __init__(self, reference: EikonalTiles, scene: Scene, sensor_pose: SensorPose = ON_GRID) -> None:
         super().__init__(scene)
-        if seat != ON_GRID and near.plane.beyond is not None:
+        if sensor_pose != ON_GRID and reference.plane.beyond is not None:
             raise InputError(
-                f"tiles turned to a sensor that sits at {seat}: must reach it without free space"
+                f"tiles of a sensor displaced by {sensor_pose}: there must be no free space before the sensor"
             )
-        self.near, self.seat, self.plane = near, seat, near.plane
+        self.reference, self.sensor_pose, self.plane = reference, sensor_pose, reference.plane
         self._operators: dict[np.dtype[Any], tuple[TileOperator, ...]] = {}
 
-    def _turned(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
+    def _perturbed_operators(self, dtype: np.dtype[Any]) -> tuple[TileOperator, ...]:
         if dtype not in self._operators:
             grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
             self._operators[dtype] = tuple(
-                operator.turned(carrier, ray_changes(self.scene, tile, carrier, grid, self.seat), wavenumber)
-                for tile, carrier, operator in self.near.tile_operators(dtype)
+                operator.turned(
+                    carrier, ray_changes(self.scene, tile, carrier, grid, self.sensor_pose), wavenumber
+                )
+                for tile, carrier, operator in self.reference.tile_operators(dtype)
             )
         return self._operators[dtype]
 
     def tile_operators(self, dtype: np.dtype[Any]) -> Iterator[tuple[Tile, RayMap, TileOperator]]:
-        """Each tile, the rays that carried it, and what carries fields of a type now."""
+        """Yield each tile, its original rays, and its operator for fields of a data type."""
         for (tile, carrier, _), operator in zip(
-            self.near.tile_operators(dtype), self._turned(dtype), strict=True
+            self.reference.tile_operators(dtype), self._perturbed_operators(dtype), strict=True
         ):
             yield tile, carrier, operator
 
     def _forward(self, values: Any) -> Any:
         scaled = values * values.real.dtype.type(self.scene.object_grid.cell)
         result = np.zeros(self.plane.grid.shape, scaled.dtype)
-        add_tiles(self._turned(scaled.dtype), scaled, result)
+        add_tiles(self._perturbed_operators(scaled.dtype), scaled, result)
         beyond = self.plane.beyond
         return result if beyond is None else beyond.forward(result.astype(complex)).astype(scaled.dtype)
 
@@ -165,44 +172,46 @@ class TurnedTiles(Engine):
         dtype, beyond = values.dtype, self.plane.beyond
         field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_back(self._turned(dtype), field, result)
+        add_tiles_back(self._perturbed_operators(dtype), field, result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def cost(self) -> Cost:
-        return self.near.cost()
+        return self.reference.cost()
 
     def error_terms(self) -> tuple[ErrorTerm, ...]:
-        return self.near.error_terms()
+        return self.reference.error_terms()
 
     def settings(self) -> dict[str, Any]:
-        return self.near.settings()
+        return self.reference.settings()
 
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 PathSlopes = Sequence[Sequence[SmoothMap]]
 
 
-class Changed(NamedTuple):
-    """A scene whose lens, object or sensor is slightly changed, and by how much of its parameter."""
+class PerturbedScene(NamedTuple):
+    """A scene with a small change of lens, object or sensor, and the step of the parameter that causes
+    it.
+    """
 
     scene: Scene
     step: float
-    seat: SensorPose = ON_GRID
+    sensor_pose: SensorPose = ON_GRID
 
 
 def path_slopes(
-    engine: EikonalTiles | TurnedTiles, dtype: DTypeLike, changed: Sequence[Changed]
+    engine: EikonalTiles | PerturbedTiles, dtype: DTypeLike, perturbed: Sequence[PerturbedScene]
 ) -> PathSlopes:
-    """How paths and directions of each tile's rays change for a unit of each parameter.
+    """Return the derivatives of paths and directions of each tile's rays with respect to each parameter.
 
     Parameters
     ----------
     engine
-        Of the scene as it is.
+        Engine of the unchanged scene.
     dtype
-        Of fields.
-    changed
-        The same scene with a small step of each parameter.
+        Data type of fields.
+    perturbed
+        The scene with a small step of each parameter.
 
     Returns
     -------
@@ -214,74 +223,85 @@ def path_slopes(
     InputError
         If the rays of a changed lens do not arrive.
     """
-    grid, found = engine.plane.grid, []
+    grid, slopes = engine.plane.grid, []
     for tile, carrier, _ in engine.tile_operators(np.dtype(dtype)):
-        own = None
-        if isinstance(engine, TurnedTiles):
-            own = ray_changes(engine.scene, tile, carrier, grid, engine.seat)
-        moved = [ray_changes(one.scene, tile, carrier, grid, one.seat, own) for one in changed]
-        found.append(
+        existing = None
+        if isinstance(engine, PerturbedTiles):
+            existing = ray_changes(engine.scene, tile, carrier, grid, engine.sensor_pose)
+        ray_maps = [
+            ray_changes(each.scene, tile, carrier, grid, each.sensor_pose, existing) for each in perturbed
+        ]
+        slopes.append(
             [
-                replace(m, coefficients=m.coefficients / one.step)
-                for m, one in zip(moved, changed, strict=True)
+                replace(m, coefficients=m.coefficients / each.step)
+                for m, each in zip(ray_maps, perturbed, strict=True)
             ]
         )
-    return found
+    return slopes
 
 
-def by_rays(engine: EikonalTiles | TurnedTiles, lit: Field, slopes: PathSlopes) -> list[ComplexArray]:
-    """Change of the field on the exit grid for a unit of each parameter.
+def exit_field_changes_by_rays(
+    engine: EikonalTiles | PerturbedTiles, lit: Field, slopes: PathSlopes
+) -> list[ComplexArray]:
+    """Return the change of the field on the exit grid per unit of each parameter, from path slopes.
 
     Parameters
     ----------
     engine
-        Of the scene as it is.
+        Engine of the unchanged scene.
     lit
-        The light behind the object.
+        Field behind the object.
     slopes
-        Of the tiles' rays, of this scene or one that is near.
+        Path slopes of the tiles' rays, for this scene or a similar one.
     """
     grid, wavenumber = engine.plane.grid, engine.scene.wavenumber_per_mm
     axes = grid.y_mm, grid.x_mm
     results = [np.zeros(grid.shape, lit.values.dtype) for _ in slopes[0]]
-    for (_, _, alone), maps in zip(_tile_fields(engine, lit), slopes, strict=True):
-        alone *= alone.dtype.type(1j * wavenumber)
-        for one, result in zip(maps, results, strict=True):
-            path, *cosines = one.along(axes).single().each()
-            result += path * alone[0]
-            for cosine, moment in zip(cosines, alone[1:], strict=True):
+    for (_, _, moments_at_exit), maps in zip(_tile_moments(engine, lit), slopes, strict=True):
+        moments_at_exit *= moments_at_exit.dtype.type(1j * wavenumber)
+        for each, result in zip(maps, results, strict=True):
+            path, *cosines = each.along(axes).single().each()
+            result += path * moments_at_exit[0]
+            for cosine, moment in zip(cosines, moments_at_exit[1:], strict=True):
                 result -= cosine * moment
     if engine.plane.beyond is None:
         return results
-    return [np.asarray(engine.plane.beyond.forward(one.astype(complex)), lit.values.dtype) for one in results]
+    return [
+        np.asarray(engine.plane.beyond.forward(each.astype(complex)), lit.values.dtype) for each in results
+    ]
 
 
-def by_engines(
-    engine: Operator, lit: Field, changed: Sequence[Changed], make: Callable[[Scene], Engine]
+def exit_field_changes_by_engines(
+    engine: Operator, lit: Field, perturbed: Sequence[PerturbedScene], make: Callable[[Scene], Engine]
 ) -> list[ComplexArray]:
-    """The same where rays do not tell, by engines that `make` makes of the changed scenes."""
+    """Return the same changes from finite differences of engines, which `make` makes for the changed
+    scenes.
+    """
     now = engine.forward(lit).values
-    return [(make(one.scene).forward(_at(lit, one.scene)).values - now) / one.step for one in changed]
+    return [
+        (make(each.scene).forward(_on_scene(lit, each.scene)).values - now) / each.step for each in perturbed
+    ]
 
 
-def _tile_fields(
-    engine: EikonalTiles | TurnedTiles, field: Field
+def _tile_moments(
+    engine: EikonalTiles | PerturbedTiles, field: Field
 ) -> Iterator[tuple[Tile, RayMap, ComplexArray]]:
-    """Each tile, the rays that carry it, and fields of it alone on the plane on which tiles are summed.
+    """Yield each tile, its rays, and its fields on the plane where tiles are summed, shape (3, ny, nx).
 
-    Of its object, and of that times y and times x from the tile's centre (mm), shape (3, ny, nx).
+    The three fields are those of the object, and of the object times y and times x from the tile's center in
+    mm.
     """
     scaled = field.values * field.values.real.dtype.type(engine.scene.object_grid.cell)
     for tile, carrier, operator in engine.tile_operators(scaled.dtype):
         y_mm, x_mm = (offsets.astype(scaled.real.dtype) for offsets in tile.offsets_mm)
         part = scaled[operator.part]
         moments = part, part * y_mm[:, None], part * x_mm
-        alone = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
+        moments_at_exit = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
         carried = at_once([partial(operator.carried, moment) for moment in moments])
-        for one, result in zip(carried, alone, strict=True):
-            operator.add(one, result)
-        yield tile, carrier, alone
+        for each, result in zip(carried, moments_at_exit, strict=True):
+            operator.add(each, result)
+        yield tile, carrier, moments_at_exit
 
 
-def _at(lit: Field, scene: Scene) -> Field:
+def _on_scene(lit: Field, scene: Scene) -> Field:
     return Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)

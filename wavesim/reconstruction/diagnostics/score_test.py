@@ -8,7 +8,7 @@ variances V,
     theta = (D'D)^-1 D'r,    chi^2 = (D'r)' (D'V D)^-1 (D'r)
 
 are the estimated errors of the bench, and their significance. Both come from one linear model about the
-result (:class:`wavesim.reconstruction.linearised.Linearised`).
+result (:class:`wavesim.reconstruction.linear_model.LinearModel`).
 
 References
 ----------
@@ -31,7 +31,7 @@ from wavesim.engines.registry import engine_on
 from wavesim.fields.field import Field
 from wavesim.metrics.goodness_of_fit import Undetected
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linearised import FreeSpaceMeasurement, Linearised, RealArray
+from wavesim.reconstruction.linear_model import FreeSpaceMeasurement, LinearModel, RealArray
 from wavesim.reconstruction.phase_retrieval import agreement
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
@@ -152,7 +152,7 @@ def score_test(
     """
     model = ForwardModel(engine, light, recorded, scale, fill_factor)
     values = transmission.real if kind == "amplitude" else transmission
-    linear = Linearised(model, values, fits_scale)
+    linear = LinearModel(model, values, fits_scale)
     model.scale = linear.scale
     columns: dict[str, RealArray] = {}
     for name, scene, step in _displaced_scenes(engine.scene):
@@ -164,7 +164,7 @@ def score_test(
     for name, column in columns.items():
         progress(f"effect of {name} with the best object")
         following_changes.append(_following_change(linear, column, free_samples, kind == "amplitude"))
-        columns[name] = column + linear.of_object(following_changes[-1])
+        columns[name] = column + linear.jacobian_times_object(following_changes[-1])
     remaining = np.stack([column.ravel() for column in columns.values()])
     residual = linear.residual.ravel()
     weighted = remaining * _variances(recorded, linear, model_error)
@@ -218,53 +218,57 @@ def _displaced_scenes(scene: Scene) -> Iterator[tuple[str, Scene, float]]:
     yield MOUNTING[-1], replace(scene, object_grid=grid.at(grid.z_mm - step)), step
 
 
-def _scene_column(linear: Linearised, scene: Scene, step: float) -> RealArray:
+def _scene_column(linear: LinearModel, scene: Scene, step: float) -> RealArray:
     """Return the change of the modelled amplitudes per unit of a displacement."""
     engine, lit = linear.model.engine, linear.lit
     assert isinstance(engine, Engine)
     displaced = engine_on(engine, scene)
     after = displaced.forward(replace(lit, grid=scene.object_grid)).values
-    return linear.of_exit(((after - engine.forward(lit).values) / step).astype(after.dtype))
+    return linear.jacobian_times_exit_field(((after - engine.forward(lit).values) / step).astype(after.dtype))
 
 
-def _plane_columns(linear: Linearised) -> dict[str, RealArray]:
+def _plane_columns(linear: LinearModel) -> dict[str, RealArray]:
     """Return changes per um of each plane's shift against the first plane, and per mm of its distance."""
     measurement = linear.measurement
     assert isinstance(measurement, FreeSpaceMeasurement)
     columns = {}
     for n in range(1, len(linear.model.recorded)):
         for axis, letter in enumerate("xy"):
-            columns[f"plane_{n + 1}_shift_{letter}_um"] = linear.of_plane(n, measurement.by_shift(n, axis))
-        columns[f"plane_{n + 1}_distance_mm"] = linear.of_plane(n, measurement.by_distance(n))
+            columns[f"plane_{n + 1}_shift_{letter}_um"] = linear.amplitude_change_on_plane(
+                n, measurement.by_shift(n, axis)
+            )
+        columns[f"plane_{n + 1}_distance_mm"] = linear.amplitude_change_on_plane(
+            n, measurement.by_distance(n)
+        )
     return columns
 
 
-def _free_samples(linear: Linearised, values: NDArray[Any]) -> NDArray[np.bool_]:
+def _free_samples(linear: LinearModel, values: NDArray[Any]) -> NDArray[np.bool_]:
     """Return lit samples of the object that are not at a bound."""
     free_samples = linear.model.lit
     if np.iscomplexobj(values):
         return free_samples
-    gradient = linear.to_object(linear.residual).real
+    gradient = linear.adjoint_to_object(linear.residual).real
     is_at_bound = ((values <= 0.0) & (gradient < 0.0)) | ((values >= 1.0) & (gradient > 0.0))
     return np.asarray(free_samples & ~is_at_bound)
 
 
 def _following_change(
-    linear: Linearised, column: RealArray, free_samples: NDArray[np.bool_], is_real: bool
+    linear: LinearModel, column: RealArray, free_samples: NDArray[np.bool_], is_real: bool
 ) -> NDArray[Any]:
     """Return the change x of the transmission with the least |column + J x|, by conjugate gradients
     (CGLS).
     """
 
     def gradient(remaining: RealArray) -> NDArray[Any]:
-        on_object = linear.to_object(remaining)
+        on_object = linear.adjoint_to_object(remaining)
         return np.asarray((on_object.real if is_real else on_object) * free_samples)
 
     remaining = column.copy()
     direction = -gradient(remaining)
     change_of_object, energy = np.zeros_like(direction), float(np.vdot(direction, direction).real)
     for _ in range(FOLLOWING_ITERATIONS):
-        change = linear.of_object(direction)
+        change = linear.jacobian_times_object(direction)
         size = float(np.vdot(change, change))
         if size <= 0.0 or energy <= 0.0:
             break
@@ -277,7 +281,7 @@ def _following_change(
     return change_of_object
 
 
-def _variances(recorded: Sequence[Measurement], linear: Linearised, model_error: float) -> RealArray:
+def _variances(recorded: Sequence[Measurement], linear: LinearModel, model_error: float) -> RealArray:
     """Return the variances of the weighted residuals."""
     variances = []
     for plane, weight in zip(recorded, weights_of(recorded), strict=True):

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wavesim.calibration.joint.line_search import FARTHER, MOST_TRIALS, Line
+from wavesim.calibration.joint.line_search import LARGEST_EXTENSION, MOST_TRIALS, LineSearch
 
 
-def trials(price: Callable[[float], float], slope: float, first: float) -> tuple[Line, list[float]]:
-    line, tried = Line(price(0.0), slope, first), []
+def trials(price: Callable[[float], float], slope: float, first: float) -> tuple[LineSearch, list[float]]:
+    line, tried = LineSearch(price(0.0), slope, first), []
     while (length := line.next()) is not None:
         tried.append(length)
         line.add(length, price(length))
@@ -26,7 +26,7 @@ def test_a_parabola_is_found_in_three_trials(least: float, depth: float, first: 
 
     line, tried = trials(price, -2.0 * depth / least, first)
     assert len(tried) <= 4
-    assert line.best <= FARTHER**2 * first
+    assert line.best <= LARGEST_EXTENSION**2 * first
     gained = price(0.0) - price(line.best)
     assert gained > 0.85 * depth
 

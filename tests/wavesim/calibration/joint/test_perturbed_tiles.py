@@ -7,7 +7,13 @@ import pytest
 from small_twins import bars_under_stop
 
 from lensdesign.lens.poses import Pose, SurfacePerturbation
-from wavesim.calibration.joint.perturbed_tiles import Changed, TurnedTiles, by_engines, by_rays, path_slopes
+from wavesim.calibration.joint.perturbed_tiles import (
+    PerturbedScene,
+    PerturbedTiles,
+    exit_field_changes_by_engines,
+    exit_field_changes_by_rays,
+    path_slopes,
+)
 from wavesim.engines.tiles.engine import EikonalTiles
 from wavesim.fields.field import Field
 from wavesim.scene.placement import Placement
@@ -36,7 +42,7 @@ def made_of(scene: Scene, lit: Field) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def near() -> tuple[EikonalTiles, Field]:
+def reference() -> tuple[EikonalTiles, Field]:
     """Four tiles and more, so that each is narrow beside the object."""
     scene, light, bars, _ = bars_under_stop()
     engine = EikonalTiles(scene, error=0.1, tile_width_mm=0.03)
@@ -44,47 +50,51 @@ def near() -> tuple[EikonalTiles, Field]:
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_turned_tiles_are_those_of_the_changed_lens(near: tuple[EikonalTiles, Field], what: str) -> None:
-    engine, lit = near
+def test_turned_tiles_are_those_of_the_changed_lens(reference: tuple[EikonalTiles, Field], what: str) -> None:
+    engine, lit = reference
     scene = changed(engine.scene, what, 1.0)
     made = made_of(scene, lit)
     there = Field(scene.object_grid, lit.values, lit.wavelength_um, lit.index)
-    turned = TurnedTiles(engine, scene).forward(there).values
+    turned = PerturbedTiles(engine, scene).forward(there).values
     change = np.linalg.norm(made - engine.forward(lit).values)
     assert change > 0.05 * np.linalg.norm(made)
     assert np.linalg.norm(turned - made) < 0.1 * change
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_changes_of_the_field_are_those_of_the_engine(near: tuple[EikonalTiles, Field], what: str) -> None:
-    engine, lit = near
+def test_changes_of_the_field_are_those_of_the_engine(
+    reference: tuple[EikonalTiles, Field], what: str
+) -> None:
+    engine, lit = reference
     step = 0.02
     scene = changed(engine.scene, what, step)
-    there, dtype = [Changed(scene, step)], lit.values.dtype
-    (by_path,) = by_rays(engine, lit, path_slopes(engine, dtype, there))
-    (by_tiles,) = by_engines(engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03))
+    there, dtype = [PerturbedScene(scene, step)], lit.values.dtype
+    (by_path,) = exit_field_changes_by_rays(engine, lit, path_slopes(engine, dtype, there))
+    (by_tiles,) = exit_field_changes_by_engines(
+        engine, lit, there, lambda one: EikonalTiles(one, error=0.1, tile_width_mm=0.03)
+    )
     change = (made_of(scene, lit) - engine.forward(lit).values) / step
     assert by_tiles == pytest.approx(change)
     assert np.linalg.norm(by_path - change) < 0.1 * np.linalg.norm(change)
 
 
 @pytest.mark.parametrize("what", WHAT)
-def test_slopes_of_rays_hold_where_tiles_are_turned(near: tuple[EikonalTiles, Field], what: str) -> None:
+def test_slopes_of_rays_hold_where_tiles_are_turned(reference: tuple[EikonalTiles, Field], what: str) -> None:
     """A lens that has changed by some radians changes on as it did."""
-    engine, lit = near
-    turned = TurnedTiles(engine, changed(engine.scene, what, 1.0))
+    engine, lit = reference
+    turned = PerturbedTiles(engine, changed(engine.scene, what, 1.0))
     dtype, step = lit.values.dtype, 0.02
     slopes = [
-        path_slopes(one, dtype, [Changed(changed(engine.scene, what, size + step), step)])
+        path_slopes(one, dtype, [PerturbedScene(changed(engine.scene, what, size + step), step)])
         for one, size in ((engine, 0.0), (turned, 1.0))
     ]
-    before, now = (by_rays(turned, lit, own)[0] for own in slopes)
+    before, now = (exit_field_changes_by_rays(turned, lit, own)[0] for own in slopes)
     assert np.linalg.norm(before - now) < 0.1 * np.linalg.norm(now)
 
 
-def test_turned_tiles_and_their_adjoint_agree(near: tuple[EikonalTiles, Field]) -> None:
-    engine, lit = near
-    turned = TurnedTiles(engine, changed(engine.scene, "decenter", 1.0))
+def test_turned_tiles_and_their_adjoint_agree(reference: tuple[EikonalTiles, Field]) -> None:
+    engine, lit = reference
+    turned = PerturbedTiles(engine, changed(engine.scene, "decenter", 1.0))
     field = turned.forward(lit)
     there = turned.adjoint(field)
     cells = engine.scene.object_grid.cell, engine.scene.exit_grid.cell

@@ -9,11 +9,11 @@ import pytest
 from small_twins import PIXEL_MM, WAVELENGTH_UM, lit_within, twin_scene
 
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.joint.pixels import AllPixels, SomePixels, TilesToPlanes, with_fast_shape
+from wavesim.calibration.joint.pixels import DensePixels, SparsePixels, TilesToPlanes, padded_to_fast_shape
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
 from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field, Grid
-from wavesim.reconstruction.linearised import Linearised
+from wavesim.reconstruction.linear_model import LinearModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene
 from wavesim.sensor.measurement import Measurement, noise_misfit
@@ -34,7 +34,7 @@ def tiles(scene: Scene) -> Engine:
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[Lens, AllPixels, SomePixels, np.ndarray]:
+def seen() -> tuple[Lens, DensePixels, SparsePixels, np.ndarray]:
     """Every pixel, and every second one, on planes that nothing has been recorded on yet."""
     scene = twin_scene(60)
     light = Field(scene.object_grid, lit_within(scene, 0.012).astype(np.complex64), WAVELENGTH_UM)
@@ -42,12 +42,12 @@ def seen() -> tuple[Lens, AllPixels, SomePixels, np.ndarray]:
     bars = (np.cos(1400.0 * x + 0.3) > 0.2) | (np.cos(2300.0 * y) > 0.6 - 30.0 * x)
     shape = scene.exit_grid.shape
     blank = [Measurement(d, np.ones(shape, np.float32)) for d in PLANES_MM]
-    every = AllPixels(scene, light, blank, 1.0, 0.0, tiles)
+    every = DensePixels(scene, light, blank, 1.0, 0.0, tiles)
     centre = (-0.5 * PIXEL_MM, -0.5 * PIXEL_MM)
     fewer = Grid((108, 108), 2 * scene.exit_grid.pitch_mm, scene.exit_grid.z_mm, centre)
     planes = [Measurement(d, np.ones(fewer.shape, np.float32)) for d in PLANES_MM]
     rows = slice(0, 108), slice(108, 216)
-    some = SomePixels(replace(scene, exit_grid=fewer), light, planes, 1.0, 0.0, tiles, rows)
+    some = SparsePixels(replace(scene, exit_grid=fewer), light, planes, 1.0, 0.0, tiles, rows)
     return scene.lens, every, some, bars.astype(np.float32)
 
 
@@ -94,13 +94,13 @@ def test_columns_are_the_slopes_of_the_residuals(seen: tuple, name: str) -> None
     lens, _, some, bars = seen
     bench = Unknowns(lens, values=BENCH | {"plane_2_background": 0.01})
     (parameter,) = chosen_parameters(name, bench_parameters(lens, 2, 0.025, WAVELENGTH_UM))
-    here = Linearised(some.model(bench), bars, False)
+    here = LinearModel(some.model(bench), bars, False)
     (column,) = some.columns(bench, here, (parameter,))
     # What a tilt of the sensor does is near the rounding of single precision.
     step = (2.0 if name.startswith("sensor") else 0.2) * parameter.small
     there = bench.changed([name], [bench.values.get(name, 0.0) + step])
-    near = here.model.engine
-    moved = Linearised(some.model(there, near), bars, False)
+    reference = here.model.engine
+    moved = LinearModel(some.model(there, reference), bars, False)
     change = (here.residual - moved.residual) / step
     assert np.linalg.norm(change - column) < 0.1 * np.linalg.norm(column)
 
@@ -110,7 +110,7 @@ def test_pixels_stay_where_they_are_and_new_ones_tell_nothing() -> None:
     scene = replace(twin_scene(60), exit_grid=grid)
     rng = np.random.default_rng(1)
     plane = Measurement(0.0, 1.0 + rng.random(grid.shape), 0.01 + 0.01 * rng.random(grid.shape))
-    wider, (padded,) = with_fast_shape(scene, [plane])
+    wider, (padded,) = padded_to_fast_shape(scene, [plane])
     assert wider.exit_grid.shape == padded.amplitude.shape == (440, 440)
     assert wider.exit_grid.y_mm[1:-1] == pytest.approx(grid.y_mm)
     assert wider.exit_grid.x_mm[1:-2] == pytest.approx(grid.x_mm)
@@ -122,6 +122,8 @@ def test_pixels_stay_where_they_are_and_new_ones_tell_nothing() -> None:
 
 def test_what_is_fast_or_without_noise_stays() -> None:
     scene = replace(twin_scene(60), exit_grid=Grid((440, 440), 3.2e-3, 0.7))
-    assert with_fast_shape(scene, [Measurement(0.0, np.ones((440, 440)), np.ones((440, 440)))])[0] is scene
+    assert (
+        padded_to_fast_shape(scene, [Measurement(0.0, np.ones((440, 440)), np.ones((440, 440)))])[0] is scene
+    )
     slow = replace(scene, exit_grid=Grid((438, 440), 3.2e-3, 0.7))
-    assert with_fast_shape(slow, [Measurement(0.0, np.ones((438, 440)))])[0] is slow
+    assert padded_to_fast_shape(slow, [Measurement(0.0, np.ones((438, 440)))])[0] is slow

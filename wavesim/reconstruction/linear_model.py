@@ -1,7 +1,8 @@
-"""What pixels see of many changes of one field: its own samples are made once.
+"""Linear model of the measured amplitudes about one object on one bench, with its adjoint.
 
-Products with a change take the samples of both (:mod:`wavesim.reconstruction.recording.pixel_means`), and the
-way back those of the field: half of all transforms along rows are of the field that stays as it is.
+The measurement operators compute the intensity of pixels, and its change to first order: each pixel's mean
+of Re(conj(u) v) for the field u on a plane and a change v of it ("product"). Residuals are weighted, and
+divided by the length of the measured data. They form an array of shape (planes, ny, nx).
 """
 
 from __future__ import annotations
@@ -39,16 +40,16 @@ Rows = tuple[ComplexArray, ComplexArray]
 
 
 class CachedSamples:
-    """A field on the pixels of a plane.
+    """The samples of a field on the pixels of a plane, stored for repeated products.
 
     Parameters
     ----------
     pixels
-        Of the plane.
+        Pixels of the plane.
     spectrum
-        Of the field in front of the way.
-    way
-        To the plane.
+        Spectrum of the field in front of the propagator.
+    propagator
+        Propagator to the plane.
     """
 
     def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, propagator: Way) -> None:
@@ -60,19 +61,21 @@ class CachedSamples:
         self._samples = tuple(self._sampled(part) for part in self.rows)
 
     def intensity(self) -> RealArray:
-        """Each pixel's mean intensity, never negative."""
+        """Return each pixel's mean intensity, at least 0."""
         return self._means(self._samples, 0.0)
 
     def products(self, spectrum: ComplexArray) -> RealArray:
-        """Each pixel's mean of Re(conj(u) v), with the spectrum of a change v in front of the way."""
+        """Return each pixel's mean of Re(conj(u) v), for the spectrum of a change v in front of the
+        propagator.
+        """
         return self.products_with(self.pixels.propagate(spectrum, self.propagator))
 
     def products_with(self, others: Rows) -> RealArray:
-        """The same, with a change on the plane itself, as :meth:`PixelMeans.carried` gives it."""
+        """Return the products with a change on the plane, as :meth:`PixelMeans.propagate` returns it."""
         return self._means(tuple(self._sampled(part) for part in others), -np.inf)
 
     def add_adjoint(self, change: RealArray, total: ComplexArray) -> None:
-        """Add the adjoint of :meth:`products` to a spectrum in front of the way."""
+        """Add the adjoint of :meth:`products` to a spectrum in front of the propagator."""
         if not isinstance(self.propagator, TransferFunction):
             self.pixels.add_adjoint(
                 (self.rows[0].copy(), self.rows[1].copy()), change, self.propagator, total
@@ -94,15 +97,15 @@ class CachedSamples:
         add_rows_adjoint(spread, self.propagator, self._row_shift, total)
 
     def _sampled(self, part: ComplexArray) -> Rows:
-        """In the middles of pixels and at their upper edges, from the spectrum along each row."""
+        """Return samples in the middles of pixels and at their edges, from the spectrum along each row."""
         even, odd = np.empty_like(part), np.empty_like(part)
 
         def block(start: int, stop: int) -> None:
             own = part[start:stop]
             both = np.empty_like(own), np.empty_like(own)
             halves(own, self._column_shift, *both)
-            for one, samples in zip(both, (even, odd), strict=True):
-                samples[start:stop] = scipy.fft.ifft(one, axis=1, overwrite_x=True)
+            for spectra, samples in zip(both, (even, odd), strict=True):
+                samples[start:stop] = scipy.fft.ifft(spectra, axis=1, overwrite_x=True)
 
         for_blocks(block, len(part), rows_in(part[0].nbytes))
         return even, odd
@@ -114,8 +117,8 @@ class CachedSamples:
             def block(
                 start: int, stop: int, own: Rows = own, theirs: Rows = theirs, means: RealArray = means
             ) -> None:
-                here = (one[start:stop] for one in (*own, *theirs))
-                means_along_rows(*here, self._taps, means[start:stop])
+                rows = (one[start:stop] for one in (*own, *theirs))
+                means_along_rows(*rows, self._taps, means[start:stop])
 
             for_blocks(block, len(means), rows_in(self.rows[0][0].nbytes))
         result, bound = np.empty_like(along[0]), self._taps.dtype.type(least)
@@ -124,27 +127,27 @@ class CachedSamples:
 
 
 class MeasurementOperator(Protocol):
-    """What a linearised model asks of it."""
+    """Intensities of the pixels of all planes, their first-order changes, and the adjoint."""
 
     def intensities(self) -> list[RealArray]:
-        """Each pixel's mean intensity, plane by plane."""
+        """Return each pixel's mean intensity, plane by plane."""
 
     def products(self, change: ComplexArray) -> list[RealArray]:
-        """With a change of the field on the exit grid, plane by plane."""
+        """Return the products with a change of the field on the exit grid, plane by plane."""
 
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
-        """On the exit grid, what pixels' shares of the field make together: the adjoint of the products."""
+        """Return the adjoint of :meth:`products`: the change on the exit grid for a factor of each pixel."""
 
 
 class FreeSpaceMeasurement:
-    """All pixels, reached through free space from one field.
+    """All pixels of planes that are reached through free space from one exit field.
 
     Parameters
     ----------
     model
-        Of the bench.
+        Forward model of the bench.
     values
-        Of the field on the exit grid.
+        Field on the exit grid.
     """
 
     def __init__(self, model: ForwardModel, values: ComplexArray) -> None:
@@ -163,28 +166,30 @@ class FreeSpaceMeasurement:
         return [plane.products(spectrum) for plane in self.planes]
 
     def by_distance(self, plane: int) -> RealArray:
-        """Products with a mm of a plane's distance."""
+        """Return the products per mm of a plane's distance."""
         grid = self.pixels.grid
         kz, _ = axial_wavenumbers(fft_frequencies(grid.shape, grid.pitch_mm), self._wavelength_um, 1.0)
         return self._moved(plane, 1j * kz)
 
     def by_shift(self, plane: int, axis: int) -> RealArray:
-        """With a um of a plane's shift along x (axis 0) or y (1)."""
+        """Return the products per um of a plane's shift along x (axis 0) or y (axis 1)."""
         grid = self.pixels.grid
         return self._moved(plane, 2e-3j * np.pi * fft_frequencies(grid.shape, grid.pitch_mm)[1 - axis])
 
     def by_tilt(self, axis: int) -> list[RealArray]:
-        """With a degree of the sensor's tilt about x (axis 0) or y (1), plane by plane."""
-        seen = []
+        """Return the products per degree of the sensor's tilt about x (axis 0) or y (axis 1), plane by
+        plane.
+        """
+        changes = []
         for plane in self.planes:
-            turned = tilt_changes(self.pixels, self.spectrum, plane.propagator, self._wavelength_um)
-            seen.append(plane.products_with(turned[axis]))
-        return seen
+            tilted = tilt_changes(self.pixels, self.spectrum, plane.propagator, self._wavelength_um)
+            changes.append(plane.products_with(tilted[axis]))
+        return changes
 
     def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
-        for plane, one in zip(self.planes, planes, strict=True):
-            plane.add_adjoint(one.astype(self.spectrum.real.dtype), total)
+        for plane, part in zip(self.planes, planes, strict=True):
+            plane.add_adjoint(part.astype(self.spectrum.real.dtype), total)
         return np.asarray(scipy.fft.ifft2(total, workers=-1, overwrite_x=True))
 
     def _moved(self, plane: int, factor: ComplexArray) -> RealArray:
@@ -192,14 +197,14 @@ class FreeSpaceMeasurement:
 
 
 class PixelMeasurement:
-    """Pixels that are points, to which an engine carries light straight, plane after plane.
+    """Pixels that are points, to which an engine propagates light directly, plane by plane.
 
     Parameters
     ----------
     model
-        Of the bench, whose `rows` are those of the planes.
+        Forward model of the bench, with the `rows` of the planes.
     values
-        Of the field on them.
+        Field on the pixels.
     """
 
     def __init__(self, model: ForwardModel, values: ComplexArray) -> None:
@@ -217,39 +222,43 @@ class PixelMeasurement:
 
 
 DARK = 1e-5
-"""Of a plane's mean intensity: keeps roots of dark pixels smooth."""
+"""Fraction of a plane's mean intensity that is added under the root, so that dark pixels have
+derivatives.
+"""
 
 
-class Linearised:
-    """Residuals, their slopes by whatever changes the field behind the lens, and the way back to the object.
+class LinearModel:
+    """Residuals of the amplitudes, and their Jacobian with respect to fields, object and light, with the
+    adjoint.
 
     Parameters
     ----------
     model
-        Of the bench.
+        Forward model of the bench.
     transmission
-        Of the object.
+        Transmission of the object.
     fits_scale
-        Whether recorded amplitudes are known but for a factor, which is fitted, and taken out of all slopes.
+        Whether measured amplitudes are known only up to a factor. The factor is fitted, and its effect is
+        removed from all changes.
 
     Attributes
     ----------
     residual : ndarray, shape (planes, ny, nx)
-        Recorded less modelled amplitudes.
+        Measured less modelled amplitudes.
     misfit : float
-        Its length.
+        Length of the residual.
     scale : float
-        Recorded amplitude for a unit of the model's.
+        Measured amplitude per unit of the modelled amplitude.
     size : float
-        Weighted length of the recorded amplitudes, of which residuals are fractions.
+        Weighted length of the measured amplitudes, by which residuals are divided.
     """
 
     def __init__(self, model: ForwardModel, transmission: ComplexArray, fits_scale: bool) -> None:
-        self.model, self.lit = model, self._behind_object(model, transmission)
-        behind = model.engine.forward(self.lit)
-        self._index = behind.index
+        self.model, self.lit = model, self._object_field(model, transmission)
+        exit_field = model.engine.forward(self.lit)
+        self._index = exit_field.index
         self.measurement: MeasurementOperator = (PixelMeasurement if model.rows else FreeSpaceMeasurement)(
-            model, behind.values
+            model, exit_field.values
         )
         self._root_weights = [
             np.float32(1.0) if weight is None else np.sqrt(weight) for weight in model.weights
@@ -260,83 +269,97 @@ class Linearised:
         )
         self.size = size
         self.scale = self._fitted_scale(intensity) if fits_scale else model.scale
-        real = behind.values.real.dtype.type
+        real = exit_field.values.real.dtype.type
         power = real(self.scale**2)
-        residual, seen, self._slopes = [], [], []
-        for plane, weight, own in zip(model.recorded, self._root_weights, intensity, strict=True):
-            whole = power * own if plane.background is None else power * own + plane.background
-            root = np.sqrt(whole + real(DARK * float(whole.mean())))
-            residual.append(weight * (plane.amplitude - np.sqrt(whole)) / real(size))
-            seen.append(weight * power * own / root)
+        residual, modelled, self._slopes = [], [], []
+        for plane, weight, modelled_power in zip(model.recorded, self._root_weights, intensity, strict=True):
+            total = (
+                power * modelled_power
+                if plane.background is None
+                else power * modelled_power + plane.background
+            )
+            root = np.sqrt(total + real(DARK * float(total.mean())))
+            residual.append(weight * (plane.amplitude - np.sqrt(total)) / real(size))
+            modelled.append(weight * power * modelled_power / root)
             self._slopes.append(weight * power / root / real(size))
         self.residual = np.stack(residual)
         self.misfit = math.sqrt(_sum(self.residual**2))
-        self._along_scale = np.stack(seen) / math.sqrt(_sum(np.stack(seen) ** 2)) if fits_scale else None
+        self._scale_direction = (
+            np.stack(modelled) / math.sqrt(_sum(np.stack(modelled) ** 2)) if fits_scale else None
+        )
         self._by_intensity = [slope / (2 * power) for slope in self._slopes]
 
     def without_scale(self, changes: RealArray) -> RealArray:
-        """Changes of the residuals, less what another scale does too."""
-        if self._along_scale is None:
+        """Return changes of the residuals without the part that a change of the scale would cause."""
+        if self._scale_direction is None:
             return changes
-        return changes - self._along_scale * np.float32(np.vdot(self._along_scale, changes))
+        return changes - self._scale_direction * np.float32(np.vdot(self._scale_direction, changes))
 
-    def of_exit(self, change: ComplexArray) -> RealArray:
-        """Change of the modelled amplitudes with one of the field on the exit grid."""
-        return self.of_planes(self.measurement.products(change))
+    def jacobian_times_exit_field(self, change: ComplexArray) -> RealArray:
+        """Return the change of the modelled amplitudes for a change of the field on the exit grid."""
+        return self.amplitude_changes(self.measurement.products(change))
 
-    def of_planes(self, products: Sequence[RealArray]) -> RealArray:
-        """With pixels' means of Re(conj(u) v), plane by plane."""
-        seen = zip(self._slopes, products, strict=True)
-        return self.without_scale(np.stack([slope * own for slope, own in seen]))
+    def amplitude_changes(self, products: Sequence[RealArray]) -> RealArray:
+        """Return the change of the modelled amplitudes for pixel means of Re(conj(u) v), plane by plane."""
+        pairs = zip(self._slopes, products, strict=True)
+        return self.without_scale(np.stack([slope * product for slope, product in pairs]))
 
-    def of_plane(self, plane: int, products: RealArray) -> RealArray:
-        """With those of one plane, of a change that the others do not see."""
-        return self._alone(plane, self._slopes[plane] * products)
+    def amplitude_change_on_plane(self, plane: int, products: RealArray) -> RealArray:
+        """Return the change of the modelled amplitudes for pixel means of a change that affects one
+        plane.
+        """
+        return self._change_on_plane(plane, self._slopes[plane] * products)
 
-    def of_object(self, change: NDArray[Any]) -> RealArray:
-        """With one of the transmission."""
-        return self.of_exit(self.model.engine.forward(self._behind_object(self.model, change)).values)
+    def jacobian_times_object(self, change: NDArray[Any]) -> RealArray:
+        """Return the change of the modelled amplitudes for a change of the transmission."""
+        return self.jacobian_times_exit_field(
+            self.model.engine.forward(self._object_field(self.model, change)).values
+        )
 
-    def exit_of_light(self, change: NDArray[Any]) -> ComplexArray:
-        """Change of the field on the exit grid with one of the illumination, relative to it."""
+    def exit_field_change_of_light(self, change: NDArray[Any]) -> ComplexArray:
+        """Return the change of the field on the exit grid for a relative change of the illumination."""
         lit = self.lit.with_values((self.lit.values * change).astype(self.lit.values.dtype))
         return self.model.engine.forward(lit).values
 
-    def of_background(self, plane: int) -> RealArray:
-        """With an even background as large as the plane's mean recorded intensity."""
+    def jacobian_times_background(self, plane: int) -> RealArray:
+        """Return the change of the modelled amplitudes for a constant background equal to the mean
+        intensity.
+        """
         mean = np.float32(np.mean(self.model.recorded[plane].amplitude ** 2))
-        return self._alone(plane, self._by_intensity[plane] * mean)
+        return self._change_on_plane(plane, self._by_intensity[plane] * mean)
 
-    def to_object(self, left: RealArray) -> ComplexArray:
-        """The adjoint of :meth:`of_object`."""
-        left = self.without_scale(left)
+    def adjoint_to_object(self, residuals: RealArray) -> ComplexArray:
+        """Return the adjoint of :meth:`jacobian_times_object`."""
+        residuals = self.without_scale(residuals)
         change = self.measurement.adjoint(
-            [slope * one for slope, one in zip(self._slopes, left, strict=True)]
+            [slope * part for slope, part in zip(self._slopes, residuals, strict=True)]
         )
         scene = self.model.engine.scene
-        back = self.model.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
-        # Engines' adjoints are those of integrals, and not of sums.
+        on_object = self.model.engine.adjoint(
+            Field(scene.exit_grid, change, self.lit.wavelength_um, self._index)
+        )
+        # The adjoint of an engine refers to integrals, not to sums of samples.
         cells = np.float32(scene.object_grid.cell / scene.exit_grid.cell)
-        return np.asarray(cells * back.values * self.model.illumination.values.conj())
+        return np.asarray(cells * on_object.values * self.model.illumination.values.conj())
 
     @staticmethod
-    def _behind_object(model: ForwardModel, transmission: NDArray[Any]) -> Field:
+    def _object_field(model: ForwardModel, transmission: NDArray[Any]) -> Field:
         values = transmission * model.illumination.values
         return model.illumination.with_values(values.astype(model.illumination.values.dtype))
 
-    def _alone(self, plane: int, change: RealArray) -> RealArray:
+    def _change_on_plane(self, plane: int, change: RealArray) -> RealArray:
         changes = np.zeros_like(self.residual)
         changes[plane] = change
         return self.without_scale(changes)
 
     def _fitted_scale(self, intensity: list[RealArray]) -> float:
-        met = own = 0.0
-        for plane, weight, seen in zip(self.model.recorded, self._root_weights, intensity, strict=True):
-            behind = 0.0 if plane.background is None else plane.background
-            clean = np.sqrt(np.maximum(plane.amplitude**2 - behind, 0.0))
-            met += _sum(weight**2 * clean * np.sqrt(seen))
-            own += _sum(weight**2 * seen)
-        return met / own if met > 0.0 < own else 1.0
+        cross = power = 0.0
+        for plane, weight, modelled in zip(self.model.recorded, self._root_weights, intensity, strict=True):
+            background = 0.0 if plane.background is None else plane.background
+            clean = np.sqrt(np.maximum(plane.amplitude**2 - background, 0.0))
+            cross += _sum(weight**2 * clean * np.sqrt(modelled))
+            power += _sum(weight**2 * modelled)
+        return cross / power if cross > 0.0 < power else 1.0
 
 
 def _sum(values: RealArray) -> float:

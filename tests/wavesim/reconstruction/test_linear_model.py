@@ -11,7 +11,7 @@ from small_twins import small_twin
 from wavesim.fields.field import Grid
 from wavesim.fields.tilted_propagator import TiltedPropagator, propagator_to
 from wavesim.reconstruction.forward_model import ForwardModel
-from wavesim.reconstruction.linearised import CachedSamples, FreeSpaceMeasurement, Linearised
+from wavesim.reconstruction.linear_model import CachedSamples, FreeSpaceMeasurement, LinearModel
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.sensor.measurement import Measurement
 
@@ -39,19 +39,19 @@ def linear(
     changed: dict | None = None,
     transmission: np.ndarray | None = None,
     tilt_deg: tuple[float, float] = (0.0, 0.0),
-) -> Linearised:
+) -> LinearModel:
     engine, lit, planes, now = parts
     planes = [replace(p, tilt_deg=tilt_deg) for p in (planes[0], replace(planes[1], **(changed or {})))]
     model = ForwardModel(engine, lit, planes, None, 1.0)
-    return Linearised(model, now if transmission is None else transmission, True)
+    return LinearModel(model, now if transmission is None else transmission, True)
 
 
 def test_the_way_back_is_the_adjoint(parts: tuple) -> None:
     here, rng = linear(parts), np.random.default_rng(2)
     change = rng.standard_normal(parts[3].shape) + 1j * rng.standard_normal(parts[3].shape)
     left = rng.standard_normal(here.residual.shape)
-    there = float(np.vdot(here.of_object(change), left))
-    assert float(np.vdot(change, here.to_object(left)).real) == pytest.approx(there, rel=1e-5)
+    there = float(np.vdot(here.jacobian_times_object(change), left))
+    assert float(np.vdot(change, here.adjoint_to_object(left)).real) == pytest.approx(there, rel=1e-5)
 
 
 def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
@@ -61,18 +61,18 @@ def test_slopes_are_those_of_the_residuals(parts: tuple) -> None:
     assert isinstance(seen, FreeSpaceMeasurement)
     cases = {
         "object": (
-            here.of_object(direction),
+            here.jacobian_times_object(direction),
             linear(parts, transmission=parts[3] + 1e-4 * direction),
             1e-4,
         ),
         "distance": (
-            here.of_plane(1, seen.by_distance(1)),
+            here.amplitude_change_on_plane(1, seen.by_distance(1)),
             linear(parts, changed={"distance_mm": 0.6 + small}),
             small,
         ),
-        "tilt": (here.of_planes(seen.by_tilt(1)), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
+        "tilt": (here.amplitude_changes(seen.by_tilt(1)), linear(parts, tilt_deg=(0.0, 1e-3)), 1e-3),
         "shift": (
-            here.of_plane(1, seen.by_shift(1, 0)),
+            here.amplitude_change_on_plane(1, seen.by_shift(1, 0)),
             linear(parts, changed={"shift_mm": (1e-5, 0.0)}),
             1e-2,
         ),
@@ -87,7 +87,7 @@ def test_a_background_adds_its_share_of_the_mean(parts: tuple) -> None:
     mean = float(np.mean(plane.amplitude**2))
     here, there = linear(parts), linear(parts, changed={"background": plane.background + 1e-3 * mean})
     found = here.without_scale((here.residual - there.residual) / 1e-3)
-    assert np.linalg.norm(found - here.of_background(1)) < 0.05 * np.linalg.norm(found)
+    assert np.linalg.norm(found - here.jacobian_times_background(1)) < 0.05 * np.linalg.norm(found)
 
 
 GRID = Grid((48, 40), 3.2e-3, 1.0)
