@@ -83,7 +83,7 @@ REFINEMENTS = 2
 INDEPENDENT_ERRORS = 60
 """Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude.
 
-Unlike noise they are alike in many pixels, so they average out less. The number was fitted to the pulls of
+Unlike noise, they are equal in many pixels and average out less. The number was fitted to the pulls of
 six nominal benches (`benchmarks/calibration_pulls.py`).
 """
 
