@@ -122,9 +122,9 @@ def calibrate_frames(
         field_stop_at_mm=patch.field_stop_at_mm,
         field_stop_from=requested_settings.field_stop_from,
     )
-    if found.verdict is None or not found.stop_doubt:
+    if found.verdict is None or not found.stop_warning:
         return found
-    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_doubt)))
+    return replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, found.stop_warning)))
 
 
 def _with_stop(

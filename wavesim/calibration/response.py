@@ -107,16 +107,16 @@ def mounting_response(
         own = _PlaneAmplitudes(model, plane_index, spectrum, plane.known, blur_pixels)
         measured.append(np.ravel(root_weight * own.amplitude_of(plane.amplitude**2)))
         modelled.append(np.ravel(root_weight * own.amplitude))
-        rows = np.zeros(
-            (len(parameters), own.amplitude.size), own.amplitude.dtype if parameters else np.float32
-        )
-        for row, name in zip(rows, parameters, strict=True):
+        rows = []
+        for name in parameters:
             moved_plane = plane_of(name)
             if moved_plane is None:
-                row[:] = np.ravel(root_weight * own.amplitude_change(lens_changes[name]))
+                rows.append(np.ravel(root_weight * own.amplitude_change(lens_changes[name])))
             elif moved_plane == plane_index:
-                row[:] = np.ravel(root_weight * own.amplitude_change(along_z * spectrum))
-        changes.append(rows)
+                rows.append(np.ravel(root_weight * own.amplitude_change(along_z * spectrum)))
+            else:
+                rows.append(np.zeros(own.amplitude.size, own.amplitude.dtype))
+        changes.append(np.stack(rows) if rows else np.zeros((0, own.amplitude.size), np.float32))
     return _response(
         np.concatenate(measured),
         np.concatenate(modelled),

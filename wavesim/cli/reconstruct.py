@@ -114,7 +114,7 @@ def reconstruct(
             )
             if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
-                stop_from, stop_doubt = "frames", calibrated.stop_doubt
+                stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -129,7 +129,7 @@ def reconstruct(
                 calibration=bench,
                 folder=output,
                 progress=tell,
-                before=before,
+                on_estimate=before,
             )
         if stop_doubt:
             found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
@@ -162,9 +162,9 @@ def _calibrated_before(path: Path, lens: Lens) -> Bench:
 
 def _stop_doubt(calibration: Path | None) -> str:
     """Why the field stop of an earlier calibration is not determined; empty where it is."""
-    from wavesim.calibration.calibrated import stop_doubt_of
+    from wavesim.calibration.calibrated import stop_warning_of
 
-    return "" if calibration is None else stop_doubt_of(calibration)
+    return "" if calibration is None else stop_warning_of(calibration)
 
 
 def _stop_of(

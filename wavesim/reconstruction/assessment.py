@@ -1,4 +1,6 @@
-"""Judging a result by its frames: residuals, the engine's error, the bench that frames prefer, and causes."""
+"""Assessment of a result by its frames: residuals, the engine's error, the bench that frames prefer, and
+causes.
+"""
 
 from __future__ import annotations
 
@@ -40,30 +42,49 @@ from wavesim.sensor.measurement import Measurement, noise_misfit
 from wavesim.sensor.windows import LEAST_DIVERSITY
 
 FINER, LEAST_FINER, FINEST = 4.0, 1.5, 2e-3
-"""A more accurate engine has an error smaller by `FINER`, by `LEAST_FINER` at least, and never below
-`FINEST`, which pixels and free space have too."""
+"""Factor by which a more accurate engine's error is smaller: aim, and least factor. Its error is never below
+`FINEST`, the error of pixels and free space.
+"""
 
 NO_DIVERSITY = 1.0
 """Diversity of the planes below which their pictures do not determine a complex object."""
 
 RAMP_WAVES = 0.35
-"""Phase ramp over half of a patch from which on light or camera may have made it, and not the object."""
+"""Phase ramp in waves over half of the patch above which light or camera, rather than the object, may cause
+it.
+"""
 
 NEAR = 1.4
-"""Times what counts as explained: so near to it a misfit that falls wants nothing but iterations."""
+"""Factor to the limit of an explained misfit below which a falling misfit only needs more iterations."""
 
 Progress = Callable[[str], None]
-"""Called with what is computed."""
+"""Callback with a message about the current step."""
 
 EngineOn = Callable[[Grid], AbstractContextManager[Engine]]
-"""Makes an engine from a part of the object ready."""
+"""Returns an engine from a part of the object, ready for use."""
 
 
 class MethodResult(NamedTuple):
-    """What one method gave: the transmission, or the field behind the part that is to be refocused.
+    """Result of one method.
 
-    `whole` is the transmission on all samples, `engine_errors` what a more accurate engine would change of
-    the amplitudes, `model_error` the relative error of amplitudes that is allowed.
+    Attributes
+    ----------
+    transmission, behind : Field or None
+        The transmission, or the field behind the part of the object that is to be refocused.
+    residual_maps : tuple of ndarray
+        For each plane, modelled less measured amplitude.
+    curve : tuple of float
+        Misfit or correlation of every iteration.
+    of_method : dict
+        Figures that only one method has.
+    agreement : float or None
+        Smallest correlation between results of several starts.
+    whole : Field or None
+        The transmission on all samples.
+    engine_errors : tuple of ndarray
+        Change of the amplitudes with a more accurate engine.
+    model_error : float
+        Relative error of amplitudes that is allowed.
     """
 
     transmission: Field | None
@@ -84,7 +105,10 @@ def judge_result(
     found: MethodResult,
     progress: Progress,
 ) -> GoodnessOfFit:
-    """Whether the planes are explained; where they are not, what helps is tried, except on a whole field."""
+    """Return whether the planes are explained.
+
+    Where they are not, possible causes are tried, except on a whole field.
+    """
     residuals, curve = _residuals(case, found.residual_maps, found.engine_errors), found.curve
     known = [
         (plane, error)
@@ -113,27 +137,27 @@ def judge_result(
     if settings.kind == "complex" and found.whole is not None:
         findings += _ramp(found.whole)
         if len(given) > 1 and case.diversity < NO_DIVERSITY:
-            said = (
-                "the planes are so near each other that they hold one picture (diversity "
-                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more), and it does not "
-                "determine a complex object"
+            explanation = (
+                "the planes are so near each other that their pictures are nearly equal (diversity "
+                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more); they do not determine a "
+                "complex object"
             )
-            findings.append(Finding("several objects", said))
-    # Where little is amiss and the misfit falls, or after no more than a few iterations, that is it.
+            findings.append(Finding("several objects", explanation))
+    # If the misfit is only slightly too large and still falls, more iterations are sufficient.
     early = first.cause == "iterations" and (len(curve) <= FEW or first.over_noise < NEAR * LIMIT)
     if early:
         return judged()
     with engine_on(case.light.grid) as engine:
         trials, undetected = list[Trial](), tuple[Undetected, ...]()
         if found.whole is not None and not case.modes[1:]:
-            progress("what the frames say of the bench")
+            progress("score test of the bench")
             test = _score_test(case, settings, engine, found, progress)
             if test is not None and first.within:
                 undetected = test.undetected
                 if test.is_preferred:
                     findings.append(Finding(test.cause, test.explanation, test.chi_square))
         if not first.within:
-            progress("what may differ")
+            progress("possible causes")
             trials = CauseTrials(
                 engine=engine,
                 light=case.light,
@@ -158,7 +182,7 @@ def _score_test(
     found: MethodResult,
     progress: Progress,
 ) -> ScoreTest | None:
-    """What the frames say of small errors of the bench; None where rays or samples do not take them."""
+    """Return the score test of the bench, or None where rays or samples do not allow it."""
     assert found.whole is not None
     try:
         return score_test(
@@ -180,7 +204,7 @@ def _score_test(
 def stop_search(
     case: ReconstructionProblem, settings: ReconstructionSettings, engine: Engine, progress: Progress
 ) -> StopSearch:
-    """The search for another field stop than the one that was assumed."""
+    """Return the search for another field stop than the assumed one."""
     grid = case.patch.grid
     return StopSearch(
         engine,
@@ -196,16 +220,16 @@ def stop_search(
 
 
 def _ramp(transmission: Field) -> list[Finding]:
-    """A finding where a complex object carries a phase ramp that light or camera may have made."""
+    """Return a finding if a complex object has a phase ramp that light or camera may have caused."""
     phase = smooth_phase_waves(transmission)
     x, y = phase[1, 0], phase[0, 1]
     if math.hypot(x, y) < RAMP_WAVES:
         return []
-    said = (
+    explanation = (
         f"the object carries a phase ramp of {x:.2g}, {y:.2g} waves over half of the patch, which tilted "
         "light or a shifted plane would give too"
     )
-    return [Finding("phase ramp", said)]
+    return [Finding("phase ramp", explanation)]
 
 
 def _residuals(
@@ -213,17 +237,17 @@ def _residuals(
 ) -> list[PlaneResidual]:
     planes = []
     errors = engine_errors or [None] * len(maps)
-    for plane, error, held, about, engine in zip(
+    for plane, error, held_out, plane_frames, engine in zip(
         case.recorded, maps, case.held_out, case.planes, errors, strict=True
     ):
         assert plane.sigma is not None
-        left = plane.amplitude, plane.sigma, error, held.pixels, held.sigma
-        planes.append(PlaneResidual(about.distance_mm, *left, engine))
+        left = plane.amplitude, plane.sigma, error, held_out.pixels, held_out.sigma
+        planes.append(PlaneResidual(plane_frames.distance_mm, *left, engine))
     return planes
 
 
 def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit: float) -> bool:
-    """Whether residuals exceed the noise, and by no more than the engine's predicted error."""
+    """Return whether residuals exceed the noise, by no more than the engine's predicted error."""
     if excess_of(case, maps) <= 1.0:
         return False
     excess = math.sqrt(max(misfit**2 - (noise_misfit(case.given) or 0.0) ** 2, 0.0))
@@ -233,7 +257,9 @@ def is_engine_limited(case: ReconstructionProblem, maps: Sequence[Array], misfit
 def may_be_brighter(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> bool:
-    """Whether an amplitude object, whose upper limit of 1 may be too low, rests above the noise."""
+    """Return whether an amplitude object converged above the noise, so that its upper limit of 1 may be too
+    low.
+    """
     if settings.kind != "amplitude" or settings.scale is not None or isinstance(case.engine, Tiled):
         return False
     if found.stopped_because != "rest" or len(found.residual_maps) < len(case.recorded):
@@ -244,14 +270,16 @@ def may_be_brighter(
 def may_be_stagnated(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> bool:
-    """Whether the search for an amplitude object rests above the noise, perhaps in a local minimum."""
+    """Return whether the search for an amplitude object converged above the noise, perhaps in a local
+    minimum.
+    """
     if settings.kind != "amplitude" or isinstance(case.engine, Tiled) or found.stopped_because != "rest":
         return False
     return len(found.residual_maps) == len(case.recorded) and excess_of(case, found.residual_maps) > 1.0
 
 
 def excess_of(case: ReconstructionProblem, maps: Sequence[Array]) -> float:
-    """Largest residuals of all planes, over those that count as explained."""
+    """Return the largest residuals of all planes over those that count as explained."""
     return max(plane.excess for plane in plane_verdicts(_residuals(case, maps, ())))
 
 
@@ -277,7 +305,7 @@ def engine_errors(
     found: Reconstructed,
     maps: Sequence[Array],
 ) -> tuple[Array, ...]:
-    """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
+    """Return amplitudes of the object with a more accurate engine less those with the given engine."""
     more = residual_maps_of(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
@@ -285,7 +313,9 @@ def engine_errors(
 def starts_needed(
     case: ReconstructionProblem, settings: ReconstructionSettings, found: Reconstructed
 ) -> ReconstructionSettings:
-    """Settings with a second start where iterations rest and planes may not determine a complex object."""
+    """Return settings with a second start if iterations converged but the planes may not determine the
+    object.
+    """
     if settings.starts > 1 or settings.kind != "complex" or isinstance(case.engine, Tiled):
         return settings
     if case.diversity >= LEAST_DIVERSITY or found.stopped_because == "iterations":
@@ -294,7 +324,9 @@ def starts_needed(
 
 
 PHASE_RAD = 1.0
-"""Root mean square of the phases from which complex objects start; amplitudes start between 0 and 1."""
+"""Root mean square of the random phases from which complex objects start; amplitudes start between 0 and
+1.
+"""
 
 
 def agreement_of_starts(
@@ -303,29 +335,27 @@ def agreement_of_starts(
     recorded: Sequence[Measurement],
     settings: ReconstructionSettings,
     found: Reconstructed,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
     modes: Sequence[SourceMode] = (),
 ) -> float | None:
-    """Smallest correlation of the lit objects that several starts end at; None of a single one.
+    """Return the smallest correlation between the lit objects of several starts, or None for a single start.
 
     Parameters
     ----------
-    engine, light, recorded
-        As of :func:`wavesim.reconstruct`.
+    engine, light, recorded, modes
+        See :func:`wavesim.reconstruct`.
     settings
-        How many starts, and all else.
+        Number of starts, and all other settings.
     found
-        From the usual start.
-    tell
-        Told which start is on.
-    modes
-        As of :func:`wavesim.reconstruct`.
+        Result of the usual start.
+    progress
+        Called with a message for each start.
     """
     if settings.starts == 1:
         return None
     ends = [light.with_values(light.values * found.transmission.values)]
     for seed in range(1, settings.starts):
-        tell(f"start {seed + 1} of {settings.starts}")
+        progress(f"start {seed + 1} of {settings.starts}")
         random = np.random.default_rng(seed)
         if settings.kind == "amplitude":
             first = random.random(light.grid.shape)

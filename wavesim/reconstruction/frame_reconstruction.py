@@ -1,4 +1,6 @@
-"""From frames to the object, in one call: the iterations, refocusing, and a comparison with the truth."""
+"""Reconstruction of an object from frames, in one call: iterations, refocusing, assessment and
+comparison.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +63,13 @@ from wavesim.targets.patch import transmission_of
 from wavesim.targets.region import cut_field, soft_rim
 
 BETTER = 0.97
-"""Ratio of residuals from which on an amplitude object without an upper limit, or from another start, is the
-better one."""
+"""Ratio of residuals below which an unbounded amplitude object, or one from another start, is preferred."""
 
 BRIGHT = 0.99
-"""Quantile of a complex object's amplitudes that becomes 1 in the start of an amplitude object."""
+"""Quantile of a complex object's amplitudes that is scaled to 1 in the start of an amplitude object."""
 
-Take = Callable[[Engine], Engine]
-"""Hands an engine's tiles to a cluster, if there is one, and returns it."""
+ClusterHandover = Callable[[Engine], Engine]
+"""Hands the tiles of an engine to a cluster, if there is one, and returns the engine."""
 
 
 def reconstruct_frames(
@@ -80,193 +81,224 @@ def reconstruct_frames(
     calibration: Placement | Bench | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
-    before: Callable[[Memory], None] | None = None,
+    on_estimate: Callable[[Memory], None] | None = None,
     **changes: Any,
 ) -> FoundObject:
-    """Find the object behind frames: amplitude and phase, residuals, refocusing, and how good it is.
+    """Reconstruct the object behind frames: amplitude, phase, residuals, refocusing, and an assessment.
 
     Parameters
     ----------
     lens
         The nominal lens.
     frames
-        One or more of each plane, as :func:`wavesim.image` or :func:`wavesim.read_frames` gives them.
+        One or more frames of each plane, from :func:`wavesim.image` or :func:`wavesim.read_frames`.
     settings
-        All that may be set; defaults if left out.
+        All settings; default: `ReconstructionSettings()`.
     truth
         Transmission of the true object on the patch's samples, or its file or folder.
     calibration
-        The lens as mounted, as :func:`wavesim.calibrate_frames` finds it.
+        Bench or mounting of the lens, from :func:`wavesim.calibrate_frames`.
     folder
-        Where a run keeps its last iteration (`CHECKPOINT`), so that one which was cut off goes on with the
-        same call, and arrays that memory does not hold. What was kept stays there.
+        Folder of the checkpoint (`CHECKPOINT`) and of arrays that do not fit in memory. The same call
+        continues an interrupted run. The checkpoint stays there.
     progress
-        Told what is done, how many steps of it are, and of how many; 0 where that is not known.
-    before
-        Told what the run will take, when nothing can be refused any more.
+        Callback `progress(stage, completed, total)`; the total is 0 where it is unknown.
+    on_estimate
+        Callback `on_estimate(memory)` with the estimate of the memory, called after all checks.
     **changes
-        Settings by name, in place of those of `settings`.
+        Settings by name, which replace those of `settings`.
+
+    Returns
+    -------
+    FoundObject
+        The object, its residuals, and its verdict.
 
     Raises
     ------
     InputError, SamplingError, MemoryLimitError
-        Before anything is computed or written.
+        If an input is invalid or the arrays do not fit, before anything is computed or written.
     KeyboardInterrupt, ClusterError
-        Saying what is kept.
+        If the run is interrupted or the cluster fails; the message says what was saved.
 
     Warns
     -----
     FootprintWarning, DiversityWarning
-        Where frames tell less than they might.
+        If the frames contain less information than they could.
     """
     settings = (settings or ReconstructionSettings()).replaced(**changes)
     validate_frames(lens, frames, settings)
     case = reconstruction_problem(lens, frames, settings, truth, calibration, folder)
-    told = _Told(progress, settings, case.engine)
+    reporter = ProgressReporter(progress, settings, case.engine)
     if settings.field_stop == "find":
-        stated = settings.with_stop(*_stop_found(case, settings, told))
+        stated = settings.with_stop(*_find_stop(case, settings, reporter))
         case = reconstruction_problem(lens, frames, stated, truth, calibration, folder)
-    del frames  # nobody else may hold them, and they take much
-    if before is not None:
-        before(case.memory)
+    del frames  # they are large, and the problem does not need them any more
+    if on_estimate is not None:
+        on_estimate(case.memory)
     try:
-        with tiles_in(settings.cluster) as take:
-            return _run(case, settings, take, told)
+        with tiles_in(settings.cluster) as hand_over:
+            return _run(case, settings, hand_over, reporter)
     except KeyboardInterrupt:
-        where = _goes_on(case) or "nothing was written"
-        count = f"{told.iterations} of {settings.most_iterations}"
-        raise KeyboardInterrupt(f"interrupted after {count} iterations; {where}") from None
+        hint = _resume_hint(case) or "nothing was written"
+        count = f"{reporter.iterations} of {settings.most_iterations}"
+        raise KeyboardInterrupt(f"interrupted after {count} iterations; {hint}") from None
     except ClusterError as error:
-        raise ClusterError(f"{error}; {_goes_on(case) or 'no iteration was kept'}") from error
+        raise ClusterError(f"{error}; {_resume_hint(case) or 'no iteration was checkpoint'}") from error
 
 
-def _stop_found(case: ReconstructionProblem, settings: ReconstructionSettings, told: _Told) -> FieldStop:
-    """Position and diameter of the field stop, as far as settings do not state them."""
+def _find_stop(
+    case: ReconstructionProblem, settings: ReconstructionSettings, reporter: ProgressReporter
+) -> FieldStop:
+    """Return the field stop: position and diameter as far as settings do not state them."""
     if isinstance(case.engine, Tiled):
         raise SettingError(
-            "{field_stop} find: takes many short reconstructions, too long for the engine of a whole field; "
+            "{field_stop} find: needs many short reconstructions, which take too long for a whole field; "
             "find it on a smaller patch ({patch_mm}), and state {field_stop_mm} and {field_stop_at_mm}"
         )
-    search = stop_search(case, settings, case.engine, told.step)
+    search = stop_search(case, settings, case.engine, reporter.step)
     return search.run(settings.field_stop_mm, settings.field_stop_at_mm)
 
 
-class _Told:
-    """How far a run is: iterations, and within them what an engine reports."""
+class ProgressReporter:
+    """Reports the progress of a run: iterations, and parts of the engine's work within them.
+
+    Parameters
+    ----------
+    progress
+        Callback `progress(stage, completed, total)`, or None.
+    settings
+        Settings of the reconstruction.
+    engine
+        Engine, named in the first report.
+    """
 
     def __init__(self, progress: Progress | None, settings: ReconstructionSettings, engine: Engine) -> None:
         self._progress = progress or (lambda what, done, count: None)
         self._method, self._most = settings.method, settings.most_iterations
         self._figure = "CC" if settings.method == "paper" else "misfit"
         self.iterations = 0
-        self._show(f"{self._method}: engine {engine.name}", 0, self._most)
+        self._report(f"{self._method}: engine {engine.name}", 0, self._most)
 
-    def _show(self, said: str, done: int, count: int) -> None:
-        self._said, self._done, self._count = said, done, count
-        self._progress(said, done, count)
+    def _report(self, message: str, done: int, count: int) -> None:
+        self._message, self._done, self._count = message, done, count
+        self._progress(message, done, count)
 
-    def iteration(self, number: int, figure: float) -> None:
-        self.iterations = number + 1
-        self._show(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
+    def iteration(self, index: int, figure: float) -> None:
+        """Report an iteration and its misfit or correlation."""
+        self.iterations = index + 1
+        self._report(f"{self._method}: {self._figure} {figure:.5f}", self.iterations, self._most)
 
-    def on_half(self, number: int, figure: float) -> None:
-        """An iteration on half of the samples."""
-        self._show(f"{self._method}, half of the samples: {self._figure} {figure:.5f}", 0, self._most)
+    def coarse_iteration(self, index: int, figure: float) -> None:
+        """Report an iteration on half of the samples."""
+        self._report(f"{self._method}, half of the samples: {self._figure} {figure:.5f}", 0, self._most)
 
     def step(self, what: str) -> None:
-        """Something after the iterations."""
-        self._show(what, 0, 0)
+        """Report a step that is not an iteration."""
+        self._report(what, 0, 0)
 
     def count(self, done: int, total: int) -> None:
-        self._show(self._said, done, total)
+        """Report the progress within the current step."""
+        self._report(self._message, done, total)
 
-    def part(self, done: int, total: int) -> None:
-        """Of one use of an engine."""
-        self._progress(f"{self._said}, super-tile {done} of {total}", self._done, self._count)
+    def engine_part(self, done: int, total: int) -> None:
+        """Report a part of one use of an engine."""
+        self._progress(f"{self._message}, super-tile {done} of {total}", self._done, self._count)
 
 
 @contextmanager
-def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
-    """An engine that tells how far it is, and hands its work to the cluster if there is one.
+def _prepared_engine(
+    engine: Engine, hand_over: ClusterHandover, reporter: ProgressReporter
+) -> Iterator[Engine]:
+    """Yield an engine that reports its progress and uses the cluster if there is one.
 
-    Of a region, the cheapest engine may be one that does neither.
+    The cheapest engine for a region may do neither.
     """
     if not isinstance(engine, Tiled):
         yield engine
         return
-    engine.report = told.part
+    engine.report = reporter.engine_part
     try:
-        yield take(engine)
+        yield hand_over(engine)
     finally:
         engine.report = None
 
 
-def _goes_on(case: ReconstructionProblem) -> str:
-    kept = case.checkpoint is not None and case.checkpoint.kept
-    return "the same command goes on from where it was last kept" if kept else ""
+def _resume_hint(case: ReconstructionProblem) -> str:
+    checkpoint = case.checkpoint is not None and case.checkpoint.kept
+    return "the same command goes on from where it was last kept" if checkpoint else ""
 
 
 def _run(
-    case: ReconstructionProblem, settings: ReconstructionSettings, take: Take, told: _Told
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
 ) -> FoundObject:
     def engine_on(grid: Grid) -> AbstractContextManager[Engine]:
-        own = case.engine.scene.object_grid
-        return _ready(case.engine if grid == own else case.engine_on(grid), take, told)
+        own_grid = case.engine.scene.object_grid
+        return _prepared_engine(
+            case.engine if grid == own_grid else case.engine_on(grid), hand_over, reporter
+        )
 
     start = None
     if settings.source_deg == "find":
         with engine_on(case.light.grid) as engine:
-            width_deg, start = find_source_width(engine, case.light, case.given, settings, told.step)
+            width_deg, start = find_source_width(engine, case.light, case.given, settings, reporter.step)
         case = case._replace(source=Source(width_deg))
     if settings.method == "paper":
-        found = _paper(case, settings, engine_on, told)
+        found = _retrieve(case, settings, engine_on, reporter)
     else:
-        # Given away without a name for it: its arrays would else be held to the end.
-        begun = [saved_state(case.checkpoint, case.scratch)]
-        if begun == [None] and start is None:
-            begun = [_begun_on_half(case, settings, take, told)]
-        case, found = _object(case, settings, take, told, start, begun)
-    judged = judge_result(case, settings, engine_on, found, told.step)
-    transmission, behind, maps, curve, of_method = found[:5]
+        # The list gives up the initial state, so that its arrays do not stay in memory to the end.
+        initial = [saved_state(case.checkpoint, case.scratch)]
+        if initial == [None] and start is None:
+            initial = [_coarse_start(case, settings, hand_over, reporter)]
+        case, found = _find_object(case, settings, hand_over, reporter, start, initial)
+    judged = judge_result(case, settings, engine_on, found, reporter.step)
+    transmission, field_behind, maps, curve, of_method = found[:5]
     del found
     focus = None
-    if behind is not None and settings.focus_mm is not None:
-        told.step("refocusing")
-        transmission, focus = _refocused(case, settings.focus_mm, behind, told)
-        behind = None
+    if field_behind is not None and settings.focus_mm is not None:
+        reporter.step("refocusing")
+        transmission, focus = _refocus(case, settings.focus_mm, field_behind, reporter)
+        field_behind = None
     assert transmission is not None
     true, truth = None, dict[str, float | None]()
     if case.truth is not None:
-        told.step("comparison with the true object")
+        reporter.step("comparison with the true object")
         true, light = (cut_field(field, case.shown_grid) for field in (case.truth, case.light))
         scene = case.engine.scene
         truth = truth_metrics(transmission, true, light, case.inside, scene, case.scratch)
     return FoundObject(
-        settings,
-        case.patch,
-        transmission,
-        case.inside,
-        case.planes,
-        case.recorded,
-        maps,
-        curve,
-        judged,
-        focus,
-        of_method,
-        true,
-        truth,
-        case.charts,
-        case.diversity,
-        case.engine,
-        case.memory,
-        case.predicted_error,
+        settings=settings,
+        patch=case.patch,
+        transmission=transmission,
+        inside=case.inside,
+        planes=case.planes,
+        recorded=case.recorded,
+        residual_maps=maps,
+        curve=curve,
+        verdict=judged,
+        focus=focus,
+        of_method=of_method,
+        true=true,
+        truth=truth,
+        charts=case.charts,
+        diversity=case.diversity,
+        engine=case.engine,
+        memory=case.memory,
+        predicted_error=case.predicted_error,
     )
 
 
-def _begun_on_half(
-    case: ReconstructionProblem, settings: ReconstructionSettings, take: Take, told: _Told
+def _coarse_start(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
 ) -> SolverState | None:
-    """What the first iterations of a whole field find on half of its samples; None where they win little."""
+    """Return the state after the first iterations of a whole field on half of its samples, or None if they
+    save little.
+    """
     if not isinstance(case.engine, Tiled) or len(case.modes) > 1:
         return None
     small = coarse_problem(case.engine.scene, case.light, case.given)
@@ -274,7 +306,7 @@ def _begun_on_half(
         return None
     kind = "amplitude" if settings.first == "amplitude" else settings.kind
     engine = imaging_engine(small.scene, settings, runs=2 * ITERATIONS, light=Light(small.light))
-    with _ready(engine, take, told) as ready:
+    with _prepared_engine(engine, hand_over, reporter) as ready:
         found = reconstruct(
             ready,
             small.light,
@@ -285,7 +317,7 @@ def _begun_on_half(
             until_noise=True,
             scale=settings.scale,
             fill_factor=settings.fill_factor,
-            progress=told.on_half,
+            progress=reporter.coarse_iteration,
             residuals=False,
             inner_iterations=INNER_ITERATIONS,
         )
@@ -295,47 +327,49 @@ def _begun_on_half(
     return SolverState(values, values, 0.0, (), None, 0, 0)
 
 
-def _object(
+def _find_object(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
-    take: Take,
-    told: _Told,
+    hand_over: ClusterHandover,
+    reporter: ProgressReporter,
     start: Field | None,
-    begun: list[SolverState | None],
+    initial: list[SolverState | None],
 ) -> tuple[ReconstructionProblem, MethodResult]:
-    """The object, and the case with the engine that found it.
+    """Return the object, and the problem with the engine that found it.
 
-    Where residuals exceed the noise by no more than the engine's predicted error, a more accurate engine goes
-    on from there, unless the error was stated.
+    If residuals exceed the noise by at most the engine's predicted error, a more accurate engine continues,
+    unless the error was stated.
     """
-    kept: Checkpoint | None = case.checkpoint
+    checkpoint: Checkpoint | None = case.checkpoint
     curve: tuple[float, ...] = ()
     model_error = MODEL_ERROR
     first: Field | Literal["amplitude"] | None = "amplitude" if settings.first == "amplitude" else start
     errors: tuple[Array, ...] = ()
     while True:
-        with _ready(case.engine, take, told) as engine:
-            found = _solved(case, settings, engine, told, first, kept, begun.pop() if begun else None)
+        with _prepared_engine(case.engine, hand_over, reporter) as engine:
+            found = _solve(
+                case, settings, engine, reporter, first, checkpoint, initial.pop() if initial else None
+            )
             if not curve and may_be_brighter(case, settings, found):
-                brighter = _solved(case, settings, engine, told, first, bounded=False)
+                brighter = _solve(case, settings, engine, reporter, first, bounded=False)
                 excess = [excess_of(case, one.residual_maps) for one in (found, brighter)]
                 if excess[1] < BETTER * excess[0]:
                     found = brighter
                 del brighter
             if not curve and may_be_stagnated(case, settings, found):
-                found = _by_complex_object(case, settings, engine, told, found)
+                found = _solve_from_complex_object(case, settings, engine, reporter, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
                 maps = residual_maps_of(
                     engine, case.light, case.recorded, settings.fill_factor, found, case.modes
                 )
             curve += found.misfit
-            limited = is_engine_limited(case, maps, found.misfit[-1])
-            finer = more_accurate_case(case, told.step) if limited else None
-            if finer is None or settings.error is not None or settings.engine != AUTO:
-                if finer is not None:
-                    errors = engine_errors(finer, case, settings, found, maps)
-                elif limited:
+            is_limited = is_engine_limited(case, maps, found.misfit[-1])
+            accurate = more_accurate_case(case, reporter.step) if is_limited else None
+            if accurate is None or settings.error is not None or settings.engine != AUTO:
+                if accurate is not None:
+                    errors = engine_errors(accurate, case, settings, found, maps)
+                elif is_limited:
                     model_error = math.hypot(MODEL_ERROR, case.predicted_error / SAFETY)
                 agreement = agreement_of_starts(
                     engine,
@@ -343,37 +377,41 @@ def _object(
                     case.given,
                     starts_needed(case, settings, found),
                     found,
-                    told.step,
+                    reporter.step,
                     case.modes,
                 )
                 break
-        case, first, kept = finer, found.transmission, None
-    said: dict[str, Any] = {
+        case, first, checkpoint = accurate, found.transmission, None
+    of_method: dict[str, Any] = {
         "scale": found.scale,
         "misfit": found.misfit[-1],
         "stopped_because": found.stopped_because,
     }
     if settings.source_deg:
-        said["source_deg"] = case.source.width_deg
-    part, behind = cut_field(found.transmission, case.refocus_grid), None
+        of_method["source_deg"] = case.source.width_deg
+    shown_part, field_behind = cut_field(found.transmission, case.refocus_grid), None
     if settings.focus_mm is not None:
-        behind = part.with_values(cut_field(case.light, case.refocus_grid).values * part.values)
+        field_behind = shown_part.with_values(
+            cut_field(case.light, case.refocus_grid).values * shown_part.values
+        )
     whole = None if isinstance(case.engine, Tiled) else found.transmission
-    transmission = part if behind is None else None
-    return case, MethodResult(transmission, behind, maps, curve, said, agreement, whole, errors, model_error)
+    transmission = shown_part if field_behind is None else None
+    return case, MethodResult(
+        transmission, field_behind, maps, curve, of_method, agreement, whole, errors, model_error
+    )
 
 
-def _solved(
+def _solve(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
-    told: _Told,
+    reporter: ProgressReporter,
     start: Field | Literal["amplitude"] | None,
-    kept: Checkpoint | None = None,
+    checkpoint: Checkpoint | None = None,
     resume: SolverState | None = None,
     bounded: bool = True,
 ) -> Reconstructed:
-    """The object that iterations with one engine come to."""
+    """Return the object that iterations with one engine find."""
     return reconstruct(
         engine,
         case.light,
@@ -385,39 +423,42 @@ def _solved(
         scale=settings.scale,
         start=start,
         fill_factor=settings.fill_factor,
-        progress=told.iteration,
+        progress=reporter.iteration,
         resume=resume,
-        keep=state_saver(kept),
+        keep=state_saver(checkpoint),
         scratch=case.scratch,
         modes=case.modes,
         bounded=bounded,
     )
 
 
-def _by_complex_object(
+def _solve_from_complex_object(
     case: ReconstructionProblem,
     settings: ReconstructionSettings,
     engine: Engine,
-    told: _Told,
+    reporter: ProgressReporter,
     found: Reconstructed,
 ) -> Reconstructed:
-    """The amplitude object that starts from a complex one, if it fits better than the one found.
+    """Return the amplitude object that starts from a complex one if it fits better than the one found.
 
-    A real transmission between 0 and 1 has local minima that a complex one passes by.
+    A complex transmission avoids local minima of a real one between 0 and 1.
     """
-    told.step("complex object as another start")
-    free = _solved(case, settings.replaced(kind="complex"), engine, told, None).transmission
-    amplitude = np.abs(free.values)
+    reporter.step("complex object as another start")
+    complex_object = _solve(case, settings.replaced(kind="complex"), engine, reporter, None).transmission
+    amplitude = np.abs(complex_object.values)
     if settings.scale is None:
         amplitude /= max(float(np.quantile(amplitude[case.light.values != 0.0], BRIGHT)), 1e-6)
-    start = free.with_values(np.clip(amplitude, 0.0, 1.0).astype(free.values.dtype))
-    other = _solved(case, settings, engine, told, start)
+    start = complex_object.with_values(np.clip(amplitude, 0.0, 1.0).astype(complex_object.values.dtype))
+    other = _solve(case, settings, engine, reporter, start)
     is_better = excess_of(case, other.residual_maps) < BETTER * excess_of(case, found.residual_maps)
     return other if is_better else found
 
 
-def _paper(
-    case: ReconstructionProblem, settings: ReconstructionSettings, engine_on: EngineOn, told: _Told
+def _retrieve(
+    case: ReconstructionProblem,
+    settings: ReconstructionSettings,
+    engine_on: EngineOn,
+    reporter: ProgressReporter,
 ) -> MethodResult:
     with engine_on(case.light.grid) as engine:
         retrieved, maps = retrieve_resumably(
@@ -427,23 +468,28 @@ def _paper(
             case.checkpoint,
             iterations=settings.most_iterations,
             start=settings.first,
-            progress=told.iteration,
+            progress=reporter.iteration,
             scratch=case.scratch,
         )
-    said = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
-    told.step("back to the object")
+    of_method = {"correlation_a6": retrieved.correlation[-1], "stagnated_at": retrieved.stagnated_at}
+    reporter.step("back to the object")
     with engine_on(case.refocus_grid) as engine:
-        return MethodResult(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, said)
+        return MethodResult(None, engine.adjoint(retrieved.field), maps, retrieved.correlation, of_method)
 
 
-def _refocused(
-    case: ReconstructionProblem, focus_mm: tuple[float, float], behind: Field, told: _Told
+def _refocus(
+    case: ReconstructionProblem,
+    focus_mm: tuple[float, float],
+    field_behind: Field,
+    reporter: ProgressReporter,
 ) -> tuple[Field, Focus]:
-    """The sharpest of all distances; a field is carried, not a transmission."""
-    if behind.grid != case.shown_grid:  # a part of the field must not end as if it were cut off
-        behind = behind.with_values(behind.values * soft_rim(case.shown_grid, behind.grid))
-    found = refocus_field(behind, focus_mm, case.depth_mm, told.count)
-    # The light is taken where the object was thought to be: over a few depths of focus it hardly changes.
-    light = cut_field(case.light, behind.grid)
-    there = transmission_of(replace(found.field, grid=light.grid), light)
-    return cut_field(there, case.shown_grid), Focus(found.distance_mm, found.distances_mm, found.svfg)
+    """Return the object at its sharpest distance; the field is propagated, and not the transmission."""
+    if field_behind.grid != case.shown_grid:  # a sharp edge of a part of the field would diffract
+        field_behind = field_behind.with_values(
+            field_behind.values * soft_rim(case.shown_grid, field_behind.grid)
+        )
+    found = refocus_field(field_behind, focus_mm, case.depth_mm, reporter.count)
+    # The illumination hardly changes over a few depths of focus.
+    light = cut_field(case.light, field_behind.grid)
+    transmission = transmission_of(replace(found.field, grid=light.grid), light)
+    return cut_field(transmission, case.shown_grid), Focus(found.distance_mm, found.distances_mm, found.svfg)

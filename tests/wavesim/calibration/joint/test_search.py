@@ -14,7 +14,7 @@ from small_twins import bars_under_stop
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from wavesim.calibration.calibrated import read_calibration, traded
+from wavesim.calibration.calibrated import correlated_parameters, read_calibration
 from wavesim.calibration.joint.pixels import DensePixels, RaySlopes
 from wavesim.calibration.joint.search import FitResult, JointSearch, SearchState
 from wavesim.calibration.parameters import Unknowns, bench_parameters, chosen_parameters
@@ -139,7 +139,10 @@ def test_what_turns_together_is_not_told_apart(search: JointSearch, lens: Lens) 
     alone, together = (result.deviations[0] for result in found)
     assert alone < 0.1 * together < 0.1 * search.parameters[0].typical
     names = [p.name for p in asked.parameters]
-    assert set(traded(names, found[1].covariance)["light_tilt_x_deg"]) >= {"decenter_x_mm", "tilt_y_deg"}
+    assert set(correlated_parameters(names, found[1].covariance)["light_tilt_x_deg"]) >= {
+        "decenter_x_mm",
+        "tilt_y_deg",
+    }
 
 
 def test_a_file_of_values_is_the_bench_again(lens: Lens, result: FitResult, tmp_path: Path) -> None:
