@@ -97,7 +97,7 @@ class Chain:
     def transmission(self) -> NDArray[np.complexfloating]:
         """Of the object."""
         from wavesim.fields.coverage import bar_rectangles, rectangle_coverage
-        from wavesim.targets.patterns import on_ground
+        from wavesim.targets.patterns import with_polarity
 
         width = 1e-3 * self.line_width_um
         shapes = [
@@ -105,7 +105,7 @@ class Chain:
             for axis, middle in self.sets
             for bar in bar_rectangles(width, BARS, axis, middle, SIDE * width)
         ]
-        return on_ground(rectangle_coverage(self.patch.grid, shapes), self.ground).astype(np.complex64)
+        return with_polarity(rectangle_coverage(self.patch.grid, shapes), self.ground).astype(np.complex64)
 
     @cached_property
     def sensor(self) -> Sensor:

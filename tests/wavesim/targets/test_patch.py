@@ -149,7 +149,7 @@ def test_sizes_of_a_picture_that_do_not_fit_are_refused_in_one_message(tmp_path:
     patch = object_patch(TWIN, 0.1, 0.05)
     with pytest.raises(InputError, match=r"picture_width_mm = 0\.06: .* give 0\.0416 at most"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.06)
-    with pytest.raises(InputError, match="picture_pixel_um, picture_width_mm: give one of them"):
+    with pytest.raises(InputError, match="picture_pixel_um, picture_width_mm: give only one of them"):
         make_target(patch, str(path), numerical_aperture=0.5, picture_width_mm=0.01, picture_pixel_um=1.0)
 
 
