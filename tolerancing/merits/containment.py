@@ -45,7 +45,7 @@ def _error_text(error: BaseException, file: str) -> str:
     try:
         text = str(error)
     except BaseException:
-        text = "it cannot say why"
+        text = "no message (its __str__ failed)"
     if isinstance(error, SystemExit):
         text = f"{text or 0}: asks for the end of the run"
     kind = "" if isinstance(error, TransferLensError) else f"{type(error).__name__}: "

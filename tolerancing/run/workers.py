@@ -40,7 +40,7 @@ def work_local(task: Task, levels: Mapping[str, str], failure: str = "") -> Resu
     assert _local is not None  # start_local has run in this process.
     context, study = _local[0], _local[1].with_levels(levels)
     if failure:
-        merits = tuple(merit.refused(failure) for merit in study.all_merits)
+        merits = tuple(merit.without_user_code(failure) for merit in study.all_merits)
         study = study.model_copy(update={"all_merits": merits})
     return perform(context, study, task)
 

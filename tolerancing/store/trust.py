@@ -41,7 +41,7 @@ def _restrict(merit: Merit, loaded: LoadedStudy, store: Path) -> Merit:
     if _is_own(copy) and _has_content(copy, content):
         return merit
     digest = hashlib.sha256(content).hexdigest()
-    return merit.refused(
+    return merit.without_user_code(
         f"{store}: scoring again would run {merit.file_name}, Python code in the store (SHA-256 {digest}) "
         f"that would have all your rights; tolerancing report shows the code without running it. If you "
         f"trust it: --trust (in Python, open_store(..., trust=True)), or put your own copy of it at {copy}"

@@ -105,18 +105,18 @@ def test_it_travels_to_other_processes(tmp_path, context, batch):
 )
 def test_files_without_the_function_are_refused_before_the_first_trial(tmp_path, name, source, message):
     with pytest.raises(DesignError, match=message):
-        own(tmp_path, name, source).get_ready()
+        own(tmp_path, name, source).prepare()
 
 
 def test_reading_runs_nothing(tmp_path, context, batch):
     """Neither a file, nor a merit without leave."""
     merit = own(tmp_path, "tilt", f"open({str(tmp_path / 'run')!r}, 'w')\n" + SOURCE)
     with pytest.raises(InputError, match="a stranger's"):
-        merit.refused("a stranger's").get_ready()
+        merit.without_user_code("a stranger's").prepare()
     with pytest.raises(InputError, match="a stranger's"):
-        pickle.loads(pickle.dumps(merit.refused("a stranger's"))).scores(context, batch)
+        pickle.loads(pickle.dumps(merit.without_user_code("a stranger's"))).scores(context, batch)
     assert not (tmp_path / "run").exists()
-    merit.get_ready()
+    merit.prepare()
     assert (tmp_path / "run").exists()
 
 
@@ -182,7 +182,7 @@ def test_scores_too_large_to_be_counted_with_are_failures(tmp_path, context, bat
 @pytest.mark.parametrize("way", ["sys.exit(0)", "raise KeyError('x')", "class B(BaseException): 0\nraise B"])
 def test_a_file_that_leaves_the_program_is_refused(tmp_path, way):
     with pytest.raises(DesignError, match=r"mine.py: cannot be run: "):
-        own(tmp_path, "tilt", f"import os, sys\n{way}\n{SOURCE}").get_ready()
+        own(tmp_path, "tilt", f"import os, sys\n{way}\n{SOURCE}").prepare()
 
 
 def test_interrupts_pass(tmp_path, context, batch):

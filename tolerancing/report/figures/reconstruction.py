@@ -66,7 +66,7 @@ def reconstruction_panel(
 
 def _title(merit: Reconstruction) -> str:
     if merit.figure == "contrast":
-        return f"contrast of {merit.judged_width_um:g} µm lines"
+        return f"contrast of {merit.evaluated_width_um:g} µm lines"
     return merit.figure.replace("_", " ")
 
 

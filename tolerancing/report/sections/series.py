@@ -88,7 +88,7 @@ def _differences(data: ReportData, section: LinePairSection, steps: Sequence[Ste
     """Describe how much contrasts of line pairs differ from the study's merits of the same line widths."""
     sentences = []
     for merit in data.study.all_merits:
-        width = getattr(merit, "judged_width_um", getattr(merit, "line_width_um", None))
+        width = getattr(merit, "evaluated_width_um", getattr(merit, "line_width_um", None))
         if merit.label not in section.merits or width not in section.line_widths_um or merit.unit:
             continue
         pairs = next(p for p in section.line_pairs() if p.line_width_um == width and p.refocus)
