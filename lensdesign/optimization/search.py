@@ -70,7 +70,7 @@ def optimize(specification: Specification, report: Report | None = None, seed: i
     Examples
     --------
     >>> from lensdesign import load_specification
-    >>> result = optimize(load_specification("examples/specification.toml"))  # doctest: +SKIP
+    >>> result = optimize(load_specification("designs/thinnest_singlet_spec.toml"))  # doctest: +SKIP
     >>> result.feasible  # doctest: +SKIP
     True
     """

@@ -200,7 +200,7 @@ def load_specification(path: str | os.PathLike[str]) -> Specification:
 
     Examples
     --------
-    >>> specification = load_specification("examples/specification.toml")  # doctest: +SKIP
+    >>> specification = load_specification("designs/thinnest_singlet_spec.toml")
     """
     path = Path(path)
     data = read_toml(path)
