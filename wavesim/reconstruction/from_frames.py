@@ -195,11 +195,11 @@ def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
     if not isinstance(engine, Tiled):
         yield engine
         return
-    engine.report = told.part
+    engine.progress = told.part
     try:
         yield take(engine)
     finally:
-        engine.report = None
+        engine.progress = None
 
 
 def _goes_on(case: ReconstructionProblem) -> str:

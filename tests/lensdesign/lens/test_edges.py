@@ -241,7 +241,7 @@ def test_a_perturbed_surface_may_not_reach_into_the_flange(paper_lens: Lens) -> 
     ring = FLANGE.replaced(distance_mm=element.cylinder_z_mm[0])
     lens = moulded(paper_lens, flange=ring)
     assert lens_mesh(lens, 10.0).mesh.is_watertight
-    with pytest.raises(InputError, match="as perturbed: its edge cylinder runs at its narrowest from"):
+    with pytest.raises(InputError, match="the edge cylinder extends at its narrowest from"):
         lens_mesh(lens, 10.0, surface_perturbations={0: SurfacePerturbation(tilt_y_deg=0.5)})
 
 

@@ -334,7 +334,7 @@ def test_draw_all_without_rendering_says_so(
 ) -> None:
     no_rendering(monkeypatch)
     notes: list[str] = []
-    paths = draw_all(paper_lens, tmp_path / "new", ("png", "svg"), report=notes.append)
+    paths = draw_all(paper_lens, tmp_path / "new", ("png", "svg"), warn=notes.append)
     names = [f"{n}.{f}" for n in ("layout", "spots", "incidence", "spread") for f in ("png", "svg")]
     assert [p.name for p in paths] == names
     assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(names)
@@ -367,7 +367,7 @@ def test_draw_all_with_rendering(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 def test_a_lens_that_does_not_close_has_no_3d_view(tmp_path: Path, paper_lens: Lens) -> None:
     notes: list[str] = []
-    paths = draw_all(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path, report=notes.append)
+    paths = draw_all(paper_lens.with_surface(0, thickness_mm=4.5), tmp_path, warn=notes.append)
     assert [p.name for p in paths] == ["layout.png", "spots.png", "incidence.png", "spread.png"]
     assert len(notes) == 1
     assert "edge thickness is -0." in notes[0]
