@@ -215,7 +215,7 @@ def _move_mm(lens: Lens, variable: VariableRange, plates: Sequence[float]) -> fl
 def _remaining_specification(
     specification: Specification, lens: Lens, remaining: Sequence[VariableRange]
 ) -> Specification:
-    """What remains to be searched, from a lens on; apertures are worked out anew location they were."""
+    """Return the specification of the next search; free semi-diameters stay free."""
     surfaces = tuple(
         found.replaced(semi_diameter_mm=specified.semi_diameter_mm)
         for found, specified in zip(lens.surfaces, specification.surfaces, strict=True)
