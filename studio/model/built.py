@@ -18,7 +18,7 @@ from tolerancing.prediction.wavefront_prediction import drawn_batch
 from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
 
-FEWER = 4
+COARSE_STRIDE = 4
 """While a value moves: every so many of the draws, to first order."""
 
 
@@ -43,9 +43,9 @@ class ManufacturingQuality:
         return drawn_batch(self.study)
 
     @cached_property
-    def fewer(self) -> PerturbationBatch:
+    def coarse_batch(self) -> PerturbationBatch:
         """Some of them, for a prediction while a value moves."""
-        return drawn_batch(self.study, FEWER)
+        return drawn_batch(self.study, COARSE_STRIDE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class AsBuiltFigures:
     cost: float | None
 
 
-def workmanship(name: str, lens: Lens) -> ManufacturingQuality:
+def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
     """The study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
 
     Parameters
@@ -90,7 +90,7 @@ def workmanship(name: str, lens: Lens) -> ManufacturingQuality:
     return ManufacturingQuality(Path(name).name, study)
 
 
-def built(lens: Lens, made: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
+def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
     """Predict a lens as built: as `tolerancing predict` does, or coarser, while a value moves.
 
     Raises
@@ -98,14 +98,14 @@ def built(lens: Lens, made: ManufacturingQuality, *, settled: bool = True) -> As
     InputError
         If rays do not pass.
     """
-    check_against(made.study, lens, made.name)
-    batch = made.drawn if settled else made.fewer
-    prediction = predict_study(lens, made.study, batch, quick=not settled)
+    check_against(quality.study, lens, quality.name)
+    batch = quality.drawn if settled else quality.coarse_batch
+    prediction = predict_study(lens, quality.study, batch, quick=not settled)
     try:
-        cost = cost_of(made.study, lens, _costs()).total
+        cost = cost_of(quality.study, lens, _costs()).total
     except InputError:
         cost = None
-    return AsBuiltFigures(made.name, prediction, cost)
+    return AsBuiltFigures(quality.name, prediction, cost)
 
 
 @lru_cache(maxsize=1)

@@ -15,12 +15,12 @@ from lensdesign.errors import InputError
 from lensdesign.files.design import lens_of
 from lensdesign.lens.lens import Lens
 
-Place = tuple[str | int, ...]
+TablePath = tuple[str | int, ...]
 """Where a value stands in a design's tables: ("surface", 0, "radius_mm"); tables are counted from 0."""
 
 Tables = dict[str, Any]
 
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 """That can be undone."""
 
 
@@ -40,7 +40,7 @@ class Step:
 
     tables: Tables
     lens: Lens
-    what: str
+    description: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,8 @@ class Editing:
 
     path: Path
     now: Step
-    before: tuple[Step, ...] = ()
-    after: tuple[Step, ...] = ()
+    undo_steps: tuple[Step, ...] = ()
+    redo_steps: tuple[Step, ...] = ()
     gesture: str = ""
 
     @property
@@ -70,7 +70,7 @@ class Editing:
         """The lens as it is."""
         return self.now.lens
 
-    def changed(self, tables: Tables, what: str, gesture: str = "") -> Editing:
+    def changed(self, tables: Tables, description: str, gesture: str = "") -> Editing:
         """With other tables.
 
         Raises
@@ -78,26 +78,34 @@ class Editing:
         InputError
             If they make no lens; the message is that of the commands.
         """
-        step = Step(tables, lens_from(tables, self.path), what)
+        step = Step(tables, lens_from(tables, self.path), description)
         if gesture and gesture == self.gesture:
-            return replace(self, now=step, after=())
+            return replace(self, now=step, redo_steps=())
         return replace(
-            self, now=step, before=(*self.before, self.now)[-MOST_STEPS:], after=(), gesture=gesture
+            self,
+            now=step,
+            undo_steps=(*self.undo_steps, self.now)[-MAX_STEPS:],
+            redo_steps=(),
+            gesture=gesture,
         )
 
     def undone(self) -> Editing:
         """One step back; the same where there is none."""
-        if not self.before:
+        if not self.undo_steps:
             return self
-        *rest, last = self.before
-        return replace(self, now=last, before=tuple(rest), after=(self.now, *self.after), gesture="")
+        *rest, last = self.undo_steps
+        return replace(
+            self, now=last, undo_steps=tuple(rest), redo_steps=(self.now, *self.redo_steps), gesture=""
+        )
 
     def redone(self) -> Editing:
         """One step forward again; the same where nothing was undone."""
-        if not self.after:
+        if not self.redo_steps:
             return self
-        first, *rest = self.after
-        return replace(self, now=first, before=(*self.before, self.now), after=tuple(rest), gesture="")
+        first, *rest = self.redo_steps
+        return replace(
+            self, now=first, undo_steps=(*self.undo_steps, self.now), redo_steps=tuple(rest), gesture=""
+        )
 
 
 def lens_from(tables: Tables, path: Path) -> Lens:
@@ -105,10 +113,10 @@ def lens_from(tables: Tables, path: Path) -> Lens:
     return lens_of(deepcopy(tables), path)
 
 
-def value_at(tables: Tables, place: Place) -> Any:
+def value_at(tables: Tables, table_path: TablePath) -> Any:
     """The value at a place, None where there is none."""
     found: Any = tables
-    for key in place:
+    for key in table_path:
         try:
             found = found[key]
         except (KeyError, IndexError):
@@ -116,12 +124,12 @@ def value_at(tables: Tables, place: Place) -> Any:
     return found
 
 
-def with_value(tables: Tables, place: Place, value: Any) -> Tables:
+def with_value(tables: Tables, table_path: TablePath, value: Any) -> Tables:
     """Tables with another value at a place; None takes the key out."""
     changed = deepcopy(tables)
-    *way, last = place
+    *parents, last = table_path
     inner: Any = changed
-    for key in way:
+    for key in parents:
         inner = inner.setdefault(key, {}) if isinstance(inner, dict) else inner[key]
     if value is None and isinstance(inner, dict):
         inner.pop(last, None)
@@ -130,12 +138,12 @@ def with_value(tables: Tables, place: Place, value: Any) -> Tables:
     return changed
 
 
-def with_surface_after(tables: Tables, number: int) -> Tables:
+def with_surface_after(tables: Tables, index: int) -> Tables:
     """Tables with a plane surface more behind one, counted from 0, in the middle of the space there."""
     changed = deepcopy(tables)
     surfaces = changed["surface"]
-    own = surfaces[number]
-    if number == len(surfaces) - 1:
+    own = surfaces[index]
+    if index == len(surfaces) - 1:
         own["thickness_mm"] = 1.0
         surfaces.append({})
     else:
@@ -144,11 +152,11 @@ def with_surface_after(tables: Tables, number: int) -> Tables:
         added: Tables = {"thickness_mm": half}
         if "material" in own:
             added["material"] = own["material"]
-        surfaces.insert(number + 1, added)
+        surfaces.insert(index + 1, added)
     return changed
 
 
-def without_surface(tables: Tables, number: int) -> Tables:
+def without_surface(tables: Tables, index: int) -> Tables:
     """Tables without one surface; its space is the next one's.
 
     Raises
@@ -159,23 +167,23 @@ def without_surface(tables: Tables, number: int) -> Tables:
     surfaces: Sequence[Tables] = tables["surface"]
     if len(surfaces) == 1:
         raise InputError("surface 1: the only surface stays; a lens has one at least")
-    if surfaces[number].get("stop"):
-        raise InputError(f"surface {number + 1}: is the stop; make another surface the stop first")
+    if surfaces[index].get("stop"):
+        raise InputError(f"surface {index + 1}: is the stop; make another surface the stop first")
     changed = deepcopy(tables)
-    changed["surface"].pop(number)
-    if number == len(surfaces) - 1:
+    changed["surface"].pop(index)
+    if index == len(surfaces) - 1:
         changed["surface"][-1].pop("thickness_mm", None)
         changed["surface"][-1].pop("material", None)
     return changed
 
 
-def with_stop(tables: Tables, number: int) -> Tables:
+def with_stop(tables: Tables, index: int) -> Tables:
     """Tables whose stop, and its size where there is none, is on another surface."""
     changed = deepcopy(tables)
     sizes = [s.get("semi_diameter_mm") for s in changed["surface"] if s.get("stop")]
     for i, surface in enumerate(changed["surface"]):
         surface.pop("stop", None)
-        if i == number:
+        if i == index:
             surface["stop"] = True
             surface.setdefault("semi_diameter_mm", (sizes or [None])[0])
     return changed

@@ -31,7 +31,7 @@ REPORT_TRIALS = 400
 
 
 def write_export(
-    lens: Lens, path: Path, made: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
+    lens: Lens, path: Path, quality: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
 ) -> str:
     """Write one file, and say in a sentence what it is.
 
@@ -73,25 +73,25 @@ def write_export(
     if path.suffix:
         from lensdesign.manufacture.exports import ExportOptions, export_lens
 
-        made_file = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
-        for statement in made_file.outline:
+        exported = export_lens(lens, path, ExportOptions(MESH_ERROR_UM, False, report))
+        for statement in exported.outline:
             report(f"outline: {statement}")
-        return f"wrote {path}: {made_file.sentence}"
-    return _write_report(lens, path, made, report)
+        return f"wrote {path}: {exported.sentence}"
+    return _write_report(lens, path, quality, report)
 
 
 def _write_report(
-    lens: Lens, folder: Path, made: ManufacturingQuality | None, report: Callable[[str], None]
+    lens: Lens, folder: Path, quality: ManufacturingQuality | None, report: Callable[[str], None]
 ) -> str:
     """Run a short study and write its report."""
     from studio.model.studies import run_trials
     from tolerancing.report.report import write_report
     from tolerancing.store.store import open_store
 
-    if made is None:
+    if quality is None:
         raise InputError("a report needs tolerances: choose a grade")
     with tempfile.TemporaryDirectory() as name:
-        run_trials(lens, made, REPORT_TRIALS, Path(name), report)
+        run_trials(lens, quality, REPORT_TRIALS, Path(name), report)
         with open_store(Path(name) / "study.db") as store:
             write_report(store, folder)
     return f"wrote {folder}/report.html, report.pdf, trials.csv and steps.csv"

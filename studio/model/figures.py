@@ -75,13 +75,13 @@ class FigureRequest:
 
     lens: Lens
     what_if: WhatIf
-    made: ManufacturingQuality | None
-    patch_share: float
+    quality: ManufacturingQuality | None
+    patch_fraction: float
 
 
-def rays_of(asked: FigureRequest, *, settled: bool) -> Figures:
+def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
     """Layout, and what the check tells."""
-    began, lens = time.perf_counter(), asked.lens
+    started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     layout = _tried(lambda: layout_of(lens), refused)
     check = _tried(lambda: check_design(lens, refined=settled), refused)
@@ -91,37 +91,39 @@ def rays_of(asked: FigureRequest, *, settled: bool) -> Figures:
         layout=layout,
         check=check,
         refused=tuple(refused),
-        seconds=(time.perf_counter() - began,),
+        seconds=(time.perf_counter() - started,),
     )
 
 
-def waves_of(asked: FigureRequest, *, settled: bool) -> Figures:
+def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
     """Pupils at three object points, and what is predicted as built."""
-    began, lens, made = time.perf_counter(), asked.lens, asked.made
+    started, lens, quality = time.perf_counter(), request.lens, request.quality
     refused: list[str] = []
     samples = SAMPLES if settled else COARSE
     with one_blas_thread():
-        what_if, heights = asked.what_if.of(lens), heights_of(lens)
+        what_if, heights = request.what_if.of(lens), heights_of(lens)
         pupils = _tried(lambda: pupil_figures(lens, what_if, heights, samples), refused)
-        as_built = None if made is None else _tried(lambda: built(lens, made, settled=settled), refused)
+        as_built = None if quality is None else _tried(lambda: built(lens, quality, settled=settled), refused)
     return Figures(
         lens,
         settled,
         pupils=pupils or (),
         built=as_built,
         refused=tuple(refused),
-        seconds=(time.perf_counter() - began,),
+        seconds=(time.perf_counter() - started,),
     )
 
 
-def patch_of(asked: FigureRequest, *, settled: bool) -> Figures:
+def patch_of(request: FigureRequest, *, settled: bool) -> Figures:
     """The patch."""
-    began, lens = time.perf_counter(), asked.lens
+    started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
-    height, samples = asked.patch_share * lens.half_field_mm, None if settled else COARSE_PATCH
+    height, samples = request.patch_fraction * lens.half_field_mm, None if settled else COARSE_PATCH
     with one_blas_thread():
-        patch = _tried(lambda: patch_picture(lens, asked.what_if.of(lens), height, samples), refused)
-    return Figures(lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - began,))
+        patch = _tried(lambda: patch_picture(lens, request.what_if.of(lens), height, samples), refused)
+    return Figures(
+        lens, settled, patch=patch, refused=tuple(refused), seconds=(time.perf_counter() - started,)
+    )
 
 
 def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:

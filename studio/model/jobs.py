@@ -38,13 +38,13 @@ class Job:
     """
 
     def __init__(
-        self, work: Callable[..., Any], arguments: tuple[Any, ...], told: Callable[[], None]
+        self, work: Callable[..., Any], arguments: tuple[Any, ...], on_change: Callable[[], None]
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self.state = "running"
         self.lines: list[str] = []
         self.result: Any = None
-        self._told = told
+        self._on_change = on_change
         self._messages: Any = context.Queue()
         self._process = context.Process(target=_run, args=(work, arguments, self._messages), daemon=True)
         self._process.start()
@@ -60,7 +60,7 @@ class Job:
         if self.state == "running":
             self.state = "cancelled"
             self._process.terminate()
-            self._told()
+            self._on_change()
 
     def _follow(self) -> None:
         while self.state == "running":
@@ -72,7 +72,7 @@ class Job:
                 continue
             if kind == "line":
                 self.lines.append(value)
-                self._told()
+                self._on_change()
             else:
                 self._end(kind, value)
         self._process.join()
@@ -80,7 +80,7 @@ class Job:
     def _end(self, state: str, result: Any) -> None:
         if self.state == "running":
             self.state, self.result = state, result
-            self._told()
+            self._on_change()
 
 
 def _run(work: Callable[..., Any], arguments: tuple[Any, ...], messages: Any) -> None:

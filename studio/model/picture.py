@@ -77,7 +77,7 @@ def _spots(lens: Lens, heights: tuple[float, ...]) -> tuple[tuple[Array, ...], .
         rays = trace(lens, origins, directions, lens.wavelengths_um[0], plane_z_mm=lens.sensor_z_mm[0])
         own = []
         for z in lens.sensor_z_mm:
-            way = (z - rays.position[:, 2:]) / rays.direction[:, 2:]
-            own.append((rays.position + way * rays.direction)[rays.ok, :2])
+            distance = (z - rays.position[:, 2:]) / rays.direction[:, 2:]
+            own.append((rays.position + distance * rays.direction)[rays.ok, :2])
         by_field.append(own)
     return tuple(tuple(own[k] for own in by_field) for k in range(len(lens.sensor_z_mm)))

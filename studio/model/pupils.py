@@ -109,12 +109,12 @@ class PatchPicture:
     ----------
     side_um
         Of the patch.
-    seen, nominal : ndarray
+    actual, nominal : ndarray
         Intensities; row: y, column: x.
     """
 
     side_um: float
-    seen: Array
+    actual: Array
     nominal: Array
 
 
@@ -136,8 +136,8 @@ def patch_picture(lens: Lens, what_if: WhatIf, height_mm: float, samples: int | 
         If rays do not arrive.
     """
     chain = _chain(lens, height_mm, samples)
-    seen = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
-    return PatchPicture(chain.patch_um, np.abs(seen) ** 2, _nominal(lens, height_mm, samples))
+    actual = chain.perturbed(what_if.placement(lens)).returned(_chart(chain), "focus").values
+    return PatchPicture(chain.patch_um, np.abs(actual) ** 2, _nominal(lens, height_mm, samples))
 
 
 @lru_cache(maxsize=4)

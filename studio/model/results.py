@@ -23,12 +23,12 @@ PICTURES = (
     "frames.png",
     "object.png",
 )
-MOST_BYTES = 64_000_000
+MAX_BYTES = 64_000_000
 """Of a file that is shown."""
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class FolderContents:
     """What a folder holds.
 
     Attributes
@@ -52,7 +52,7 @@ class Seen:
     page: str
 
 
-def look_at(folder: Path, report: Callable[[str], None]) -> Seen:
+def read_folder(folder: Path, report: Callable[[str], None]) -> FolderContents:
     """Read a folder of `wavesim image`, `reconstruct` or `calibrate`.
 
     Raises
@@ -64,17 +64,17 @@ def look_at(folder: Path, report: Callable[[str], None]) -> Seen:
     if not summaries:
         raise InputError(f"{folder}: holds none of {', '.join(SUMMARIES)}: give a folder that wavesim wrote")
     report(f"reading {folder}")
-    told = _read(summaries[0])
-    verdict: Any = told.get("verdict") or {}
+    values = _read(summaries[0])
+    verdict: Any = values.get("verdict") or {}
     pictures = tuple(
         (name, path.read_bytes())
         for name in PICTURES
-        if (path := folder / name).is_file() and path.stat().st_size <= MOST_BYTES
+        if (path := folder / name).is_file() and path.stat().st_size <= MAX_BYTES
     )
     report("making the page that zooms")
     explained = verdict.get("explained") if isinstance(verdict, dict) else None
     words = str(verdict.get("words", "")) if isinstance(verdict, dict) else ""
-    return Seen(words, explained, tuple(_facts(told)), pictures, _page(folder))
+    return FolderContents(words, explained, tuple(_facts(values)), pictures, _page(folder))
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -89,10 +89,10 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
-def _facts(told: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _facts(values: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Values that are one word or number each, tables within tables behind their names."""
     found = []
-    for name, value in told.items():
+    for name, value in values.items():
         shown = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(value, dict) and name != "verdict":
             found += _facts(value, f"{shown}, ")
@@ -109,6 +109,6 @@ def _page(folder: Path) -> str:
         page = Path(name) / "view.html"
         command = [sys.executable, "-m", "wavesim.cli", "view", str(folder.resolve()), "-o", str(page)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode or page.stat().st_size > MOST_BYTES:
+        if done.returncode or page.stat().st_size > MAX_BYTES:
             return ""
         return page.read_text(encoding="utf-8")

@@ -142,7 +142,7 @@ def specification_text(lens: Lens, search: Search, folder: Path, study: str | No
 
 
 def run_search(
-    lens: Lens, search: Search, made: ManufacturingQuality | None, report: Callable[[str], None]
+    lens: Lens, search: Search, quality: ManufacturingQuality | None, report: Callable[[str], None]
 ) -> Found:
     """Search, in the process that calls.
 
@@ -153,7 +153,7 @@ def run_search(
     """
     from lensdesign.optimization.search import optimize
 
-    with _asked(lens, search, made) as specification:
+    with _specification_of(lens, search, quality) as specification:
         result = optimize(specification, report)
     unit = f" {result.goal_unit}" if result.goal_unit else ""
     summary = (
@@ -167,7 +167,7 @@ def run_search(
 def run_exploration(
     lens: Lens,
     search: Search,
-    made: ManufacturingQuality | None,
+    quality: ManufacturingQuality | None,
     over: str,
     count: int,
     report: Callable[[str], None],
@@ -198,21 +198,23 @@ def run_exploration(
             found = design_text(one.lens.replaced(title=lens.title), Path("/"))
             report(json.dumps({"values": one.values, "text": found}))
 
-    with _asked(lens, search, made) as specification:
+    with _specification_of(lens, search, quality) as specification:
         return len(Exploration(specification, axes_of(over, specification), count, on_result=keep).run())
 
 
 @contextmanager
-def _asked(lens: Lens, search: Search, made: ManufacturingQuality | None) -> Iterator[Specification]:
+def _specification_of(
+    lens: Lens, search: Search, quality: ManufacturingQuality | None
+) -> Iterator[Specification]:
     """The specification of a search, as long as its files are there."""
     from lensdesign.common.input_files import files_from
     from lensdesign.optimization.specification.specification import load_specification
 
     with tempfile.TemporaryDirectory() as name, files_from("/"):
         folder = Path(name)
-        if made is not None:
-            write_study(lens, made, 100, folder)
-        study = None if made is None else "study.toml"
+        if quality is not None:
+            write_study(lens, quality, 100, folder)
+        study = None if quality is None else "study.toml"
         with atomic_path(folder / "asked.toml") as file:
             file.write_text(specification_text(lens, search, folder, study), encoding="utf-8")
         yield load_specification(folder / "asked.toml")

@@ -14,7 +14,7 @@ from tolerancing.study.files import load_study, save_study
 from tolerancing.study.results import TrialResults
 
 
-def write_study(lens: Lens, made: ManufacturingQuality, trials: int, folder: Path) -> Path:
+def write_study(lens: Lens, quality: ManufacturingQuality, trials: int, folder: Path) -> Path:
     """Write a study and its design, with all merits by which the page predicts the yield.
 
     Raises
@@ -24,13 +24,13 @@ def write_study(lens: Lens, made: ManufacturingQuality, trials: int, folder: Pat
     """
     save_design(lens, folder / "design.toml")
     save_study(
-        made.study.model_copy(update={"design": "design.toml", "trials": trials}), folder / "study.toml"
+        quality.study.model_copy(update={"design": "design.toml", "trials": trials}), folder / "study.toml"
     )
     return folder / "study.toml"
 
 
 def run_trials(
-    lens: Lens, made: ManufacturingQuality, trials: int, folder: Path, report: Callable[[str], None]
+    lens: Lens, quality: ManufacturingQuality, trials: int, folder: Path, report: Callable[[str], None]
 ) -> int:
     """Run a study into `folder`/study.db, in the process that calls; how many trials.
 
@@ -42,7 +42,7 @@ def run_trials(
     from tolerancing.run.run import run_study
 
     report(f"{trials} trials")
-    run_study(load_study(write_study(lens, made, trials, folder)), folder / "study.db", workers=1)
+    run_study(load_study(write_study(lens, quality, trials, folder)), folder / "study.db", workers=1)
     return trials
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from lensdesign.common.toml_files import did_you_mean
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from studio.model.editing import Place, Tables, value_at
+from studio.model.editing import TablePath, Tables, value_at
 
 STEPS = 400
 """Of a slider, on each side of the value that it was made for."""
@@ -40,7 +40,7 @@ class Value:
         ``number``, ``whole`` or ``glass``.
     """
 
-    place: Place
+    table_path: TablePath
     group: str
     label: str
     unit: str
@@ -54,10 +54,10 @@ class Value:
     @property
     def key(self) -> str:
         """Its place as one word."""
-        return ".".join(map(str, self.place))
+        return ".".join(map(str, self.table_path))
 
 
-def place_of(key: str) -> Place:
+def path_of_key(key: str) -> TablePath:
     """The place of which a key was made."""
     return tuple(int(part) if part.isdigit() else part for part in key.split("."))
 
@@ -74,11 +74,11 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
     """
 
     def number(
-        group: str, place: Place, label: str, unit: str, span: float = 0.2, least: float = 0.0
+        group: str, table_path: TablePath, label: str, unit: str, span: float = 0.2, least: float = 0.0
     ) -> Value:
-        own, first = value_at(tables, place), value_at(opened, place)
+        own, first = value_at(tables, table_path), value_at(opened, table_path)
         if not isinstance(own, int | float):
-            return Value(place, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
+            return Value(table_path, group, label, unit, "" if own is None else str(own), None, 0.0, 0.0, 0.0)
         middle = own if not isinstance(first, int | float) else first
         half = max(span * abs(middle), least)
         step = nice(half / STEPS)
@@ -87,7 +87,9 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
             half = max(span * abs(middle), least)
             step = nice(half / STEPS)
         half = step * STEPS
-        return Value(place, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step)
+        return Value(
+            table_path, group, label, unit, f"{own:.10g}", float(own), middle - half, middle + half, step
+        )
 
     found = []
     for i, surface in enumerate(lens.surfaces):
@@ -168,17 +170,17 @@ def nice(value: float) -> float:
 
 
 def _plane(row: Value) -> Value:
-    return Value(row.place, row.group, row.label, row.unit, PLANE, None, 0.0, 0.0, 0.0)
+    return Value(row.table_path, row.group, row.label, row.unit, PLANE, None, 0.0, 0.0, 0.0)
 
 
 def _zero(row: Value) -> Value:
-    return Value(row.place, row.group, row.label, row.unit, "0", 0.0, -0.4, 0.4, 0.001)
+    return Value(row.table_path, row.group, row.label, row.unit, "0", 0.0, -0.4, 0.4, 0.001)
 
 
-def _glass(group: str, place: Place, material: str | float | None) -> Value:
+def _glass(group: str, table_path: TablePath, material: str | float | None) -> Value:
     text = "air" if material is None else f"{material:g}" if isinstance(material, float) else material
-    return Value(place, group, "glass", "", text, None, 0.0, 0.0, 0.0, "glass")
+    return Value(table_path, group, "glass", "", text, None, 0.0, 0.0, 0.0, "glass")
 
 
-def _whole(group: str, place: Place, label: str, count: int) -> Value:
-    return Value(place, group, label, "", str(count), None, 0.0, 0.0, 0.0, "whole")
+def _whole(group: str, table_path: TablePath, label: str, count: int) -> Value:
+    return Value(table_path, group, label, "", str(count), None, 0.0, 0.0, 0.0, "whole")

@@ -30,7 +30,7 @@ class Bar(ScriptPart):
     can_undo = param.Boolean(default=False, doc="Whether there is a step back.")
     can_redo = param.Boolean(default=False, doc="Whether there is a step forward.")
     undo = param.String(default="", doc="What would be undone.")
-    said = param.String(default="", doc="What happened last.")
+    message = param.String(default="", doc="What happened last.")
     is_bad = param.Boolean(default=False, doc="Whether that is a refusal.")
 
     _esm = HERE / "bar.js"
@@ -45,7 +45,7 @@ def page(bench: Workbench) -> pn.Template:
     template.add_panel("bar", _bar(bench, dressers))
     template.add_panel("side", _side(bench))
     template.add_panel("main", _main(bench, dressers))
-    template.add_panel("told", _told(bench))
+    template.add_panel("summary", _summary(bench))
     dressed(dressers, "light")
     return template
 
@@ -56,7 +56,7 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             dressed(dressers, message["theme"])
             return
         action = message.get("action")
-        bar.param.update(said="", is_bad=False)
+        bar.param.update(message="", is_bad=False)
         if action == "undo":
             bench.undo()
         elif action == "redo":
@@ -65,9 +65,9 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             try:
                 path = Path(str(message.get("file") or bench.document.path))
                 bench.save(None if path == bench.document.path else path)
-                bar.said = f"saved {bench.document.path}"
+                bar.message = f"saved {bench.document.path}"
             except TransferLensError as error:
-                bar.param.update(said=str(error), is_bad=True)
+                bar.param.update(message=str(error), is_bad=True)
 
     bar = Bar(received, sizing_mode="stretch_width")
 
@@ -77,9 +77,9 @@ def _bar(bench: Workbench, dressers: list[Dresser]) -> Bar:
             title=visible(bench.lens.title),
             file=str(bench.document.path),
             is_saved=bench.is_saved,
-            can_undo=bool(editing.before),
-            can_redo=bool(editing.after),
-            undo=visible(editing.now.what),
+            can_undo=bool(editing.undo_steps),
+            can_redo=bool(editing.redo_steps),
+            undo=visible(editing.now.description),
         )
 
     follow(bench, bar, update)
@@ -90,7 +90,7 @@ def _side(bench: Workbench) -> pn.Tabs:
     return _tabs(("Lens", panes.surfaces(bench)), ("What if", panes.what_if(bench)))
 
 
-def _told(bench: Workbench) -> pn.Column:
+def _summary(bench: Workbench) -> pn.Column:
     return _styled(pn.Column(panes.findings(bench), _head("As built"), panes.as_built(bench)))
 
 
@@ -188,8 +188,8 @@ def _styled(column: pn.Column) -> pn.Column:
 def notebook_view(bench: Workbench) -> pn.Row:
     """The panes of the page side by side."""
     dressers: list[Dresser] = []
-    side, main, told = _side(bench), _main(bench, dressers), _told(bench)
-    side.width = told.width = 330
-    side.sizing_mode = told.sizing_mode = "fixed"
+    side, main, summary = _side(bench), _main(bench, dressers), _summary(bench)
+    side.width = summary.width = 330
+    side.sizing_mode = summary.sizing_mode = "fixed"
     dressed(dressers, "light")
-    return pn.Row(side, main, told, sizing_mode="stretch_width")
+    return pn.Row(side, main, summary, sizing_mode="stretch_width")

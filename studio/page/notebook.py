@@ -33,5 +33,5 @@ def studio(lens: Workbench | Lens | str | Path, grade: str = "precision") -> pn.
 
     pn.extension(inline=True)
     bench = lens if isinstance(lens, Workbench) else Workbench(lens, grade)
-    bench.ask()
+    bench.request_update()
     return notebook_view(bench)

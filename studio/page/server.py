@@ -43,20 +43,20 @@ def serve(design: Path, port: int = 0, grade: str = "precision", *, show: bool =
     InputError
         If the file holds no lens, or the port is taken.
     """
-    aside = Autosave(design)
-    bench = Workbench(design, grade, aside)
-    kept = aside.read()
+    autosave = Autosave(design)
+    bench = Workbench(design, grade, autosave)
+    kept = autosave.read()
     token, port = _token(kept.get("token")), _port(port, kept.get("port"))
     server = server_of(bench, port, token)
     server.start()
-    aside.keep(token=token, port=port)
+    autosave.keep(token=token, port=port)
     address = f"http://{ADDRESS}:{port}/{token}/"
     print(f"{design} on {address}", flush=True)
-    if bench.editing.before:
+    if bench.editing.undo_steps:
         print("with the unsaved edits of the last session; undo takes them back", flush=True)
     if show:
         server.io_loop.add_callback(_open, address)
-    bench.ask()
+    bench.request_update()
     try:
         server.run_until_shutdown()
     finally:
@@ -102,12 +102,12 @@ def _guard(server: Any, token: str) -> None:
 
     application = server._tornado
     application.settings |= {"websocket_ping_interval": PING_SECONDS, "websocket_ping_timeout": PING_SECONDS}
-    found = application.find_handler
+    find_default = application.find_handler
 
     def find_handler(request: Any, **kwargs: Any) -> Any:
         status = _refusal(request.headers.get("Host"), request.uri or "", token)
         if status is None:
-            return found(request, **kwargs)
+            return find_default(request, **kwargs)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
 
     application.find_handler = find_handler
@@ -153,11 +153,11 @@ def _token(kept: Any) -> str:
     return kept if isinstance(kept, str) and len(kept) == 32 and kept.isalnum() else secrets.token_hex(16)
 
 
-def _port(asked: int, kept: Any) -> int:
-    if asked:
-        if not _is_free(asked):
-            raise InputError(f"--port {asked}: is taken by another program; give another one, or none")
-        return asked
+def _port(requested: int, kept: Any) -> int:
+    if requested:
+        if not _is_free(requested):
+            raise InputError(f"--port {requested}: is taken by another program; give another one, or none")
+        return requested
     if isinstance(kept, int) and 1024 <= kept < 65536 and _is_free(kept):
         return kept
     with closing(socket.socket()) as free:
@@ -166,10 +166,10 @@ def _port(asked: int, kept: Any) -> int:
 
 
 def _is_free(port: int) -> bool:
-    with closing(socket.socket()) as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with closing(socket.socket()) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            tried.bind((ADDRESS, port))
+            probe.bind((ADDRESS, port))
         except OSError:
             return False
     return True

@@ -37,7 +37,7 @@ def bench_of(given: Workbench | Lens) -> Workbench:
     if isinstance(given, Workbench):
         return given
     bench = Workbench(given)
-    bench.ask()
+    bench.request_update()
     return bench
 
 
@@ -83,10 +83,10 @@ class _Turns:
         self.document = weakref.ref(document)
         self.pending = False
         self.loop = IOLoop.current()
-        end = bench.listen(lambda: self.loop.add_callback(self.ask))
+        end = bench.listen(lambda: self.loop.add_callback(self.request_update))
         document.on_session_destroyed(lambda _: end())
 
-    def ask(self) -> None:
+    def request_update(self) -> None:
         """In the server's thread: Bokeh loses what another asks for while the page holds its messages."""
         document = self.document()
         if document is not None and not self.pending:

@@ -46,7 +46,7 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
     """An empty Bokeh figure in the house's looks, with what dresses it added to `dressers`."""
     from bokeh.plotting import figure
 
-    made = figure(
+    plot = figure(
         height=height,
         sizing_mode="stretch_width",
         margin=0,
@@ -58,12 +58,12 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
         y_axis_label=y or None,
         **more,
     )
-    made.outline_line_color = None
+    plot.outline_line_color = None
 
     def dress(colors: dict[str, str], theme: Theme) -> None:
-        made.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
-        made.xgrid.grid_line_color = made.ygrid.grid_line_color = colors["line"]
-        for axis in made.axis:
+        plot.update(background_fill_color=colors["paper"], border_fill_color=colors["paper"])
+        plot.xgrid.grid_line_color = plot.ygrid.grid_line_color = colors["line"]
+        for axis in plot.axis:
             axis.update(
                 axis_line_color=colors["line"],
                 major_tick_line_color=None,
@@ -78,16 +78,16 @@ def chart(dressers: list[Dresser], *, height: int, x: str = "", y: str = "", **m
             )
 
     dressers.append(dress)
-    return made
+    return plot
 
 
-def framed(made: Any) -> Any:
+def framed(plot: Any) -> Any:
     """Have a chart show a box to scale, as large as it fits; the source holds the box's corners, x and y."""
     from bokeh.models import ColumnDataSource
 
     source = ColumnDataSource({"x": [-1.0, 1.0], "y": [-1.0, 1.0]})
-    corners = made.scatter("x", "y", source=source, alpha=0.0, size=0)
-    for span in (made.x_range, made.y_range):
+    corners = plot.scatter("x", "y", source=source, alpha=0.0, size=0)
+    for span in (plot.x_range, plot.y_range):
         span.update(renderers=[corners], range_padding=0.0)
     return source
 
@@ -103,6 +103,6 @@ def between(stops: tuple[str, ...], count: int = 96) -> list[str]:
     import numpy as np
 
     values = np.array([[int(s[i : i + 2], 16) for i in (1, 3, 5)] for s in stops], float)
-    at = np.linspace(0, len(stops) - 1, count)
-    mixed = [np.interp(at, np.arange(len(stops)), values[:, k]) for k in range(3)]
+    positions = np.linspace(0, len(stops) - 1, count)
+    mixed = [np.interp(positions, np.arange(len(stops)), values[:, k]) for k in range(3)]
     return [f"#{int(r):02x}{int(g):02x}{int(b):02x}" for r, g, b in zip(*mixed, strict=True)]

@@ -8,7 +8,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import Lens, Pose, check_design, load_design
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.figures import FigureRequest, patch_of, rays_of, waves_of
 from studio.model.whatif import WhatIf
 from tolerancing import load_study
@@ -20,7 +20,7 @@ STUDY = str(DESIGNS / "as_built_tolerances.toml")
 
 
 def asked(lens: Lens, what_if: WhatIf = OFF, grade: str = STUDY) -> FigureRequest:
-    return FigureRequest(lens, what_if, workmanship(grade, lens), 0.0)
+    return FigureRequest(lens, what_if, manufacturing_quality(grade, lens), 0.0)
 
 
 def test_settled_rays_are_those_of_the_check(paper_lens: Lens) -> None:

@@ -10,7 +10,7 @@ import pytest
 from places import DESIGNS
 
 from lensdesign import InputError, Lens, load_specification, optimize
-from studio.model.built import workmanship
+from studio.model.built import manufacturing_quality
 from studio.model.searches import Search, run_exploration, run_search, specification_text, variables_of
 
 VARIED = ("surface 1 radius_mm", "surface 2 radius_mm", "surface 2 conic")
@@ -39,7 +39,7 @@ def test_what_cannot_be_asked_is_refused(paper_lens: Lens, tmp_path: Path) -> No
 def test_goals_as_built_take_the_tolerances_of_the_page(paper_lens: Lens, tmp_path: Path) -> None:
     from studio.model.studies import write_study
 
-    made = workmanship("precision", paper_lens)
+    made = manufacturing_quality("precision", paper_lens)
     write_study(paper_lens, made, 100, tmp_path)
     asked = Search(VARIED, "yield", {"max_lens_thickness_mm": 9.7})
     (tmp_path / "asked.toml").write_text(specification_text(paper_lens, asked, tmp_path, "study.toml"))
