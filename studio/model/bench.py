@@ -1,8 +1,8 @@
-"""The workbench: a design that is edited, and figures of it that follow, the newest first.
+"""Workbench: a design that is edited, and its figures, which are updated after each change.
 
-One thread computes. It takes the newest state that there is, so that no queue forms: what a slider passed
-over while a figure was made is never computed. When nothing changes any more, figures are made anew as the
-commands make them.
+One thread computes the figures of the newest state. Intermediate states, such as those of a moving slider,
+are skipped, so that no queue builds up. When the design stops changing, the figures are computed again with
+the accuracy of the commands.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from studio.model.values import parsed, path_of_key
 from studio.model.whatif import WhatIf
 
 SETTLE_SECONDS = 0.25
-"""Without a change, after which figures are made as the commands make them."""
+"""Time without a change after which figures are computed with full accuracy."""
 
 Listener = Callable[[], None]
 
@@ -36,16 +36,23 @@ class Workbench:
     Parameters
     ----------
     design
-        A design file, or a lens, which then belongs to no file.
+        A design file, or a lens without a file.
     grade
-        By which it is predicted as built: a grade, or a tolerance study's file.
-    aside
-        Where unsaved edits are kept; nowhere where left out.
+        Tolerances for the prediction as built: a grade (default: precision), or a tolerance study's file.
+    autosave
+        Store of unsaved edits (default: none).
 
     Raises
     ------
     InputError
-        If the file holds no lens.
+        If the file does not describe a lens.
+
+    Examples
+    --------
+    >>> from studio import Workbench
+    >>> bench = Workbench("design.toml")  # doctest: +SKIP
+    >>> bench.edit("surface.0.radius_mm", "number", "42.5")  # doctest: +SKIP
+    True
     """
 
     def __init__(
@@ -76,18 +83,18 @@ class Workbench:
 
     @property
     def lens(self) -> Lens:
-        """The lens as it is."""
+        """Present lens."""
         return self.editing.lens
 
     @property
     def is_saved(self) -> bool:
-        """Whether the file holds what is shown."""
+        """Whether the file holds the present design."""
         return self.editing.now.tables == self.saved
 
-    # What changes the lens.
+    # Changes of the lens.
 
     def edit(self, key: str, kind: str, text: str, gesture: str = "") -> bool:
-        """Change one value as it was typed; whether it was taken. If not, `refused` says why, by its key."""
+        """Set one value from text; return whether it was accepted. If not, `refused` holds the reason."""
         table_path = path_of_key(key)
         return self.change(
             key, lambda tables: with_value(tables, table_path, parsed(kind, text)), key, gesture
@@ -96,7 +103,7 @@ class Workbench:
     def change(
         self, description: str, of_tables: Callable[[Tables], Tables], key: str = "", gesture: str = ""
     ) -> bool:
-        """Change the tables; whether it was taken."""
+        """Change the tables; return whether the change was accepted."""
         try:
             editing = self.editing.changed(of_tables(self.editing.now.tables), description, gesture)
         except (InputError, TransferLensError) as error:
@@ -108,24 +115,24 @@ class Workbench:
         return True
 
     def load(self, lens: Lens, description: str) -> bool:
-        """Put another lens in place of this one; it can be undone."""
+        """Replace the lens; the change can be undone."""
         return self.change(description, lambda _: _tables_of(lens))
 
     def undo(self) -> None:
-        """One step back."""
+        """Undo one step."""
         self._replace(self.editing.undone())
 
     def redo(self) -> None:
-        """One step forward again."""
+        """Redo one step."""
         self._replace(self.editing.redone())
 
     def save(self, path: Path | None = None) -> None:
-        """Write the design's file, or another one, which is then the design's.
+        """Write the design file, or another file, which then becomes the design file.
 
         Raises
         ------
         InputError
-            As of :meth:`Document.saved`.
+            If the file changed on disk, another file exists, or the file cannot be written.
         """
         self.document = self.document.saved(self.editing, path)
         self.editing = replace(self.editing, path=self.document.path)
@@ -134,38 +141,38 @@ class Workbench:
         self.notify()
 
     def set_what_if(self, what_if: WhatIf) -> None:
-        """Change how far the lens is off."""
+        """Set the deviations of the lens from its design."""
         self.what_if = what_if
         self.request_update()
 
     def set_grade(self, grade: str) -> None:
-        """Change by which tolerances the lens is predicted."""
+        """Set the tolerances of the prediction."""
         self.grade = grade
         self.request_update()
 
-    def set_patch(self, share: float) -> None:
-        """Change where on the object the patch is, as a share of the half field."""
-        self.patch_fraction = share
+    def set_patch(self, fraction: float) -> None:
+        """Set the field height of the patch as a fraction of the half field."""
+        self.patch_fraction = fraction
         self.request_update()
 
     def _replace(self, editing: Editing) -> None:
         self.editing, self.refused = editing, {}
         self.request_update()
 
-    # Who listens, and who computes.
+    # Listeners and computation.
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Have a function called, in any thread, after each change and each figure; gives what ends that."""
+        """Register a function that is called, in any thread, after each change; return its deregistration."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     def notify(self) -> None:
-        """Call those who listen."""
+        """Call all listeners."""
         for listener in tuple(self._listeners):
             listener()
 
     def request_update(self) -> None:
-        """Have figures made of the state as it is."""
+        """Request figures of the present state."""
         with self._condition:
             self._requested += 1
             if self._thread is None or not self._thread.is_alive():
@@ -175,13 +182,13 @@ class Workbench:
         self.notify()
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the computing thread."""
         with self._condition:
             self._ended = True
             self._condition.notify_all()
 
     def settle(self) -> Figures:
-        """Figures as the commands make them, in this thread."""
+        """Compute figures with full accuracy in this thread."""
         request = FigureRequest(self.lens, self.what_if, self._quality_for(self.lens), self.patch_fraction)
         for stage in (rays_of, waves_of, patch_of):
             self._publish(stage(request, settled=True))
@@ -219,7 +226,7 @@ class Workbench:
             return not self._ended and self._requested == done
 
     def _quality_for(self, lens: Lens) -> ManufacturingQuality | None:
-        """Of the grade; tolerances stay while values move, and follow what the lens is made of."""
+        """Return the tolerances of the grade; they change only with surfaces, materials and field."""
         built_of = (len(lens.surfaces), lens.half_field_mm, tuple(s.material for s in lens.surfaces))
         if self._quality is None or self._quality[:2] != (self.grade, built_of):
             try:
@@ -231,7 +238,7 @@ class Workbench:
         return self._quality[2]
 
     def _publish(self, result: Figures) -> None:
-        """Put what a stage found in place of what was there."""
+        """Update the figures with the results of a stage."""
         new = {
             f.name: value
             for f in fields(result)
@@ -247,7 +254,7 @@ class Workbench:
 
 
 def _tables_of(lens: Lens) -> Tables:
-    """A lens as the tables of a design file."""
+    """Return a lens as the tables of a design file."""
     import tomllib
 
     return tomllib.loads(design_text(lens))

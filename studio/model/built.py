@@ -1,4 +1,4 @@
-"""What a lens will be as built: wavefronts and yield predicted under a grade or a study, and the cost."""
+"""Prediction of a lens as built: wavefronts, yield and cost for a grade or a tolerance study."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from tolerancing.study.files import check_against, load_study, study_from_tables
 from tolerancing.study.study import Study
 
 COARSE_STRIDE = 4
-"""While a value moves: every so many of the draws, to first order."""
+"""While a value changes, the prediction uses every n-th draw, to first order."""
 
 
 @dataclass(frozen=True, eq=False)
 class ManufacturingQuality:
-    """How a lens is made: the study that says what scatters, and what a good lens is.
+    """Manufacturing tolerances of a lens, and the limits of a good lens.
 
     Attributes
     ----------
     name
-        Of the grade, or of the study's file.
+        Name of the grade or of the study's file.
     study
-        What scatters, and the limits.
+        Perturbations and limits.
     """
 
     name: str
@@ -39,27 +39,27 @@ class ManufacturingQuality:
 
     @cached_property
     def drawn(self) -> PerturbationBatch:
-        """The drawn lenses of the prediction; the same for every lens."""
+        """Drawn perturbations of the prediction; the same for every lens."""
         return drawn_batch(self.study)
 
     @cached_property
     def coarse_batch(self) -> PerturbationBatch:
-        """Some of them, for a prediction while a value moves."""
+        """Subset of the drawn perturbations, for a prediction while a value changes."""
         return drawn_batch(self.study, COARSE_STRIDE)
 
 
 @dataclass(frozen=True, eq=False)
 class AsBuiltFigures:
-    """What is predicted.
+    """Predicted figures of a lens as built.
 
     Attributes
     ----------
     name
-        Of the workmanship.
+        Name of the grade or study.
     prediction
-        The joint yield of all limits, its parts, wavefronts and rays.
+        Joint yield of all limits, yields of single limits, wavefronts and rays.
     cost
-        Of tolerances and elements, in the units of the table; None where it has no price.
+        Cost of tolerances and elements, in the units of the cost table; None if it lacks a price.
     """
 
     name: str
@@ -68,19 +68,19 @@ class AsBuiltFigures:
 
 
 def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
-    """The study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
+    """Return the study of a grade, as `tolerancing start` writes it for a lens, or that of a study file.
 
     Parameters
     ----------
     name
-        A grade, or a file.
+        A grade, or the path of a study.
     lens
         The lens.
 
     Raises
     ------
     InputError
-        If it is neither, or the lens does not have what scatters.
+        If it is neither, or the lens lacks surfaces or elements that the study perturbs.
     """
     if name in GRADES:
         tables = tomllib.loads(starting_study(lens, "design.toml", name))
@@ -91,7 +91,7 @@ def manufacturing_quality(name: str, lens: Lens) -> ManufacturingQuality:
 
 
 def built(lens: Lens, quality: ManufacturingQuality, *, settled: bool = True) -> AsBuiltFigures:
-    """Predict a lens as built: as `tolerancing predict` does, or coarser, while a value moves.
+    """Predict a lens as built, like `tolerancing predict`, or coarsely if not `settled`.
 
     Raises
     ------

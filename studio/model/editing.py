@@ -1,6 +1,7 @@
-"""A design as it is edited: tables and the lens they make, with what was undone and can be redone.
+"""Editing of a design: its tables and lens, with undo and redo.
 
-Every change gives a new value; a change that makes no lens raises, and the last good one stays.
+Every change returns a new value. A change that does not yield a valid lens raises an error; the last valid
+design stays.
 """
 
 from __future__ import annotations
@@ -16,26 +17,26 @@ from lensdesign.files.design import lens_of
 from lensdesign.lens.lens import Lens
 
 TablePath = tuple[str | int, ...]
-"""Where a value stands in a design's tables: ("surface", 0, "radius_mm"); tables are counted from 0."""
+"""Position of a value in a design's tables: ("surface", 0, "radius_mm"); indices start at 0."""
 
 Tables = dict[str, Any]
 
 MAX_STEPS = 1000
-"""That can be undone."""
+"""Largest number of steps that can be undone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A design at one moment.
+    """One state of a design.
 
     Attributes
     ----------
     tables
-        As of a design file; never changed in place.
+        Tables of the design file; never changed in place.
     lens
-        What they make.
-    what
-        What was done to come here, for the reader.
+        The lens of these tables.
+    description
+        Description of the change that led to this state.
     """
 
     tables: Tables
@@ -45,18 +46,18 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Editing:
-    """A design, what it was before, and what was undone.
+    """A design with its undo and redo history.
 
     Attributes
     ----------
     path
         The design file; it need not exist.
     now
-        The design as it is.
-    before, after
-        What undoing and redoing lead to, the nearest last and first.
+        Present state.
+    undo_steps, redo_steps
+        Earlier states, the most recent last; and undone states, the most recent first.
     gesture
-        Of the last change: those of one gesture, such as a drag, are undone together.
+        Identifier of the last gesture, such as a drag; its changes are undone together.
     """
 
     path: Path
@@ -67,16 +68,16 @@ class Editing:
 
     @property
     def lens(self) -> Lens:
-        """The lens as it is."""
+        """Present lens."""
         return self.now.lens
 
     def changed(self, tables: Tables, description: str, gesture: str = "") -> Editing:
-        """With other tables.
+        """Return the editing with other tables.
 
         Raises
         ------
         InputError
-            If they make no lens; the message is that of the commands.
+            If the tables do not describe a valid lens.
         """
         step = Step(tables, lens_from(tables, self.path), description)
         if gesture and gesture == self.gesture:
@@ -90,7 +91,7 @@ class Editing:
         )
 
     def undone(self) -> Editing:
-        """One step back; the same where there is none."""
+        """Return the editing one step back; unchanged if there is none."""
         if not self.undo_steps:
             return self
         *rest, last = self.undo_steps
@@ -99,7 +100,7 @@ class Editing:
         )
 
     def redone(self) -> Editing:
-        """One step forward again; the same where nothing was undone."""
+        """Return the editing one undone step forward; unchanged if there is none."""
         if not self.redo_steps:
             return self
         first, *rest = self.redo_steps
@@ -109,12 +110,12 @@ class Editing:
 
 
 def lens_from(tables: Tables, path: Path) -> Lens:
-    """The lens that tables make, refused as the commands refuse a file that holds them."""
+    """Return the lens of tables, with the validation of a design file."""
     return lens_of(deepcopy(tables), path)
 
 
 def value_at(tables: Tables, table_path: TablePath) -> Any:
-    """The value at a place, None where there is none."""
+    """Return the value at a position of the tables; None if there is none."""
     found: Any = tables
     for key in table_path:
         try:
@@ -125,7 +126,7 @@ def value_at(tables: Tables, table_path: TablePath) -> Any:
 
 
 def with_value(tables: Tables, table_path: TablePath, value: Any) -> Tables:
-    """Tables with another value at a place; None takes the key out."""
+    """Return tables with another value at a position; None removes the key."""
     changed = deepcopy(tables)
     *parents, last = table_path
     inner: Any = changed
@@ -139,7 +140,7 @@ def with_value(tables: Tables, table_path: TablePath, value: Any) -> Tables:
 
 
 def with_surface_after(tables: Tables, index: int) -> Tables:
-    """Tables with a plane surface more behind one, counted from 0, in the middle of the space there."""
+    """Return tables with an additional plane in the middle of the space behind a surface (index from 0)."""
     changed = deepcopy(tables)
     surfaces = changed["surface"]
     own = surfaces[index]
@@ -157,12 +158,12 @@ def with_surface_after(tables: Tables, index: int) -> Tables:
 
 
 def without_surface(tables: Tables, index: int) -> Tables:
-    """Tables without one surface; its space is the next one's.
+    """Return tables without one surface and the space behind it.
 
     Raises
     ------
     InputError
-        If it is the only one, or the stop.
+        If the surface is the only one, or the stop.
     """
     surfaces: Sequence[Tables] = tables["surface"]
     if len(surfaces) == 1:
@@ -178,7 +179,7 @@ def without_surface(tables: Tables, index: int) -> Tables:
 
 
 def with_stop(tables: Tables, index: int) -> Tables:
-    """Tables whose stop, and its size where there is none, is on another surface."""
+    """Return tables with the stop on another surface, which inherits its size unless it has one."""
     changed = deepcopy(tables)
     sizes = [s.get("semi_diameter_mm") for s in changed["surface"] if s.get("stop")]
     for i, surface in enumerate(changed["surface"]):

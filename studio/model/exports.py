@@ -1,4 +1,4 @@
-"""Files that are made of a lens from the page."""
+"""Export of a lens from the page."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ KINDS = {
     "lens to turn in a browser (.html)": ".html",
     "tolerance report (folder)": "",
 }
-"""What can be made, by its name on the page, and the suffix of its file."""
+"""Kinds of exports by their names on the page, with the suffixes of their files."""
 
 MESH_ERROR_UM = 0.1
-"""As of `lensdesign export`."""
+"""Chord error of meshes, as in `lensdesign export`."""
 
 REPORT_TRIALS = 400
 
@@ -33,25 +33,25 @@ REPORT_TRIALS = 400
 def write_export(
     lens: Lens, path: Path, quality: ManufacturingQuality | None, replace: bool, report: Callable[[str], None]
 ) -> str:
-    """Write one file, and say in a sentence what it is.
+    """Write one file or report, and return a sentence on its contents.
 
     Parameters
     ----------
     lens
         The lens.
     path
-        Its suffix says what is written; without one, a folder for a tolerance report.
-    made
+        File to write; its suffix selects the format. Without a suffix: folder of a tolerance report.
+    quality
         Tolerances of the report.
     replace
-        Whether what stands there may be replaced.
+        Whether an existing file may be replaced.
     report
-        Called with notes.
+        Called with lines on progress and notes.
 
     Raises
     ------
     InputError
-        If the lens cannot be written so, or something stands there.
+        If the format cannot represent the lens, or the file exists and may not be replaced.
     """
     if path.exists() and not replace:
         raise InputError(f"{path}: exists already; tick replace, or give another name")
@@ -89,7 +89,7 @@ def _write_report(
     from tolerancing.store.store import open_store
 
     if quality is None:
-        raise InputError("a report needs tolerances: choose a grade")
+        raise InputError("a tolerance report needs tolerances: choose a grade")
     with tempfile.TemporaryDirectory() as name:
         run_trials(lens, quality, REPORT_TRIALS, Path(name), report)
         with open_store(Path(name) / "study.db") as store:

@@ -1,4 +1,4 @@
-"""All figures of a lens, in stages: what rays tell, what pupils tell, the patch."""
+"""All figures of a lens in three stages: rays, pupils, patch."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Figures:
     lens
         The lens.
     settled
-        Whether they are those of the commands; while a value moves, coarser ones stand for them.
+        Whether they have the accuracy of the commands; while a value changes, figures are coarser.
     layout, check, pupils, built, patch
-        None where they are not had yet, or cannot be.
+        Figures; None (or empty) if they are not available.
     refused
-        Why not, a sentence each.
+        Reasons why figures are not available, one sentence each.
     seconds
-        That each stage took.
+        Computing time of each stage in s.
     """
 
     lens: Lens
@@ -59,18 +59,18 @@ class Figures:
 
 @dataclass(frozen=True, eq=False)
 class FigureRequest:
-    """What figures are asked for.
+    """Inputs of the figures.
 
     Attributes
     ----------
     lens
         The lens.
     what_if
-        How far it is off.
-    made
-        By what tolerances; None for no prediction.
-    patch_share
-        Height of the patch's object point, as a share of the half field.
+        Its deviations from the design.
+    quality
+        Tolerances of the prediction; None: no prediction.
+    patch_fraction
+        Field height of the patch, as a fraction of the half field.
     """
 
     lens: Lens
@@ -80,7 +80,7 @@ class FigureRequest:
 
 
 def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
-    """Layout, and what the check tells."""
+    """Compute layout and check."""
     started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     layout = _tried(lambda: layout_of(lens), refused)
@@ -96,7 +96,7 @@ def rays_of(request: FigureRequest, *, settled: bool) -> Figures:
 
 
 def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
-    """Pupils at three object points, and what is predicted as built."""
+    """Compute pupils at three object points, and the prediction as built."""
     started, lens, quality = time.perf_counter(), request.lens, request.quality
     refused: list[str] = []
     samples = SAMPLES if settled else COARSE
@@ -115,7 +115,7 @@ def waves_of(request: FigureRequest, *, settled: bool) -> Figures:
 
 
 def patch_of(request: FigureRequest, *, settled: bool) -> Figures:
-    """The patch."""
+    """Compute the patch."""
     started, lens = time.perf_counter(), request.lens
     refused: list[str] = []
     height, samples = request.patch_fraction * lens.half_field_mm, None if settled else COARSE_PATCH
@@ -127,7 +127,7 @@ def patch_of(request: FigureRequest, *, settled: bool) -> Figures:
 
 
 def _tried(figure: Callable[[], Found], refused: list[str]) -> Found | None:
-    """A figure, or None and a sentence why not."""
+    """Return a figure; if it fails, return None and add the reason to `refused`."""
     try:
         return figure()
     except TransferLensError as error:

@@ -1,4 +1,4 @@
-"""The values of a design that can be edited: where they stand, how they are written, their steps."""
+"""Editable values of a design: their positions in the tables, their texts, and their sliders."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lensdesign.lens.lens import Lens
 from studio.model.editing import TablePath, Tables, value_at
 
 STEPS = 400
-"""Of a slider, on each side of the value that it was made for."""
+"""Number of steps of a slider on each side of its middle."""
 
 PLANE = "plane"
-"""How the radius of a plane is written; also empty."""
+"""Text of a plane's radius; an empty text also means a plane."""
 
 
 @dataclass(frozen=True)
@@ -25,17 +25,17 @@ class Value:
     Attributes
     ----------
     place
-        Where it stands in the tables.
+        Position of the value in the tables.
     group
         Heading under which it is shown.
     label, unit
-        What it is.
+        Name and unit.
     text
-        As it is shown.
+        Displayed text.
     number
-        Where a slider stands; None where there is none.
+        Position of the slider; None without a slider.
     low, high, step
-        Of the slider.
+        Range and step of the slider.
     kind
         ``number``, ``whole`` or ``glass``.
     """
@@ -53,24 +53,25 @@ class Value:
 
     @property
     def key(self) -> str:
-        """Its place as one word."""
+        """Position in the tables as one word."""
         return ".".join(map(str, self.table_path))
 
 
 def path_of_key(key: str) -> TablePath:
-    """The place of which a key was made."""
-    return tuple(int(part) if part.isdigit() else part for part in key.split("."))
+    """Return the position in the tables for a key."""
+    return tuple(int(word) if word.isdigit() else word for word in key.split("."))
 
 
 def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
-    """All values of a design.
+    """Return all values of a design.
 
     Parameters
     ----------
     tables, lens
-        The design as it is.
+        The present design.
     opened
-        As it was opened: ranges of sliders are about these values, so that they stand while one drags.
+        Tables of the design when it was opened. They determine the ranges of sliders, which therefore do not
+        change while a slider is dragged.
     """
 
     def number(
@@ -131,12 +132,12 @@ def values_of(tables: Tables, opened: Tables, lens: Lens) -> tuple[Value, ...]:
 
 
 def parsed(kind: str, text: str) -> Any:
-    """What was typed, as a design file would hold it; None takes the key out.
+    """Convert typed text to the value of a design file; None removes the key.
 
     Raises
     ------
     InputError
-        If it is no number where one is needed.
+        If the text is not a number although one is required.
     """
     text = text.strip().replace("\N{MINUS SIGN}", "-")
     if not text or text.casefold() in (PLANE, "none", "air"):
@@ -150,7 +151,7 @@ def parsed(kind: str, text: str) -> Any:
 
 
 def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
-    """Names of glasses that contain a text, those that begin with it first; else the nearest."""
+    """Return glass names that contain a text, those that start with it first; or the most similar one."""
     from lensdesign.lens.glass import list_glasses
 
     names = list(dict.fromkeys(name for name, _ in list_glasses(lens.glass_catalogs)))
@@ -164,7 +165,7 @@ def glasses_like(text: str, lens: Lens, most: int = 12) -> list[str]:
 
 
 def nice(value: float) -> float:
-    """The nearest of 1, 2 and 5 times a power of ten that is not above a value."""
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(s * power for s in (1.0, 2.0, 5.0) if s * power <= value * (1.0 + 1e-9))
 

@@ -1,4 +1,4 @@
-"""The page of a workbench, put together from panes."""
+"""Page of a workbench, composed of panes."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ PARTS = (HERE / "parts.css").read_text(encoding="utf-8")
 
 
 class Bar(ScriptPart):
-    """The bar on top."""
+    """The top bar."""
 
-    title = param.String(default="", doc="Of the design.")
-    file = param.String(default="", doc="To which it is saved.")
-    is_saved = param.Boolean(default=True, doc="Whether the file holds what is shown.")
-    can_undo = param.Boolean(default=False, doc="Whether there is a step back.")
-    can_redo = param.Boolean(default=False, doc="Whether there is a step forward.")
-    undo = param.String(default="", doc="What would be undone.")
-    message = param.String(default="", doc="What happened last.")
-    is_bad = param.Boolean(default=False, doc="Whether that is a refusal.")
+    title = param.String(default="", doc="Title of the design.")
+    file = param.String(default="", doc="File of the design.")
+    is_saved = param.Boolean(default=True, doc="Whether the file holds the present design.")
+    can_undo = param.Boolean(default=False, doc="Whether a step can be undone.")
+    can_redo = param.Boolean(default=False, doc="Whether a step can be redone.")
+    undo = param.String(default="", doc="Description of the step to undo.")
+    message = param.String(default="", doc="Result of the last action.")
+    is_bad = param.Boolean(default=False, doc="Whether the last action failed.")
 
     _esm = HERE / "bar.js"
     _stylesheets = [HERE / "bar.css"]  # noqa: RUF012 - as Panel has it
 
 
 def page(bench: Workbench) -> pn.Template:
-    """The whole page, for one tab of a browser."""
+    """Return the whole page for one tab of a browser."""
     dressers: list[Dresser] = []
     template = pn.Template((HERE / "page.html").read_text(encoding="utf-8"))
     template.add_variable("page_css", (HERE / "page.css").read_text(encoding="utf-8"))
@@ -177,7 +177,7 @@ def _card(*parts: Any) -> pn.Column:
 
 
 def _styled(column: pn.Column) -> pn.Column:
-    """A column whose words have the page's looks."""
+    """Apply the page's style sheet to the texts and widgets of a column."""
     column.sizing_mode = "stretch_width"
     column.styles = {"gap": "1px", **column.styles}
     for part in column.select(lambda part: isinstance(part, pn.pane.HTML | pn.widgets.Widget)):
@@ -186,7 +186,7 @@ def _styled(column: pn.Column) -> pn.Column:
 
 
 def notebook_view(bench: Workbench) -> pn.Row:
-    """The panes of the page side by side."""
+    """Return the panes of the page side by side."""
     dressers: list[Dresser] = []
     side, main, summary = _side(bench), _main(bench, dressers), _summary(bench)
     side.width = summary.width = 330

@@ -1,4 +1,4 @@
-"""Designs side by side."""
+"""Pane that compares designs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_DESIGNS = 3
 
 
 def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
-    """Markup of a table of designs; what differs is marked."""
+    """Return the markup of a table of designs; differences are marked."""
     heads = "".join(f"<th>{text(name)}</th>" for name in names)
     rows = []
     for line in compared(lenses):
@@ -30,16 +30,15 @@ def comparison(names: Sequence[str], lenses: Sequence[Lens]) -> str:
         rows.append(
             f'<tr class="{"differs" if line.differs else "same"}"><td>{text(line.name)}</td>{cells}</tr>'
         )
-    return f'<div class="text-block"><table class="compared"><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
+    body = f"<tr><th></th>{heads}</tr>{''.join(rows)}"
+    return f'<div class="text-block"><table class="compared">{body}</table></div>'
 
 
 def compare(lens: Workbench | Lens) -> pn.Column:
-    """The lens beside one or two other designs, values and figures; differences are marked."""
+    """Return a pane that compares values and figures of the lens with those of one or two other designs."""
     bench = bench_of(lens)
     others: dict[str, Lens] = {}
-    name = pn.widgets.TextInput(
-        name="design file to put beside it", placeholder="designs/feasible_singlet.toml"
-    )
+    name = pn.widgets.TextInput(name="design file to compare", placeholder="designs/feasible_singlet.toml")
     add = pn.widgets.Button(name="Add", align="end")
     clear = pn.widgets.Button(name="Clear", align="end")
     message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)

@@ -1,4 +1,4 @@
-"""What is traded for what: lenses as they are found, each of them to be loaded by a click."""
+"""Pane for Pareto fronts: lenses appear as they are found and can be loaded by a click."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ OBJECTIVES = {
     "as_built_rms": "as_built_rms_waves",
     "yield": "yield",
 }
-"""What can be weighed, and the columns of the values."""
+"""Objectives and the columns of their values."""
 
 BUILT = ("as_built_rms", "yield")
 
 
 def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Explore two objectives in a process of its own; click a lens to load it."""
+    """Return a pane that explores two objectives in a child process; a click on a lens loads it."""
     bench, own = bench_of(lens), [] if dressers is None else dressers
     pane = _Explore(bench, own).view
     if dressers is None:
@@ -41,7 +41,7 @@ def explore(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn
 
 
 class _Explore:
-    """The widgets, the exploration that runs, and the lenses that it has found."""
+    """Widgets, the running exploration, and the lenses found so far."""
 
     def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
         from bokeh.models import ColumnDataSource
@@ -99,7 +99,7 @@ class _Explore:
             self.bench.change("a lens of the front", lambda _: tomllib.loads(chosen))
 
     def update(self) -> None:
-        """Show the lenses that have been found."""
+        """Show the lenses found so far."""
         job = self.job
         running = job is not None and job.state == "running"
         if self.run.disabled is not running:

@@ -1,4 +1,4 @@
-"""Files of the lens, for shops, viewers and other programs."""
+"""Pane for exports of the lens for manufacture, viewers and other programs."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from studio.panes.common import bench_of, follow, text
 
 
 def export(lens: Workbench | Lens) -> pn.Column:
-    """Write the lens as mesh, solid, drawing, another program's file or report, in a process of its own."""
+    """Return a pane that writes the lens as mesh, solid, drawing, lens file or report, in a child process."""
     bench = bench_of(lens)
     jobs: list[Job] = []
     kind = pn.widgets.Select(name="what", options=list(KINDS), width=260)
     file = pn.widgets.TextInput(name="file", value=_name(bench, kind.value), width=300)
-    replace = pn.widgets.Checkbox(name="replace what stands there", align="end")
+    replace = pn.widgets.Checkbox(name="replace an existing file", align="end")
     write = pn.widgets.Button(name="Write", button_type="primary", align="end")
     message = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
     form = pn.FlexBox(kind, file, replace, write, sizing_mode="stretch_width", margin=(6, 6, 0, 6))

@@ -1,4 +1,4 @@
-"""Panes of what rays tell: layout, spread against field, footprints with spots."""
+"""Panes of ray optics: layout, spread against field height, footprints with spots."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, Dresser, Theme, chart, dressed, framed
 
 MARGIN_FACTOR = 1.06
-"""Of what is shown, beyond it."""
+"""Size of a chart relative to its contents."""
 
 
 def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """The lens to scale, with rays of three fields."""
+    """Return the layout of the lens to scale, with rays of three fields."""
     from bokeh.models import ColumnDataSource
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
@@ -77,7 +77,7 @@ def layout(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
 
 
 def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Largest angle behind the lens against field height, with the sensor's limit."""
+    """Return a chart of the largest angle behind the lens against field height, with the sensor's limit."""
     from bokeh.models import ColumnDataSource, Range1d, Span
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
@@ -123,7 +123,7 @@ def spread(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.
 
 
 def footprint(lens: Workbench | Lens, plane: int = 0, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Spots of three fields on the sensor in one of its planes, and how far all light reaches."""
+    """Return a chart of the spots of three fields in one sensor plane, and the footprint of all light."""
     from bokeh.models import ColumnDataSource
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
@@ -204,12 +204,12 @@ def _fill(sources: dict[str, Any], found: Layout, lens: Lens, theme: Theme) -> N
 
 
 def _corners(lines: Sequence[Array]) -> dict[str, list[Any]]:
-    """Of lines, as plain numbers: each array would be a message of its own."""
+    """Return corners of lines as plain numbers, because Bokeh sends each array as a separate message."""
     return {"xs": [line[:, 0].tolist() for line in lines], "ys": [line[:, 1].tolist() for line in lines]}
 
 
 def _frame(box: Any, found: Layout, lens: Lens) -> None:
-    """All of the lens in view; what is shown changes in steps, lest it swims while one drags."""
+    """Show the whole lens; the range changes in steps, so that it is steady while a slider moves."""
     high = max(0.5 * lens.sensor.size_mm[1], *(float(np.abs(s[:, 1]).max()) for s in found.surfaces))
     high = _stepped(1.22 * high)
     left, right = lens.object_z_mm, lens.sensor_z_mm[-1]
@@ -218,22 +218,22 @@ def _frame(box: Any, found: Layout, lens: Lens) -> None:
 
 
 def _show(box: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Have a chart show what lies between these, if it does not yet."""
+    """Set the visible range of a chart, unless it is set already."""
     new = {"x": list(x), "y": list(y)}
     if dict(box.data) != new:
         box.data = new
 
 
 def _widen(span: Any, start: float, end: float) -> None:
-    """Show a range that rises in steps."""
+    """Set a range whose end increases in steps."""
     span.update(start=start, end=_stepped(end))
 
 
 def _stepped(value: float) -> float:
-    """The next of values 3 % apart."""
+    """Return the next of values that are 3 % apart."""
     return 1.03 ** math.ceil(math.log(max(value, 1e-12)) / math.log(1.03))
 
 
 def field_heights(lens: Lens) -> list[str]:
-    """Field heights of the pictures, as they are written."""
+    """Return the field heights of the pictures as texts."""
     return [f"{height:.3g} mm" for height in heights_of(lens)]

@@ -1,4 +1,4 @@
-"""Reconstructions to look at: verdict, residuals, what was calibrated, and the page that zooms."""
+"""Pane for reconstructions: goodness of fit, residuals, calibrated values, and a zoomable picture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from studio.panes.common import bench_of, follow, text
 
 
 def look(lens: Workbench | Lens) -> pn.Column:
-    """Open a folder of frames, a reconstruction or a calibration."""
+    """Return a pane that opens a folder of frames, a reconstruction or a calibration."""
     bench = bench_of(lens)
     jobs: list[Job] = []
     name = pn.widgets.TextInput(name="folder that wavesim wrote", placeholder="object", width=420)
@@ -52,9 +52,10 @@ def _markup(contents: FolderContents) -> str:
     kind = {True: "good", False: "bad", None: ""}[contents.explained]
     verdict = f'<p class="verdict {kind}">{text(contents.verdict)}</p>' if contents.verdict else ""
     rows = "".join(f"<tr><td>{text(name)}</td><td>{text(value)}</td></tr>" for name, value in contents.facts)
-    # The page comes from a file: its scripts run in a frame of their own, which reaches nothing of this page.
+    # The page comes from a file, so its scripts run in a sandbox without access to this page.
     page = (
-        f'<iframe class="zoom" sandbox="allow-scripts" title="zoom" srcdoc="{escape(contents.page)}"></iframe>'
+        '<iframe class="zoom" sandbox="allow-scripts" title="zoom" '
+        f'srcdoc="{escape(contents.page)}"></iframe>'
         if contents.page
         else ""
     )

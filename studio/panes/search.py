@@ -1,4 +1,4 @@
-"""Searches from the page: what may vary, what must hold, progress, what was found beside the start."""
+"""Pane for searches: variables, constraints, progress, and comparison of the result with the start."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tolerancing.perturbations.grades import GRADES
 
 
 def optimize(lens: Workbench | Lens) -> pn.Row:
-    """A search in a process of its own, with progress and cancel; what it finds is taken or dropped."""
+    """Return a pane that runs a search in a child process; its result can be accepted or discarded."""
     bench = bench_of(lens)
     return _Optimize(bench).view
 
 
 class _Optimize:
-    """The widgets, and the search that runs."""
+    """Widgets, and the running search."""
 
     def __init__(self, bench: Workbench) -> None:
         self.bench = bench
@@ -62,10 +62,10 @@ class _Optimize:
     def _view(self) -> pn.Row:
         head = '<div class="head">{}</div>'
         form = pn.Column(
-            pn.pane.HTML(head.format("What may vary"), margin=0),
+            pn.pane.HTML(head.format("Variables"), margin=0),
             self.variables,
             self.goal,
-            pn.pane.HTML(head.format("What must hold"), margin=0),
+            pn.pane.HTML(head.format("Constraints"), margin=0),
             pn.FlexBox(*self.limits.values(), sizing_mode="stretch_width"),
             pn.Row(self.run, self.cancel),
             width=330,
@@ -103,7 +103,7 @@ class _Optimize:
         try:
             search = self._requested_search()
             if not search.variables:
-                raise InputError("nothing may vary: tick what may")
+                raise InputError("no variable is selected: tick at least one")
             grade = bench.grade or next(iter(GRADES))
             quality = manufacturing_quality(grade, bench.lens)
             needs = search.goal in ("as-built rms", "yield") or "min_yield" in search.constraints
@@ -130,7 +130,7 @@ class _Optimize:
         return job.result if job is not None and job.state == "done" else None
 
     def update(self) -> None:
-        """Show how far the search is, or what it found."""
+        """Show the progress of the search, or its result."""
         names = list(variables_of(self.bench.lens))
         if list(self.variables.options) != names:
             kept = [n for n in self.variables.value if n in names]
@@ -159,7 +159,7 @@ class _Optimize:
         sentences = "".join(f'<p class="miss">{text(one)}</p>' for one in found.violations)
         sentences += "".join(f"<p>binding: {text(one)}</p>" for one in found.binding)
         self.message.object = (
-            f'<div class="text-block"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>{sentences}</div>'
-            + comparison(["start", "found"], [self.start, lens])
+            f'<div class="text-block"><p class="verdict {kind}">{words}</p><p>{text(found.summary)}</p>'
+            f"{sentences}</div>" + comparison(["start", "found"], [self.start, lens])
         )
         self.accept.visible = self.discard.visible = True

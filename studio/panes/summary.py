@@ -1,4 +1,4 @@
-"""Panes in words and numbers: constraints and what misses them, other figures, the lens as built."""
+"""Panes of figures: constraints, violations, other figures, and the lens as built."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_PERTURBATIONS = 7
 
 
 def findings(lens: Workbench | Lens) -> pn.pane.HTML:
-    """What the lens has to keep, how near it comes, and a sentence for each miss."""
+    """Return a pane with the constraints, their present values, and a sentence for each violation."""
     bench = bench_of(lens)
     pane = pn.pane.HTML("", sizing_mode="stretch_width", margin=0)
 
@@ -44,7 +44,7 @@ def findings(lens: Workbench | Lens) -> pn.pane.HTML:
 
 
 def as_built(lens: Workbench | Lens) -> pn.Column:
-    """Root mean squares and yield predicted under a grade or a study, what brings them, and what it costs."""
+    """Return a pane with the predicted rms wavefront errors, yield, main contributions and cost."""
     bench = bench_of(lens)
     names = {grade.replace("_", " "): grade for grade in GRADES}
     if bench.grade not in GRADES:
@@ -93,7 +93,7 @@ def as_built(lens: Workbench | Lens) -> pn.Column:
 
 
 def _contributions(waves: WavefrontPrediction) -> list[tuple[str, float]]:
-    """What each perturbation brings of the mean square over all points, in per cent, the largest first."""
+    """Return the contribution of each perturbation to the mean square in percent, the largest first."""
     squares = np.array([point.rms_waves**2 for point in waves.points])
     contributions = squares @ np.stack([point.shares for point in waves.points]) / squares.sum()
     return sorted(

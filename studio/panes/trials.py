@@ -1,4 +1,4 @@
-"""A tolerance study of the lens: started here, its trials as they arrive, each of them to be looked at."""
+"""Pane for a tolerance study of the lens: trials appear as they arrive and can be inspected."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POLL_MILLISECONDS = 700
 
 
 def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Start a study by the chosen tolerances; click a trial to have its errors among the what-ifs."""
+    """Return a pane that runs a study; a click on a trial sets its deviations in the what-if sliders."""
     bench, own = bench_of(lens), [] if dressers is None else dressers
     pane = _Tolerances(bench, own).view
     if dressers is None:
@@ -34,7 +34,7 @@ def tolerances(lens: Workbench | Lens, dressers: list[Dresser] | None = None) ->
 
 
 class _Tolerances:
-    """The widgets, the study that runs, and its folder."""
+    """Widgets, the running study, and its folder."""
 
     def __init__(self, bench: Workbench, dressers: list[Dresser]) -> None:
         from bokeh.models import ColumnDataSource
@@ -126,12 +126,12 @@ class _Tolerances:
         trial = int(self.source.data["number"][new[0]])
         self.bench.set_what_if(trial_what_if(Path(self.folder.name), trial))
         self.message.object = (
-            f'<div class="text-block"><p>trial {trial}: its errors stand among the what-ifs, its wavefronts under '
-            "Live; irregularities, which no slider has, are left out</p></div>"
+            f'<div class="text-block"><p>trial {trial}: its deviations are set in the what-if sliders, its '
+            "wavefronts are under Live; irregularities have no slider and are omitted</p></div>"
         )
 
     def update(self) -> None:
-        """Show how far the study is."""
+        """Show the progress of the study."""
         job = self.job
         running = job is not None and job.state == "running"
         if self.run.disabled is not running:

@@ -1,4 +1,4 @@
-"""Panes of what pupils tell: wavefronts, contrast of lines, a patch of a chart as it comes back."""
+"""Panes of wave optics: wavefronts, contrast of lines, and a reconstructed patch of a chart."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
 
 MIN_WAVES = 0.05
-"""That a wavefront's colours span, to both sides: noise must not look like an aberration."""
+"""Smallest range (±) of a wavefront's colours in waves, so that noise does not look like an aberration."""
 
 
 def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | None = None) -> pn.Column:
-    """The path difference over the pupil at one of three fields, and what it comes to in words."""
+    """Return a pane with the path difference over the pupil at one of three fields, and its figures."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
@@ -65,7 +65,7 @@ def wavefront(lens: Workbench | Lens, field: int = 0, dressers: list[Dresser] | 
 
 
 def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.pane.Bokeh:
-    """Contrast against line width at three fields."""
+    """Return a chart of contrast against line width at three fields."""
     from bokeh.models import ColumnDataSource, Range1d
 
     bench, own = bench_of(lens), [] if dressers is None else dressers
@@ -105,7 +105,7 @@ def contrast(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> p
 
 
 def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.Column:
-    """Bars of a chart as the lens that is off brings them back, beside those of the lens as designed."""
+    """Return a pane that compares reconstructed bars of a chart: actual lens and lens as designed."""
     from bokeh.models import ColumnDataSource, LinearColorMapper
 
     bench, own = bench_of(lens), [] if dressers is None else dressers

@@ -40,7 +40,7 @@ def test_an_edit_gives_the_lens_of_the_file_with_that_value(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("place", "value"),
+    ("table_path", "value"),
     [
         (RADIUS, 0.0),
         (("surface", 0, "material"), "N-BK77"),

@@ -28,7 +28,10 @@ def test_a_search_finds_what_the_command_finds(paper_lens: Lens) -> None:
 
 
 def test_what_cannot_be_asked_is_refused(paper_lens: Lens, tmp_path: Path) -> None:
-    for search, said in ((Search(()), "nothing may vary"), (Search(VARIED, "yield"), "choose tolerances")):
+    for search, said in (
+        (Search(()), "no variable is selected"),
+        (Search(VARIED, "yield"), "choose tolerances"),
+    ):
         with pytest.raises(InputError, match=said):
             specification_text(paper_lens, search, tmp_path, None)
     tight = Search(VARIED, constraints={"max_spread_deg": 1.0})
