@@ -40,7 +40,7 @@ def ghost(
     if as_json:
         print_json(report.as_dict())
         return
-    typer.echo(f"share of the light {report.share:.3g}")
+    typer.echo(f"share of the light {report.fraction:.3g}")
     typer.echo(f"effective, back focal length of the ghost {report.efl_mm:.4g}, {report.bfl_mm:.4g} mm\n")
     table = Table(box=None, pad_edge=False)
     for name in ("plane", "field", "falls on", "fringes on"):

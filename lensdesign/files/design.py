@@ -15,7 +15,7 @@ from lensdesign.common.toml_files import MOST_FAULTS, joined_faults, read_toml, 
 from lensdesign.errors import DesignError, InputError, atomic_path
 from lensdesign.files.figures import check_figures
 from lensdesign.lens.edges import Edge, Flange
-from lensdesign.lens.lengths import LongRadiusWarning, doubted_lengths, long_radii
+from lensdesign.lens.lengths import LongRadiusWarning, implausible_lengths, long_radii
 from lensdesign.lens.lens import Lens, ObjectSpace, Sensor
 from lensdesign.lens.surface import Surface
 
@@ -178,7 +178,7 @@ def validate_lengths(lens: Lens, source: Path) -> None:
         If a length is implausible and another unit would explain it. The message names the source and each
         such length, with the value that may be meant.
     """
-    suspicions = [f"{source}: {sentence}" for sentence in doubted_lengths(lens)]
+    suspicions = [f"{source}: {sentence}" for sentence in implausible_lengths(lens)]
     if suspicions:
         raise DesignError(joined_faults(suspicions))
 
@@ -203,7 +203,7 @@ def _suspicious_lengths(data: Mapping[str, Any]) -> list[str]:
             surfaces=tuple(surfaces),
             edges=tuple(edges),
         )
-        return list(doubted_lengths(lens))[:MOST_FAULTS]
+        return list(implausible_lengths(lens))[:MOST_FAULTS]
     except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
         return []  # the tables have another fault, which the caller reports
 

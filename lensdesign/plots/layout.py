@@ -19,7 +19,7 @@ from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import Element, glass_elements
 from lensdesign.plots.charts import TITLE_POINTS, lens_name, text_inches
 from lensdesign.raytrace.bundles import pupil_fan
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths, sized_lens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,7 +78,7 @@ def layout_figure(lens: Lens) -> Figure:
     elements = glass_elements(lens)
     fans = [
         ray_paths(lens, (0.0, fraction * lens.half_field_mm), pupil_fan(RAYS_PER_FIELD).points)
-        for fraction in FIELD_SHARES
+        for fraction in FIELD_FRACTIONS
     ]
     frame = _frame(lens, elements, fans)
     above, below = _rows(_labels_above(lens), frame), _rows(_labels_below(lens, elements), frame)
@@ -95,7 +95,7 @@ def layout_figure(lens: Lens) -> Figure:
     figure.legend(
         loc="lower center",
         bbox_to_anchor=(0.5, 0.04 / figure.get_figheight()),
-        ncols=len(FIELD_SHARES),
+        ncols=len(FIELD_FRACTIONS),
         frameon=False,
         fontsize=9,
     )
@@ -260,7 +260,7 @@ def _draw_rays(axes: Axes, lens: Lens, fans: Sequence[Array], frame: _Frame) -> 
     window = Rectangle(
         (frame.left, -frame.reach), frame.right - frame.left, 2.0 * frame.reach, transform=axes.transData
     )
-    for fraction, color, paths in zip(FIELD_SHARES, FIELD_COLORS, fans, strict=True):
+    for fraction, color, paths in zip(FIELD_FRACTIONS, FIELD_COLORS, fans, strict=True):
         label = f"field height {fraction * lens.half_field_mm:.3g} mm"
         lines = LineCollection(
             [p[:, [2, 1]] for p in paths], colors=color, linewidths=THIN, zorder=3, label=label

@@ -26,7 +26,7 @@ from lensdesign.plots.layout import layout_figure
 from lensdesign.plots.saving import save_figure
 from lensdesign.plots.scene3d import RenderingError, render_lens
 from lensdesign.raytrace.bundles import launch, pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from lensdesign.raytrace.rays import trace
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def spot_figure(lens: Lens, plane_distances_mm: Sequence[float] | None = None) -
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     reach = np.array([0.5 * width, 0.5 * height])
     for row, distance_mm in zip(panels, plane_distances_mm, strict=True):
-        for axes, fraction, color in zip(row, FIELD_SHARES, FIELD_COLORS, strict=True):
+        for axes, fraction, color in zip(row, FIELD_FRACTIONS, FIELD_COLORS, strict=True):
             reach = np.maximum(reach, _draw_spot(axes, lens, fraction, color, distance_mm))
         row[0].set_ylabel(f"{distance_mm:g} mm behind the exit vertex\ny (mm)", fontsize=9)
     for axes in panels.ravel():
@@ -237,7 +237,7 @@ def _draw_arrivals(axes: Axes, arrival: ArrivalAngles, limit_sine: float) -> Non
     x, y = arrival.sensor_point_mm
     note = "no light arrives"
     if np.any(arrival.ok):
-        note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.share:.0f} % of the field"
+        note = f"up to {arrival.largest_deg:.2f}°, {100.0 * arrival.fraction:.0f} % of the field"
     axes.set_title(f"({x:g}, {y:g}) mm\n{note}", fontsize=9)
 
 

@@ -20,7 +20,7 @@ from lensdesign.lens.solid import closed_elements
 from lensdesign.manufacture.mesh.mesh import lens_mesh
 from lensdesign.manufacture.mesh.rings import circle
 from lensdesign.raytrace.bundles import pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, ray_paths, sized_lens
 
 if TYPE_CHECKING:
     import trimesh
@@ -106,8 +106,8 @@ def scene_parts(lens: Lens, chord_error_um: float) -> list[ScenePart]:
 
 def _glass(lens: Lens, chord_error_um: float) -> Iterator[ScenePart]:
     for element in closed_elements(lens):
-        glass, index = str(lens.surfaces[element.surfaces[0]].material), element.number + 1
-        mesh = lens_mesh(lens, chord_error_um, element.number).mesh
+        glass, index = str(lens.surfaces[element.surfaces[0]].material), element.index + 1
+        mesh = lens_mesh(lens, chord_error_um, element.index).mesh
         yield ScenePart(
             f"element_{index}_{glass}",
             "glass",
@@ -165,7 +165,7 @@ def _planes(lens: Lens) -> Iterator[ScenePart]:
 
 def _rays(lens: Lens) -> Iterator[ScenePart]:
     pupil = pupil_hexapolar(PUPIL_RINGS).points
-    for fraction, color in zip(FIELD_SHARES, FIELD_COLORS, strict=True):
+    for fraction, color in zip(FIELD_FRACTIONS, FIELD_COLORS, strict=True):
         height = fraction * lens.half_field_mm
         paths = ray_paths(lens, (0.0, height), pupil)
         name, label = f"rays_{height:g}_mm", f"field height {height:.3g} mm"

@@ -16,7 +16,7 @@ from typing import Any
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.built import ManufacturingQuality, manufacturing_quality
 from studio.model.document import Autosave, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
@@ -71,7 +71,7 @@ class Workbench:
             self.editing = autosave.restored(self.document, self.editing)
         self.what_if = WhatIf()
         self.grade = grade
-        self.patch_fraction = FIELD_SHARES[1]
+        self.patch_fraction = FIELD_FRACTIONS[1]
         self.figures = Figures(self.lens)
         self.refused: dict[str, str] = {}
         self._quality: tuple[str, tuple[Any, ...], ManufacturingQuality | None] | None = None

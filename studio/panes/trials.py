@@ -143,7 +143,7 @@ class _Tolerances:
         elif (good := yield_of(self.passed)) is None:
             new = f"<p>{text(job.progress or 'starting')}…</p>"
         else:
-            fraction, low, high = (100.0 * v for v in (good.share, good.low, good.high))
+            fraction, low, high = (100.0 * v for v in (good.fraction, good.low, good.high))
             merits_alone = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
             new = (
                 f"<p><b>{fraction:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "

@@ -8,7 +8,7 @@ import numpy as np
 import panel as pn
 
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
@@ -128,7 +128,7 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
         )
     fields = {
         f"{fraction:g} of the half field" if fraction else "on the axis": fraction
-        for fraction in FIELD_SHARES
+        for fraction in FIELD_FRACTIONS
     }
     chosen = pn.widgets.Select(options=fields, value=bench.patch_fraction, margin=(0, 8), width=160)
     chosen.param.watch(lambda event: bench.set_patch(event.new), "value")

@@ -91,11 +91,11 @@ def test_pipes_devices_and_folders_are_refused(tmp_path: Path, name: str) -> Non
     reader = OPENERS.get(name) or READERS[name][0]
     path = tmp_path / name
     os.mkfifo(path)
-    with pytest.raises(InputError, match="no regular file"):
+    with pytest.raises(InputError, match="not a regular file"):
         reader(path)
     path.unlink()
     path.symlink_to("/dev/zero")
-    with pytest.raises(InputError, match="no regular file"):
+    with pytest.raises(InputError, match="not a regular file"):
         reader(path)
     path.unlink()
     path.mkdir()
@@ -108,17 +108,17 @@ def test_pipes_devices_and_folders_are_refused(tmp_path: Path, name: str) -> Non
 def test_devices_named_in_a_design_are_refused(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.toml"
     save_design(paper_lens.replaced(glass_catalogs=(Path("/dev/zero"),)), path)
-    with files_from("/"), pytest.raises(InputError, match="no regular file"):
+    with files_from("/"), pytest.raises(InputError, match="not a regular file"):
         load_design(path)
     save_design(paper_lens, path)
     path.write_text(path.read_text() + '\n[surface.figure]\nfile = "/dev/zero"\n')
-    with files_from("/"), pytest.raises(InputError, match="no regular file"):
+    with files_from("/"), pytest.raises(InputError, match="not a regular file"):
         load_design(path)
 
 
 def test_measured_tolerances_are_read_from_regular_files(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "values.csv")
-    with pytest.raises(InputError, match="no regular file"):
+    with pytest.raises(InputError, match="not a regular file"):
         Empirical(file=Path("values.csv"), column="a").loaded(tmp_path)
 
 
@@ -381,7 +381,7 @@ def test_links_that_outputs_are(tmp_path: Path) -> None:
     for device in (Path("/dev/null"), tmp_path / "pipe"):
         if not device.exists():
             os.mkfifo(device)
-        with pytest.raises(InputError, match="no regular file"), atomic_path(device) as temporary:
+        with pytest.raises(InputError, match="not a regular file"), atomic_path(device) as temporary:
             temporary.write_text("x")
 
 

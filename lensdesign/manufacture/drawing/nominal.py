@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 from lensdesign.analysis.matching import match
 from lensdesign.analysis.outline import (
-    EdgeRoom,
+    EdgeMargin,
     chosen_semi_diameter_mm,
     clear_semi_diameter_mm,
-    edge_room_needed_mm,
-    seat_mm,
+    mount_margin_mm,
+    needed_edge_thickness_mm,
     with_ground_edge,
 )
 from lensdesign.analysis.spread import largest_spread
@@ -82,7 +82,7 @@ def stated_lens(lens: Lens, tolerances: ToleranceOf) -> Stated:
     edged = lens.replaced(edges=tuple(edges))
     for element in glass_elements(edged):
         _check_edge_thickness(
-            element, tolerances(element), chosen=elements[element.number].edge.semi_diameter_mm is None
+            element, tolerances(element), chosen=elements[element.index].edge.semi_diameter_mm is None
         )
     rounded, more = _rounded(edged, tolerances)
     return Stated(rounded, (*notes, *more))
@@ -121,7 +121,7 @@ def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, 
     edge = element.edge.replaced(semi_diameter_mm=semi)
     margins = _edge_margins(element, tolerances(with_ground_edge(lens, element, semi)))
     reasons = (
-        f"{seat_mm(clear):.3g} mm to each side for the mount, {margins.chamfer_mm:g} for the bevel, "
+        f"{mount_margin_mm(clear):.3g} mm to each side for the mount, {margins.chamfer_mm:g} for the bevel, "
         f"{margins.play_mm:g} for its tolerance"
     )
     general = chosen_semi_diameter_mm(lens, element)
@@ -136,9 +136,9 @@ def _edge(lens: Lens, element: Element, tolerances: ToleranceOf) -> tuple[Edge, 
     ]
 
 
-def _edge_margins(element: Element, stated: DrawingTolerances) -> EdgeRoom:
+def _edge_margins(element: Element, stated: DrawingTolerances) -> EdgeMargin:
     bevel_mm = _bevel_mm(element, stated, 1)
-    return EdgeRoom(bevel_mm, 0.5 * (stated.diameter_mm or 0.0), stated.thickness_mm or 0.0)
+    return EdgeMargin(bevel_mm, 0.5 * (stated.diameter_mm or 0.0), stated.thickness_mm or 0.0)
 
 
 def _check_diameter(element: Element, clear: float, stated: DrawingTolerances) -> None:
@@ -158,7 +158,7 @@ def _check_diameter(element: Element, clear: float, stated: DrawingTolerances) -
 
 def _check_edge_thickness(element: Element, stated: DrawingTolerances, chosen: bool) -> None:
     """Raise an error if the edge is too thin for its bevels and the tolerance of the thickness."""
-    needed = edge_room_needed_mm(element, _edge_margins(element, stated))
+    needed = needed_edge_thickness_mm(element, _edge_margins(element, stated))
     thickness = min(section.edge_thickness_mm for section in element.sections)
     if not thickness > needed:
         diameter = "the chosen ground diameter" if chosen else "its ground diameter"

@@ -173,7 +173,7 @@ def element_tolerances(
     InputError
         If the element is too large for the general tolerances.
     """
-    base = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+    base = options.tolerances[element.index] if element.index < len(options.tolerances) else None
     general = base is None
     if base is None:
         thickness = element.back.vertex_z_mm - element.front.vertex_z_mm
@@ -183,7 +183,7 @@ def element_tolerances(
             raise InputError(f"{element.name}: {error}") from error
     if assumed is None:
         return base
-    return assumed.stated(element.number, element.surfaces[0], base, general)
+    return assumed.stated(element.index, element.surfaces[0], base, general)
 
 
 def drawing_as_stated(
@@ -218,7 +218,7 @@ def drawing_as_stated(
 
     def tolerances_of(element: Element) -> DrawingTolerances:
         found = element_tolerances(element, options, assumed)
-        given = options.tolerances[element.number] if element.number < len(options.tolerances) else None
+        given = options.tolerances[element.index] if element.index < len(options.tolerances) else None
         return fitting(element, found) if given is None else found
 
     stated = stated_lens(lens, tolerances_of)
@@ -264,7 +264,7 @@ def _title_rows(
         [
             ("Title", title, 0.58),
             ("Drawing no.", options.number, 0.26),
-            ("Sheet", f"{element.number + 1} of {sheets}", 0.16),
+            ("Sheet", f"{element.index + 1} of {sheets}", 0.16),
         ],
         [
             ("Part", element.name, 0.24),

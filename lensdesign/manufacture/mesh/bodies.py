@@ -211,7 +211,7 @@ def _with_design_deltas(lens: Lens, i: int, change: SurfacePerturbation) -> Lens
     """Return the lens with those deviations of one surface that a design file can represent."""
     surface = lens.surfaces[i]
     values: dict[str, Any] = {}
-    for name, delta in change.of_shape().items():
+    for name, delta in change.shape_deltas().items():
         by = float(np.ravel(delta)[0])
         if name.startswith("radius"):
             values[name] = getattr(surface, name) + by

@@ -229,7 +229,7 @@ def _distances(
     off = [meridian.distances(rz[i : i + BLOCK_POINTS]) for i in range(0, len(rz), BLOCK_POINTS)]
     distances = 1e3 * np.concatenate(off) if off else np.empty(0)
     return SurfaceDistances(
-        element=element.number + 1,
+        element=element.index + 1,
         surface=element.surfaces[side] + 1,
         points=len(distances),
         greatest_um=float(np.max(distances)) if len(distances) else None,

@@ -535,7 +535,7 @@ def test_notes_and_faults_of_a_catalogues_glass(command: Command) -> None:
     assert out.startswith("B-TWO (doubled_glass.agf)")
     code, _, err = command("glass", "A-ONE", "--catalog", doubled)
     assert code == 0
-    assert f"note: glass A-ONE stands twice with the same index ({doubled}, line 2 and line 8)" in err
+    assert f"note: glass A-ONE is given twice with the same index ({doubled}, line 2 and line 8)" in err
     assert json.loads(command("glass", "A-ONE", "--catalog", doubled, "--json")[1])["notes"]
     refused(command("glass", "LIQ", "--catalog", contradicts), "gives nd = 1.4991, and its coefficients (CD)")
 

@@ -32,7 +32,7 @@ from lensdesign.plots.charts import spread_figure
 from lensdesign.plots.layout import THICK, THIN
 from lensdesign.plots.plots import draw_all, incidence_figure, layout_figure, spot_figure, write_figure
 from lensdesign.plots.scene3d import RenderingError
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES, sized_lens
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS, sized_lens
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +260,7 @@ def test_spots_land_on_the_design_s_sensor_planes(paper_lens: Lens) -> None:
         )
         assert axes.get_xlim()[1] > 14.9504
         assert dots.get_color() == FIELD_COLORS[number % 3]
-        distance, height = (2.0, 22.0)[number // 3], 1.5 * FIELD_SHARES[number % 3]
+        distance, height = (2.0, 22.0)[number // 3], 1.5 * FIELD_FRACTIONS[number % 3]
         points = np.stack(dots.get_data(), axis=-1)
         spot = rms_spot_diameter(paper_lens, None, height, distance)
         assert points.mean(axis=0) == pytest.approx(spot.centroid_mm, abs=0.02)

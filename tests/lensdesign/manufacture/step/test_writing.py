@@ -438,7 +438,7 @@ def test_a_file_that_departs_from_the_lens_is_refused(
 
 def test_what_cannot_be_written_leaves_nothing(paper_lens: Lens, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="a file stands where a folder is needed"):
+    with pytest.raises(InputError, match="there is a file where a folder is needed"):
         write_step(paper_lens, tmp_path / "file" / "lens.step")
     (tmp_path / "folder.step").mkdir()
     with pytest.raises(InputError, match="it is a folder"):
