@@ -43,7 +43,7 @@ def test_figures_follow_and_settle_to_those_of_the_check(bench: Workbench) -> No
 def test_a_bad_value_is_refused_and_the_last_good_lens_stays(bench: Workbench) -> None:
     undo_steps = bench.lens
     assert not bench.edit(RADIUS, "number", "0")
-    assert bench.refused[RADIUS].startswith("surface 2, radius_mm: a radius of 0 is no surface")
+    assert bench.refused[RADIUS].startswith("surface 2, radius_mm: a radius of 0 is not a surface")
     assert bench.lens is undo_steps
     assert bench.edit(RADIUS, "number", "-12.1")
     assert bench.refused == {}

@@ -231,7 +231,7 @@ def test_a_value_is_stepped_refused_undone_and_saved(serve: Callable[..., Served
     assert float(box.input_value()) == pytest.approx(-12.0 - 9.0 * step)
     box.fill("0")
     box.press("Enter")
-    page.get_by_text("a radius of 0 is no surface").wait_for()
+    page.get_by_text("a radius of 0 is not a surface").wait_for()
     box.fill("-12.5")
     page.keyboard.press("Control+s")  # takes what was typed first
     page.get_by_text(f"saved {served.design}").wait_for()
