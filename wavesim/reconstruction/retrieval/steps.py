@@ -26,7 +26,7 @@ from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction
 from wavesim.reconstruction.retrieval import kernel
 from wavesim.runtime.fourier.lanes import LANES
-from wavesim.runtime.fourier.panels import Panels, aligned, thread_room, transform_bytes
+from wavesim.runtime.fourier.panels import Panels, aligned, thread_buffer, transform_bytes
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -170,11 +170,11 @@ class Passes:
 
         def one(number: int) -> None:
             lead = carried[0]
-            spectrum = thread_room("spectrum", lead.values[number].shape, lead.dtype)
-            lead.along_columns(lead.values[number], spectrum, back=False)
+            spectrum = thread_buffer("spectrum", lead.values[number].shape, lead.dtype)
+            lead.along_columns(lead.values[number], spectrum, inverse=False)
             for plane, panels in zip(self._carried, carried, strict=True):
                 _carry(spectrum, plane, number, False)
-                panels.along_columns(panels.values[number], panels.values[number], back=True)
+                panels.along_columns(panels.values[number], panels.values[number], inverse=True)
 
         if carried:
             self._over(one, range(len(carried[0].values)))
@@ -288,9 +288,9 @@ class Passes:
 
         def one(number: int) -> float:
             panel = panels.values[number]
-            panels.along_columns(panel, panel, back=False)
+            panels.along_columns(panel, panel, inverse=False)
             power = _carry(panel, plane, number, True)
-            panels.along_columns(panel, panel, back=True)
+            panels.along_columns(panel, panel, inverse=True)
             return power
 
         return math.fsum(self._over(one, range(len(panels.values)))) * plane.amplitude.size
@@ -339,7 +339,7 @@ class Passes:
     def _field_beside(self, plane: Plane, block: Block, beside: dict[int, Array]) -> ComplexArray:
         """Rows of the field on a plane of which those beside a block have been set aside."""
         panels, rows = _panels(plane), block.wide.stop - block.wide.start
-        values = thread_room("beside", (len(panels.values), rows, 2, LANES), panels.dtype)
+        values = thread_buffer("beside", (len(panels.values), rows, 2, LANES), panels.dtype)
         values[...] = panels.values[:, block.wide]
         for row in _beside(block):
             values[:, row - block.wide.start] = beside[row]
@@ -367,7 +367,7 @@ def _panels(plane: Plane) -> Panels:
 
 def _room(name: str, rows: slice, shape: tuple[int, ...], dtype: Any) -> ComplexArray:
     """A thread's room for rows of a field of a shape."""
-    return thread_room(name, (rows.stop - rows.start, 2 * shape[1]), dtype).view(dtype)
+    return thread_buffer(name, (rows.stop - rows.start, 2 * shape[1]), dtype).view(dtype)
 
 
 def _carry(spectrum: Array, plane: Plane, number: int, back: bool) -> float:
