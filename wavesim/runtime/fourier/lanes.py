@@ -43,7 +43,7 @@ class Lanes(types.Type):
 
 @register_model(Lanes)
 class _Model(models.PrimitiveModel):
-    """In memory the numbers lie one after the other."""
+    """Data model of a vector, whose numbers are contiguous in memory."""
 
     def __init__(self, manager: Any, kind: Lanes) -> None:
         super().__init__(manager, kind, ir.VectorType(manager[kind.number].get_value_type(), LANES))
