@@ -290,7 +290,7 @@ def tolerances(store: Path) -> dict[str, float]:
     with open_store(store) as opened:
         summary = summarize(opened)
     means = {merit.merit.column: merit.mean for merit in summary.merits}
-    return {"yield": summary.good.share} | means
+    return {"yield": summary.good.fraction} | means
 
 
 def test_rays(paper_lens: Lens) -> None:

@@ -12,7 +12,7 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    doubted_length,
+    implausible_length,
     in_unit,
     numbers_of,
 )
@@ -86,7 +86,7 @@ def _validate(name: str, value: Any, plausible_mm: PlausibleLength | None, label
         unit = "mm"
     plausible = plausible_mm if name in ABSOLUTE_UM else in_unit(plausible_mm, unit)
     for value_in_unit in numbers_of(value):
-        sentence = doubted_length(label or f"{{{name}}}", value_in_unit, unit, plausible)
+        sentence = implausible_length(label or f"{{{name}}}", value_in_unit, unit, plausible)
         if sentence is not None:
             raise SettingError(sentence)
 

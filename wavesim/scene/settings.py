@@ -73,7 +73,7 @@ class Settings(Section):
     @classmethod
     def _in_micrometres(cls, value: float | None, info: ValidationInfo) -> float | None:
         plausible = WAVELENGTH_UM if info.field_name == "wavelength_um" else PIXEL_PITCH_UM
-        doubt = None if value is None else plausible.doubt(value, "um")
+        doubt = None if value is None else plausible.objection(value, "um")
         if doubt is not None:
             raise ValueError(doubt)
         return value

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lensdesign.common.clusters import (
     Cluster,
-    Held,
+    ClusterResult,
     check_same_version,
     open_cluster,
     toolkit_version,
@@ -83,14 +83,14 @@ class ClusterExecutor:
     Attributes
     ----------
     cluster : Cluster
-    sent : Held of ScenePacket
+    sent : ClusterResult of ScenePacket
         Data of the engine.
     shape : (int, int)
         Shape of the plane.
     """
 
     cluster: Cluster
-    sent: Held[ScenePacket]
+    sent: ClusterResult[ScenePacket]
     shape: tuple[int, ...]
 
     def plane(self, parts: Iterable[Part], progress: Progress) -> Values:
@@ -104,7 +104,7 @@ class ClusterExecutor:
         stored = ((number, self.cluster.send(np.asarray(sums[number]))) for number in kept)
         fields = merge(stored, map(self._carried, parts), key=lambda field: field[0])
 
-        def keep(number: int, field: Held[Values]) -> None:
+        def keep(number: int, field: ClusterResult[Values]) -> None:
             if number not in kept:
                 sums[number] = self.cluster.result(field)
                 progress()
@@ -136,15 +136,15 @@ class ClusterExecutor:
     def _threads(self) -> int:
         return max(self.cluster.threads(), 1)
 
-    def _carried(self, part: Part) -> tuple[int, Held[Values]]:
+    def _carried(self, part: Part) -> tuple[int, ClusterResult[Values]]:
         return part[0], self.cluster.hold(carry, self.sent, *part)
 
     def _totals(
         self,
-        fields: Iterator[tuple[int, Held[Values]]],
+        fields: Iterator[tuple[int, ClusterResult[Values]]],
         rows: int,
-        done: Callable[[int, Held[Values]], None],
-    ) -> Iterator[tuple[slice, Held[Values]]]:
+        done: Callable[[int, ClusterResult[Values]], None],
+    ) -> Iterator[tuple[slice, ClusterResult[Values]]]:
         """Return bands of the plane in which all fields are summed in their order.
 
         Parameters
@@ -157,8 +157,8 @@ class ClusterExecutor:
             Callback for each computed field.
         """
         bands = self._bands(rows)
-        totals: list[Held[Values] | None] = [None] * len(bands)
-        under_way = deque[tuple[list[tuple[int, Held[Values]]], list[Held[Values]]]]()
+        totals: list[ClusterResult[Values] | None] = [None] * len(bands)
+        under_way = deque[tuple[list[tuple[int, ClusterResult[Values]]], list[ClusterResult[Values]]]]()
 
         def finish() -> None:
             together, sums = under_way.popleft()
@@ -186,8 +186,11 @@ class ClusterExecutor:
         return [slice(start, min(start + step, height)) for start in range(0, height, step)]
 
     def _added(
-        self, fields: Sequence[tuple[int, Held[Values]]], band: slice, total: Held[Values] | None
-    ) -> Held[Values]:
+        self,
+        fields: Sequence[tuple[int, ClusterResult[Values]]],
+        band: slice,
+        total: ClusterResult[Values] | None,
+    ) -> ClusterResult[Values]:
         """Return a band to which some super-tiles are added."""
         place, hold = (band.start, band.stop), self.cluster.hold
         needed = [hold(rows_for, self.sent, number, place, field) for number, field in fields]
