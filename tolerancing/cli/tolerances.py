@@ -51,7 +51,7 @@ def start(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a study with usual tolerances of a grade, to be edited."""
-    from tolerancing.study.starting import start_study
+    from tolerancing.study.files import start_study
 
     if output.exists() and not force:
         raise InputError(f"{output} is there already; give another name, or --force to replace it")

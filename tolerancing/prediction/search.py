@@ -36,7 +36,7 @@ from tolerancing.prediction.goals.trials import predicted_of, trials_of
 from tolerancing.prediction.ray_prediction import predicted_merits
 from tolerancing.prediction.sheet_scores import StudySheets
 from tolerancing.prediction.wavefront_prediction import Judged, is_predicted_wavefront, wavefront_points
-from tolerancing.study.evaluate import compensated_points, make_ready
+from tolerancing.study.evaluate import compensated_points, prepare_merits
 from tolerancing.study.files import check_against, load_study
 from tolerancing.study.study import Study
 
@@ -131,7 +131,7 @@ class StudyAsBuilt:
     @cached_property
     def _scatter(self) -> Scatter:
         # A search ends with trials: whether all merits can score is known before it begins.
-        make_ready(self.study)
+        prepare_merits(self.study)
         return Scatter(self.study, self.factor)
 
     @cached_property

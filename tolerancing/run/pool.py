@@ -174,12 +174,12 @@ class Rehearsal(Processes):
         InputError
             If one cannot; :class:`EndedError` if it ends the process.
         """
-        from tolerancing.study.evaluate import make_ready
+        from tolerancing.study.evaluate import prepare_merits
 
         if self._files and not self.here:
-            self._apart(partial(make_ready, self._study))
+            self._apart(partial(prepare_merits, self._study))
         else:
-            make_ready(self._study)
+            prepare_merits(self._study)
 
     def do(self, work: Callable[[], Result], meanwhile: Iterable[Task], levels: Mapping[str, str]) -> Result:
         """What `work` returns; as of :meth:`LocalPool.do` where workers do it.

@@ -65,5 +65,5 @@ def test_a_material_that_says_nothing_of_heat_is_refused_with_the_study(write_st
 
 def test_only_the_environment_has_a_mount(write_study, ray_study):
     text = ray_study.replace("[[perturbation]]", "[[perturbation]]\nmount_expansion_per_k = 1e-5", 1)
-    with pytest.raises(DesignError, match="mount_expansion_per_k = 1e-05: lens has none"):
+    with pytest.raises(DesignError, match="mount_expansion_per_k = 1e-05: only target"):
         load_study(write_study(text))

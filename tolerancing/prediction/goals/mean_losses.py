@@ -23,7 +23,7 @@ from lensdesign.optimization.problem import DesignProblem
 from tolerancing.merits.loss import ReconstructionLoss
 from tolerancing.prediction.goals.design import SHARE, bent, rim_heights, sized
 from tolerancing.prediction.losses import LossChains, drawn_losses, loss_chains, loss_paths
-from tolerancing.study.evaluate import make_ready
+from tolerancing.study.evaluate import prepare_merits
 from tolerancing.study.study import Study
 
 SEARCH_DRAWS = 32
@@ -66,7 +66,7 @@ class SearchedLosses:
         ------
         DesignError
         """
-        make_ready(self.study)
+        prepare_merits(self.study)
         try:
             for merit in self.merits:
                 merit.check(lens)
