@@ -107,10 +107,7 @@ def frames(case: Case, seed: int = 1) -> list[Measurement]:
     share = BRIGHTEST_ELECTRONS / CAMERA.full_well_electrons
     planes = zip(PLANES_MM, case.fields, plane_seeds(seed, len(PLANES_MM)), strict=True)
     return recorded_planes(
-        [
-            record(field, SENSOR, distance, CAMERA, one, brightest_share=share)
-            for distance, field, one in planes
-        ]
+        [record(field, SENSOR, distance, CAMERA, one, peak_fill=share) for distance, field, one in planes]
     )
 
 
@@ -142,7 +139,7 @@ def from_frames() -> list[Row]:
         alike = [replace(plane, sigma=None) for plane in recorded]
         name = f"{ground}, amplitude"
         rows += object_domain(f"{name}, points, sigma unknown", case, alike, kind="amplitude")
-        pixels: dict[str, Any] = {"kind": "amplitude", "active_width": 1.0}
+        pixels: dict[str, Any] = {"kind": "amplitude", "fill_factor": 1.0}
         rows += object_domain(f"{name}, pixels, sigma unknown", case, alike, **pixels)
         rows += object_domain(f"{name}, pixels, sigma", case, recorded, **pixels)
         rows += object_domain(
@@ -154,7 +151,7 @@ def from_frames() -> list[Row]:
             **pixels,
         )
         if ground == "bright":
-            complex_: dict[str, Any] = {"active_width": 1.0, "tv_weight": "auto"}
+            complex_: dict[str, Any] = {"fill_factor": 1.0, "tv_weight": "auto"}
             rows += object_domain(f"{ground}, complex, pixels, sigma, auto", case, recorded, 0.93, **complex_)
     return rows
 
@@ -174,7 +171,7 @@ def chart_from_frames() -> list[Row]:
             tv_weight="auto",
             scale=1.0,
             iterations=30,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         finest = smallest_resolved_element(element_contrasts(found.transmission.values, lit.grid, elements))
         width = np.inf if finest is None else finest.line_width_um

@@ -99,7 +99,7 @@ def shot(
     exposures: tuple[float, ...] = ONE,
     planes: int = 2,
     farther_um: float = 0.0,
-    active_width: float = 1.0,
+    fill_factor: float = 1.0,
 ) -> Shot:
     """Take frames.
 
@@ -115,7 +115,7 @@ def shot(
         How many, from the design's nearest to its farthest.
     farther_um
         How much farther from the lens the object is than the nominal working distance.
-    active_width
+    fill_factor
         Of a pixel; 0 is a point.
     """
     lens = scaled(load_design(DESIGNS / PAPER_DESIGN), scale)
@@ -133,7 +133,7 @@ def shot(
         planes_mm=tuple(float(z) for z in np.linspace(near, far, planes)),
         exposures=exposures,
         working_distance_error_mm=1e-3 * farther_um,
-        active_width=active_width,
+        fill_factor=fill_factor,
     )
     return Shot(lens, imaged)
 

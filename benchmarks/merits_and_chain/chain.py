@@ -130,7 +130,7 @@ class Chain:
             tv_weight="auto",
             iterations=ITERATIONS[self.kind],
             until_noise=True,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         return found.transmission.values, found.misfit[-1]
 
@@ -143,7 +143,7 @@ class Chain:
             planes,
             known=Field(self.grid, known, self.light.wavelength_um),
             parameters=names,
-            active_width=1.0,
+            fill_factor=1.0,
         ).bench
 
     def correlation(self, found: Array, true: Array) -> float:

@@ -233,7 +233,7 @@ class Chain:
             tv_weight="auto" if has_noise else 0.01,
             iterations=iterations,
             scale=1.0,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         return np.asarray(found.transmission.values)
 

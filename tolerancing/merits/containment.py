@@ -1,79 +1,54 @@
-"""Execution of user code: every exception and every attempt to exit becomes an error of that call."""
+"""Calls of a user's Python code in which every exception becomes a failure of the trial."""
 
 from __future__ import annotations
 
-import os
-import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TypeVar
 
-from lensdesign.common.interrupts import END_PROCESS
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 
 Result = TypeVar("Result")
 
 
-class _Ended(BaseException):
-    """Raised if user code tries to end the process."""
-
-
 def run_user_code(work: Callable[[], Result], file: str) -> Result:
-    """Call user code and convert every exception to a TransferLensError.
+    """Call a user's code and return its result.
 
-    This includes ``sys.exit`` and ``os._exit``, which would otherwise end a run with status 0 as if it were
-    complete. A KeyboardInterrupt passes unchanged.
+    Exceptions of every kind become a TransferLensError. This includes ``sys.exit``, which would otherwise end
+    a run with status 0, as if all trials were done. KeyboardInterrupt passes, because it comes from the user.
+    Code that ends the process itself (``os._exit``, a signal) is handled by the pool of workers.
 
     Parameters
     ----------
     work
-        Function that calls the user code.
+        Function to call.
     file
-        Name of the file of the user code.
+        Name of the file that holds the code.
 
     Raises
     ------
     TransferLensError
-        If the code raises. The message has the kind of the exception and the line of the file, in printable
-        characters.
+        If the code raises an exception. The message holds the type of the exception and the line of the
+        file, in printable characters.
     """
     try:
-        with _exit_intercepted():
-            return work()
+        return work()
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise TransferLensError(_error_message(error, file)) from error
+        raise TransferLensError(_error_text(error, file)) from error
 
 
-@contextmanager
-def _exit_intercepted() -> Iterator[None]:
-    """Let ``os._exit`` raise, except in other threads and in processes that the code starts."""
-    own = os.getpid(), threading.get_ident()
-
-    def refuse(status: int) -> None:
-        if (os.getpid(), threading.get_ident()) != own:
-            END_PROCESS(status)
-        raise _Ended(f"os._exit({status!r}) would end the run")
-
-    os._exit = refuse  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        os._exit = END_PROCESS
-
-
-def _error_message(error: BaseException, file: str) -> str:
-    """Return the message and line of an exception, whose ``__str__`` may itself fail."""
+def _error_text(error: BaseException, file: str) -> str:
+    """Return the message, type and line of an exception. An exception of a user may fail even at that."""
     try:
         text = str(error)
     except BaseException:
         text = "no message (its __str__ failed)"
     if isinstance(error, SystemExit):
-        text = f"{text or 0}: would end the run"
-    kind = "" if isinstance(error, TransferLensError | _Ended) else f"{type(error).__name__}: "
+        text = f"{text or 0}: asks for the end of the run"
+    kind = "" if isinstance(error, TransferLensError) else f"{type(error).__name__}: "
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     location = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
     return visible(kind + text) + visible(location)

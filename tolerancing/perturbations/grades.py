@@ -18,7 +18,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.figure_source import TEST_WAVELENGTH_UM
 from lensdesign.lens.lens import Lens
 from lensdesign.manufacture.drawing.tolerances import GENERAL, MERCURY_LINE_UM
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 
 COMMENT_COLUMN = 42
 TRIALS, SEED = 1000, 20240601
@@ -335,7 +335,7 @@ def _merits(lens: Lens) -> str:
             ("at_least", 0.5, ""),
         )
     edge = lens.half_field_mm
-    points = [[0.0, min(_number(fraction * edge), edge)] for fraction in FIELD_SHARES]
+    points = [[0.0, min(_number(fraction * edge), edge)] for fraction in FIELD_FRACTIONS]
     text += _table(
         "merit",
         ("kind", "rms_waves", ""),

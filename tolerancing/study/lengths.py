@@ -11,7 +11,7 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    doubted_length,
+    implausible_length,
     in_unit,
     numbers_of,
 )
@@ -99,7 +99,7 @@ def _series(
 
 def _doubt(name: str, value: float, unit: str, plausible: PlausibleLength | None) -> Iterator[str]:
     """Yield a message if a length is not plausible."""
-    message = None if plausible is None else doubted_length(name, value, unit, plausible)
+    message = None if plausible is None else implausible_length(name, value, unit, plausible)
     if message is not None:
         yield message
 

@@ -75,7 +75,7 @@ class Seen:
         self._behind = light_of_frames(self.scene, framed.frames, framed.light)
         self._made: dict[str, Engine] = {}
         light = framed.light.with_values(framed.light.values.astype(np.complex64))
-        told = settings.scale, settings.active_width, self.make
+        told = settings.scale, settings.fill_factor, self.make
         some, apart = None, pixels_apart(framed.patch, self.scene)
         if apart > 1 and settings.engine == EikonalTiles.name:
             every = AllPixels(self.scene, light, self.recorded, *told)

@@ -71,7 +71,7 @@ def calibrate(
     known: Field,
     parameters: Sequence[str] = RIGID,
     scale: float | None = None,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     start: Placement = NOMINAL,
     make: Make = eikonal_tiles,
     most_mountings: int = 80,
@@ -91,7 +91,7 @@ def calibrate(
         Transmission of the object.
     parameters
         What is unknown, by the names of :func:`wavesim.sensor.mounting.parameter_names`.
-    scale, active_width
+    scale, fill_factor
         As of :func:`wavesim.reconstruct`.
     start
         Where the search begins, and what holds for parameters that are not sought.
@@ -111,7 +111,7 @@ def calibrate(
     validate_whole_number("most_mountings", most_mountings, 1)
     if known.grid != illumination.grid:
         raise InputError(f"known object: its grid {known.grid} is not the illumination's {illumination.grid}")
-    seen = _Seen(scene, illumination, recorded, known, scale, active_width, make)
+    seen = _Seen(scene, illumination, recorded, known, scale, fill_factor, make)
     begin, rigid = start, tuple(name for name in parameters if name in RIGID)
     if rigid:
         coarse = _Trail("coarse", seen.shadows, start, rigid, progress)
@@ -155,7 +155,7 @@ class _Seen:
     recorded: Sequence[Measurement]
     known: Field
     scale: float | None
-    active_width: float
+    fill_factor: float
     make: Make
 
     def shadows(self, mounting: Placement, names: Sequence[str]) -> Response:
@@ -182,7 +182,7 @@ class _Seen:
             light_on(self.illumination, mounting),
             planes_at(self.recorded, mounting),
             self.scale,
-            self.active_width,
+            self.fill_factor,
         )
 
 

@@ -136,7 +136,7 @@ def _with_stop(
         lens.object.field_diameter_mm if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
-        settings.active_width,
+        settings.fill_factor,
         progress=lambda text: tell(text, 0, 0),
     )
     return settings.with_stop(*search.run(settings.field_stop_mm, settings.field_stop_at_mm))
@@ -307,7 +307,7 @@ def _of_known_object(seen: Seen, found: Calibrated, known: Field) -> Calibrated:
     bench, settings = found.bench, seen.settings
     engine = seen.make(placed_scene(seen.scene, bench.placement))
     light, planes = light_on(seen.framed.light, bench), planes_at(seen.recorded, bench)
-    model = ForwardModel(engine, light, planes, settings.scale, settings.active_width)
+    model = ForwardModel(engine, light, planes, settings.scale, settings.fill_factor)
     if settings.scale is None:
         model.scale = Linearised(model, np.asarray(known.values), True).scale
     nothing = np.zeros(0, np.intp)
@@ -328,7 +328,7 @@ def _mounting_alone(seen: Seen, known: Field, tell: Progress) -> Calibrated:
         known=known,
         parameters=_named(settings.parameters, parameter_names(len(seen.framed.planes_mm))),
         scale=settings.scale,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         start=seen.start,
         make=seen.make,
         most_mountings=settings.most_mountings,

@@ -154,7 +154,7 @@ class Plan:
     planes_mm : tuple of float
         From the exit vertex of the lens itself.
     exposures : tuple of float
-        Of each plane, as multiples of what gives the brightest share.
+        Exposure times of each plane; 1 gives the peak fill of the brightest pixel.
     correlation : float
         Lowest correlation of the object found with the true one
         (:func:`wavesim.metrics.contrast.object_correlation`), of all objects tried.
@@ -463,7 +463,7 @@ class _Tries(NamedTuple):
             tv_weight="auto",
             iterations=ITERATIONS["object"],
             until_noise=True,
-            active_width=1.0,
+            fill_factor=1.0,
         )
         noise = noise_misfit(given)
         correlation = truth_metrics(

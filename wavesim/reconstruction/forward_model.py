@@ -57,7 +57,7 @@ class ForwardModel:
         As of :func:`wavesim.reconstruct`.
     scale
         Recorded amplitude for a unit of the model's; None is 1, to be fitted.
-    active_width
+    fill_factor
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
     scratch
         Where arrays that are kept lie; in memory if left out.
@@ -74,7 +74,7 @@ class ForwardModel:
         illumination: Field,
         recorded: Sequence[Measurement],
         scale: float | None,
-        active_width: float = 0.0,
+        fill_factor: float = 0.0,
         scratch: Scratch | None = None,
         modes: Sequence[SourceMode] = (),
         rows: Sequence[slice] = (),
@@ -88,7 +88,7 @@ class ForwardModel:
         self.dtype, self.real = illumination.values.dtype, power.dtype
         del power
         grid = engine.scene.exit_grid
-        self.pixels = PixelMeans(grid, active_width) if active_width > 0.0 or self.modes else None
+        self.pixels = PixelMeans(grid, fill_factor) if fill_factor > 0.0 or self.modes else None
         self.ways = [
             propagator_to(grid, illumination.wavelength_um, p.distance_mm, self.dtype, p.shift_mm, p.tilt_deg)
             for p in recorded
@@ -185,8 +185,8 @@ class ForwardModel:
                 total[plane.rows] += noise
                 continue
             part = noise.reshape(shape)
-            if not plane.way.is_none:
-                part = scipy.fft.ifftn(plane.way.back(part), workers=-1, overwrite_x=True)
+            if not plane.way.is_identity:
+                part = scipy.fft.ifftn(plane.way.adjoint(part), workers=-1, overwrite_x=True)
             total = part if total is None else np.add(total, part, out=total)
         assert total is not None
         return total
@@ -250,7 +250,7 @@ class ForwardModel:
             total = np.zeros(plane.amplitude.shape, self.real)
             for mode, spectrum in zip(self.modes, spectra, strict=True):
                 rows = self.pixels.carried(spectrum, plane.way, rows)
-                total += self.real.type(mode.share) * self.pixels.intensity(rows)
+                total += self.real.type(mode.weight) * self.pixels.intensity(rows)
             found.append(total)
         return found
 
@@ -276,7 +276,7 @@ class ForwardModel:
         result = np.zeros(self.lit.shape, self.dtype)
         for mode in self.modes:
             behind = scipy.fft.ifftn(totals.pop(0), workers=-1, overwrite_x=True)
-            result += self.real.type(mode.share) * self._to_object(behind, self._light(mode))
+            result += self.real.type(mode.weight) * self._to_object(behind, self._light(mode))
         return result, self.scale * math.sqrt(missed) / self.size
 
     def _change_of_mode(self, spectrum: ComplexArray, ratios: Sequence[RealArray]) -> ComplexArray:

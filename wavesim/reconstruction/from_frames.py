@@ -195,11 +195,11 @@ def _ready(engine: Engine, take: Take, told: _Told) -> Iterator[Engine]:
     if not isinstance(engine, Tiled):
         yield engine
         return
-    engine.report = told.part
+    engine.progress = told.part
     try:
         yield take(engine)
     finally:
-        engine.report = None
+        engine.progress = None
 
 
 def _goes_on(case: ReconstructionProblem) -> str:
@@ -285,7 +285,7 @@ def _begun_on_half(
             iterations=min(ITERATIONS, settings.most_iterations),
             until_noise=True,
             scale=settings.scale,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             progress=told.on_half,
             residuals=False,
             rounds=ROUNDS,
@@ -327,9 +327,7 @@ def _object(
                 found = _by_complex_object(case, settings, engine, told, found)
             maps = found.residual_maps
             if len(maps) < len(case.recorded):
-                maps = maps_of_all(
-                    engine, case.light, case.recorded, settings.active_width, found, case.modes
-                )
+                maps = maps_of_all(engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
             curve += found.misfit
             limited = is_engine_limited(case, maps, found.misfit[-1])
             finer = more_accurate_case(case, told.step) if limited else None
@@ -385,7 +383,7 @@ def _solved(
         until_noise=True,
         scale=settings.scale,
         start=start,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         progress=told.iteration,
         resume=resume,
         keep=keeper(kept),

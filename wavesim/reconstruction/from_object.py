@@ -157,7 +157,7 @@ def reconstruct(
     until_noise: bool = False,
     scale: float | None = None,
     start: Field | Literal["amplitude"] | None = None,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     progress: Callable[[int, float], None] | None = None,
     resume: SolverState | None = None,
     keep: Callable[[SolverState], None] | None = None,
@@ -196,7 +196,7 @@ def reconstruct(
     start
         Transmission to start from; 1 if left out. "amplitude": the first `AMPLITUDE_START` iterations seek an
         amplitude object, so that a complex one on a dark ground is found, to which 1 is too far.
-    active_width
+    fill_factor
         Side of a pixel's photosensitive square as a share of the pitch, over which the model takes means; 0
         for amplitudes at points, such as those of a simulated field.
     progress
@@ -227,7 +227,7 @@ def reconstruct(
         If a value or a shape is not usable, planes are in different units, modes are of other wavelengths
         than the illumination, or the disk that holds the scratch files is full.
     """
-    validate_numbers(kind, tv_weight, iterations, scale, active_width)
+    validate_numbers(kind, tv_weight, iterations, scale, fill_factor)
     validate_measurements(engine.scene, illumination, recorded, start, modes, rows)
     scratch = scratch or Scratch()
     unit, light_unit = amplitude_unit(recorded), power_of_two(float(np.abs(illumination.values).max()))
@@ -241,7 +241,7 @@ def reconstruct(
         illumination,
         recorded,
         scale and scale * light_unit / unit,
-        active_width,
+        fill_factor,
         scratch,
         modes,
         rows,

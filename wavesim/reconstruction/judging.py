@@ -138,7 +138,7 @@ def judge_result(
                 kind=settings.kind,
                 tv_weight=settings.tv_weight,
                 scale=settings.scale,
-                active_width=settings.active_width,
+                fill_factor=settings.fill_factor,
                 diversity=case.diversity,
                 modes=case.modes,
                 stops=stop_search(case, settings, engine, progress),
@@ -165,7 +165,7 @@ def _score_test(
             settings.kind,
             scale=found.of_method["scale"],
             fits_scale=settings.scale is None,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             model_error=found.model_error,
             progress=progress,
         )
@@ -185,7 +185,7 @@ def stop_search(
         grid.pitch_mm * min(grid.shape) if settings.patch_mm is None else settings.patch_mm,
         settings.kind,
         settings.scale,
-        settings.active_width,
+        settings.fill_factor,
         case.modes,
         progress,
     )
@@ -274,7 +274,7 @@ def engine_errors(
     maps: Sequence[Array],
 ) -> tuple[Array, ...]:
     """Amplitudes of the object found by a more accurate engine less those by the engine asked for."""
-    more = maps_of_all(finer.engine, case.light, case.recorded, settings.active_width, found, case.modes)
+    more = maps_of_all(finer.engine, case.light, case.recorded, settings.fill_factor, found, case.modes)
     return tuple(one - other for one, other in zip(more, maps, strict=True))
 
 

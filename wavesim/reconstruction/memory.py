@@ -155,9 +155,9 @@ def step_array(
 
 
 def descent_arrays(
-    sizes: Sizes, kind: Kind, active_width: float, modes: int = 1, tilted: bool = False
+    sizes: Sizes, kind: Kind, fill_factor: float, modes: int = 1, tilted: bool = False
 ) -> Inventory:
-    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `active_width`: as of it.
+    """What :func:`wavesim.reconstruct` holds beside what it is given; `kind`, `fill_factor`: as of it.
 
     `modes` are those of the light of a wide source; `tilted`: the sensor is.
     """
@@ -189,7 +189,7 @@ def descent_arrays(
         common += _of_a_tilt(sizes)
     if modes > 1:
         return common + _of_modes(sizes, modes)
-    return common + (_of_pixels(sizes) if active_width > 0.0 else _of_points(sizes))
+    return common + (_of_pixels(sizes) if fill_factor > 0.0 else _of_points(sizes))
 
 
 def _of_a_tilt(sizes: Sizes) -> Inventory:
@@ -254,7 +254,7 @@ def reconstruction_bytes(
     distances_mm: Sequence[float],
     *,
     kind: Kind = "complex",
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     with_sigma: bool = True,
     modes: int = 1,
     tilted: bool = False,
@@ -267,7 +267,7 @@ def reconstruction_bytes(
         As of :func:`wavesim.reconstruct`.
     distances_mm
         Of the recorded planes, from the engine's exit grid.
-    kind, active_width
+    kind, fill_factor
         As of :func:`wavesim.reconstruct`.
     with_sigma
         Whether recorded amplitudes come with standard deviations.
@@ -282,7 +282,7 @@ def reconstruction_bytes(
         Illumination, recorded arrays and last steps are those that can lie in files.
     """
     sizes = Sizes.of(engine, distances_mm)
-    own = descent_arrays(sizes, kind, active_width, modes, tilted)
+    own = descent_arrays(sizes, kind, fill_factor, modes, tilted)
     return need_of(given_arrays(sizes, with_sigma=with_sigma) + own)
 
 
@@ -323,7 +323,7 @@ def run_arrays(
     *,
     method: str,
     kind: Kind,
-    active_width: float,
+    fill_factor: float,
     frames_bytes: int,
     shown: tuple[int, ...],
     carried: int,
@@ -336,7 +336,7 @@ def run_arrays(
 
     Parameters
     ----------
-    engine, distances_mm, kind, active_width
+    engine, distances_mm, kind, fill_factor
         As of :func:`reconstruction_bytes`; amplitudes are of float32 and come with standard deviations.
     method
         "object" or "paper".
@@ -354,7 +354,7 @@ def run_arrays(
         As of :func:`reconstruction_bytes`.
     """
     sizes, of_object = Sizes.of(engine, distances_mm), method == "object"
-    own = descent_arrays(sizes, kind, active_width, modes, tilted) if of_object else _paper_arrays(sizes)
+    own = descent_arrays(sizes, kind, fill_factor, modes, tilted) if of_object else _paper_arrays(sizes)
     given = given_arrays(sizes, truth=truth, backgrounds=backgrounds)
     source = math.prod(sizes.source)
     before = (

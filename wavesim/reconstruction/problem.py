@@ -52,7 +52,7 @@ TELLING = (
     "tv_weight",
     "start",
     "scale",
-    "active_width",
+    "fill_factor",
     "source_deg",
 )
 """Settings on which the iterations depend, beside the engine's."""
@@ -237,7 +237,7 @@ def _arrays(
         [math.hypot(plane.distance_mm, *plane.shift_mm) for plane in recorded],
         method=settings.method,
         kind=settings.kind,
-        active_width=settings.active_width,
+        fill_factor=settings.fill_factor,
         frames_bytes=sum(frame.counts.nbytes for frame in frames),
         shown=shown.shape,
         carried=0 if settings.focus_mm is None else carried.size,

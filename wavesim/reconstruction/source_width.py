@@ -73,12 +73,12 @@ def found_width(
             iterations=ITERATIONS,
             scale=settings.scale,
             start=start,
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             modes=modes,
         )
         start = found.transmission
         wide, point = (
-            ForwardModel(engine, light, recorded, found.scale, settings.active_width, modes=of)
+            ForwardModel(engine, light, recorded, found.scale, settings.fill_factor, modes=of)
             for of in (modes, ())
         )
         ratio = washed_out(recorded, wide, wide.amplitudes(start.values), point.amplitudes(start.values))

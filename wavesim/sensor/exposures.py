@@ -14,6 +14,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AliasChoices
 from pydantic import Field as Setting
 
 from lensdesign.common.arrays import Array
@@ -50,8 +51,9 @@ class Electronics(Section):
         Added to all counts, so that read noise of dark pixels is not clipped at 0.
     gain_electrons_per_count
         Electrons that raise a pixel by one count; if left out, full well reaches the top count.
-    active_width
-        Side of a pixel's photosensitive square, as a share of the pitch; 0 is a point.
+    fill_factor
+        Linear fill factor of a pixel: side of its photosensitive square over the pitch. 0 is a point. Files
+        may also call it `active_width`.
     """
 
     full_well_electrons: Positive = 10_000.0
@@ -59,7 +61,9 @@ class Electronics(Section):
     bits: Bits = 12
     offset_counts: Offset = 64.0
     gain_electrons_per_count: Positive | None = None
-    active_width: Annotated[float, Setting(ge=0.0, le=1.0)] = 1.0
+    fill_factor: Annotated[
+        float, Setting(ge=0.0, le=1.0, validation_alias=AliasChoices("fill_factor", "active_width"))
+    ] = 1.0
 
     @property
     def gain(self) -> float:

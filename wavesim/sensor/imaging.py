@@ -243,7 +243,7 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose 
         "full_well_electrons": settings.full_well_electrons,
         "read_noise_electrons": settings.read_noise_electrons,
         "bits": settings.bits,
-        "active_width": settings.active_width,
+        "fill_factor": settings.fill_factor,
         # Keeps the noise of dark pixels, and leaves counts for light where there are few.
         "offset_counts": min(64.0, 2.0**settings.bits / 16.0),
     }
@@ -251,7 +251,7 @@ def _recording(lens: Lens, settings: ImageSettings, placement: Placement | Pose 
         tuple(sorted(planes)),
         validate(Electronics, electronics, "sensor"),
         settings.seed if settings.noise else None,
-        settings.brightest_share,
+        settings.peak_fill,
         errors * len(planes) if len(errors) == 1 else errors,
         settings.shift_um,
         exposures,

@@ -42,7 +42,7 @@ class PixelLight:
         Of the field.
     oversampling : int
         Samples per pixel along each axis.
-    active_width : float
+    fill_factor : float
         Side of a pixel's photosensitive square, as a share of the pitch.
     scratch : Scratch, optional
         Where the light lies.
@@ -58,10 +58,10 @@ class PixelLight:
         sensor: Sensor,
         dtype: DTypeLike,
         oversampling: int,
-        active_width: float,
+        fill_factor: float,
         scratch: Scratch | None = None,
     ) -> None:
-        self._oversampling, self._active_width = oversampling, active_width
+        self._oversampling, self._fill_factor = oversampling, fill_factor
         across, down = sensor.pixels
         self._shape = (down, across)
         light = light_across(sensor, dtype, oversampling)
@@ -82,7 +82,7 @@ class PixelLight:
         for block in row_blocks(len(values)):
             intensity = np.abs(values[block]).astype(float) ** 2
             self.caught += float(intensity.sum())
-            means = means_over_pixels(intensity, self._oversampling, self._active_width)
+            means = means_over_pixels(intensity, self._oversampling, self._fill_factor)
             self._across[rows.start + block.start : rows.start + block.stop] = means
 
     def means(self) -> Array:
@@ -90,7 +90,7 @@ class PixelLight:
         means = np.empty(self._shape, self._kept)
         for columns in row_blocks(self._shape[1]):
             lines = self._across[:, columns].T.astype(float)
-            means[:, columns] = means_over_pixels(lines, self._oversampling, self._active_width).T
+            means[:, columns] = means_over_pixels(lines, self._oversampling, self._fill_factor).T
         # Means of a band-limited function that is never negative may pass 0 by rounding and at clipped edges.
         return np.maximum(means, 0.0, out=means)
 
@@ -102,7 +102,7 @@ def light_across(sensor: Sensor, dtype: DTypeLike, oversampling: int) -> ArrayGr
     return ArrayGroup("light on rows of pixels", shape, kept, Phase.CARRYING, lies="scratch")
 
 
-def means_over_pixels(fine: Array, oversampling: int, active_width: float) -> Array:
+def means_over_pixels(fine: Array, oversampling: int, fill_factor: float) -> Array:
     """Means over pixels along the last axis, by the pixel's transfer on a cosine series.
 
     The series continues the light mirrored at the window's borders, so that nothing wraps around. At the
@@ -112,7 +112,7 @@ def means_over_pixels(fine: Array, oversampling: int, active_width: float) -> Ar
         return fine
     pixels = fine.shape[-1] // oversampling
     order = np.arange(fine.shape[-1])
-    series = scipy.fft.dct(fine, axis=-1) * np.sinc(0.5 * active_width * order / pixels)
+    series = scipy.fft.dct(fine, axis=-1) * np.sinc(0.5 * fill_factor * order / pixels)
     folded = np.zeros((*fine.shape[:-1], pixels))
     for part in range(oversampling):
         block = series[..., part * pixels : (part + 1) * pixels]

@@ -68,14 +68,14 @@ class Recording:
         Full well, noise and quantisation.
     seed : int, numpy.random.SeedSequence or None
         Of the noise; None for none.
-    brightest_share
+    peak_fill
         Of full well, in the brightest pixel of a frame with an exposure of 1.
     stage_errors_mm : tuple of float
         How much farther from the lens each plane is than stated.
     shift_um : (x, y)
         By how much the sensor moves from one plane to the next.
     exposures : tuple of float
-        Of the frames of each plane, in units of the one that puts `brightest_share` into the brightest pixel.
+        Of the frames of each plane, in units of the one that puts `peak_fill` into the brightest pixel.
     bench : Bench
         How far the planes and the sensor's middle are from where they should be, beside all this, the
         sensor's tilt, the light's source, and the backgrounds.
@@ -88,7 +88,7 @@ class Recording:
     plane_distances_mm: tuple[float, ...]
     electronics: Electronics
     seed: Seed | None = 0
-    brightest_share: float = 0.8
+    peak_fill: float = 0.8
     stage_errors_mm: tuple[float, ...] = ()
     shift_um: tuple[float, float] = (0.0, 0.0)
     exposures: tuple[float, ...] = (1.0,)
@@ -184,7 +184,7 @@ def image_patch(
             recording.electronics,
             seed,
             recording.exposures,
-            recording.brightest_share,
+            recording.peak_fill,
             pattern=pattern,
             exposure_errors=recording.exposure_errors,
         )
@@ -208,13 +208,13 @@ def _light_through_free_space(
 ) -> Iterator[tuple[Array, float]]:
     """Light on the pixels of each plane, and of the first its share beyond what they resolve."""
     tell("through the lens", 0, len(windows))
-    width, share = recording.electronics.active_width, 0.0
+    width, share = recording.electronics.fill_factor, 0.0
     for number, field in enumerate(fields_on_sensor(engine, behind_object, windows, recording)):
         tell(f"plane {number + 1}", number, len(windows))
         if number == 0:
             limit = 500.0 / sensor.pixel_pitch_um
-            share = spectrum_support(field.values, field.grid.pitch_mm, limit).share_beyond
-        intensity = light_on_pixels(field, sensor, active_width=width, oversampling=OVERSAMPLING)
+            share = spectrum_support(field.values, field.grid.pitch_mm, limit).fraction_beyond
+        intensity = light_on_pixels(field, sensor, fill_factor=width, oversampling=OVERSAMPLING)
         del field  # the next plane's takes as much
         yield intensity, share
 
@@ -232,7 +232,7 @@ def _light_of_tiles(
     scratch: Scratch | None,
 ) -> Iterator[tuple[Array, float]]:
     """Light on the pixels of each plane, and its share beyond what they resolve, by an engine for each."""
-    scene, width = engine.scene, recording.electronics.active_width
+    scene, width = engine.scene, recording.electronics.fill_factor
     for number, window in enumerate(windows):
         here = replace(scene, exit_grid=_plane_grid(scene.lens, window, number, recording))
         own = engine if here.exit_grid == scene.exit_grid else make(here)
@@ -310,7 +310,7 @@ def _light_in_bands(
     rows, columns = part
     spectrum, total = BlockSpectrum(grid.pitch_mm), 0.0
     steps = engine.parts + math.ceil(grid.shape[0] / BAND_ROWS)
-    engine.report = lambda done, _: tell(done, steps)
+    engine.progress = lambda done, _: tell(done, steps)
     try:
         bands = engine.forward_in_bands(behind_object, BAND_ROWS, sums)
         for step, (band, values) in enumerate(bands, start=engine.parts + 1):
@@ -322,9 +322,9 @@ def _light_in_bands(
                 inside = values[start - band.start : stop - band.start, columns]
                 light.add(slice(start - rows.start, stop - rows.start), inside)
     finally:
-        engine.report = None
+        engine.progress = None
     warn_of_footprint(light.caught, total, sensor)
-    return light.means(), spectrum.share_beyond(500.0 / sensor.pixel_pitch_um)
+    return light.means(), spectrum.fraction_beyond(500.0 / sensor.pixel_pitch_um)
 
 
 def _parts(

@@ -78,7 +78,7 @@ def light_on_pixels(
     field: Field,
     sensor: Sensor,
     *,
-    active_width: float = 1.0,
+    fill_factor: float = 1.0,
     oversampling: int = 2,
     stage_error_mm: float = 0.0,
     shift_um: tuple[float, float] = (0.0, 0.0),
@@ -94,7 +94,7 @@ def light_on_pixels(
         On a plane.
     sensor
         Pitch and number of pixels.
-    active_width
+    fill_factor
         Side of the square, as a share of the pitch.
     oversampling
         Samples per pixel along each axis. Intensity has twice the field's band: 2 hold it when the field
@@ -124,9 +124,9 @@ def light_on_pixels(
     """
     if field.grid.is_line:
         raise InputError("a sensor records a plane: the field lies on a meridional line")
-    if not 0.0 <= active_width <= 1.0:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to 1")
-    if active_width > 0.0 and oversampling < 2:
+    if not 0.0 <= fill_factor <= 1.0:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 1")
+    if fill_factor > 0.0 and oversampling < 2:
         raise InputError(f"oversampling = {oversampling!r}: pixels that are no points take 2 or more")
     if not all(math.isfinite(value) for value in (stage_error_mm, *shift_um)):
         raise InputError(f"stage_error_mm = {stage_error_mm!r}, shift_um = {shift_um!r}: must be finite")
@@ -141,13 +141,13 @@ def light_on_pixels(
         field = Field(grid, field.values[part], field.wavelength_um, field.index)
     elif field.grid != grid:
         field = propagate(field, grid, check=stage_error_mm != 0.0, coarse_output=True)
-    light = PixelLight(sensor, field.values.dtype, oversampling, active_width)
+    light = PixelLight(sensor, field.values.dtype, oversampling, fill_factor)
     light.add(slice(0, len(field.values)), np.asarray(field.values))
     warn_of_footprint(light.caught * grid.cell, total, sensor)
     return light.means()
 
 
-def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, active_width: float = 1.0) -> Any:
+def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, fill_factor: float = 1.0) -> Any:
     """Mean of conj(direct) other on each pixel's photosensitive square, shape (ny, nx), complex.
 
     By the light of their sums, as :func:`light_on_pixels` has it, whose errors are those raised.
@@ -155,14 +155,14 @@ def interference_on_pixels(direct: Field, other: Field, sensor: Sensor, *, activ
 
     def light(factor: complex) -> Array:
         total = direct.with_values(direct.values + factor * other.values)
-        return light_on_pixels(total, sensor, active_width=active_width)
+        return light_on_pixels(total, sensor, fill_factor=fill_factor)
 
     return 0.25 * (light(1.0) - light(-1.0) + 1j * (light(-1j) - light(1j)))
 
 
-def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, active_width: float = 1.0) -> Array:
-    """Modulation transfer of a pixel along one axis: sinc(frequency * active width)."""
-    return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * active_width))
+def pixel_mtf(frequency_per_mm: Any, sensor: Sensor, fill_factor: float = 1.0) -> Array:
+    """Return the modulation transfer of a pixel along one axis: sinc(frequency * pitch * fill factor)."""
+    return np.asarray(np.sinc(np.asarray(frequency_per_mm) * 1e-3 * sensor.pixel_pitch_um * fill_factor))
 
 
 def warn_of_footprint(caught: float, total: float, sensor: Sensor) -> None:
@@ -198,7 +198,7 @@ def record(
     electronics: Electronics,
     seed: Seed | None,
     *,
-    brightest_share: float = 0.8,
+    peak_fill: float = 0.8,
     exposure: float | None = None,
     oversampling: int = 2,
     stage_error_mm: float = 0.0,
@@ -215,7 +215,7 @@ def record(
         Of the field's plane from the exit vertex: what the frame will say, whatever the stage error.
     electronics, seed
         As of :func:`wavesim.sensor.exposures.expose`.
-    brightest_share
+    peak_fill
         Electrons to expect in the brightest pixel, as a share of full well.
     exposure
         Electrons per unit of intensity, in place of that share.
@@ -235,13 +235,13 @@ def record(
     intensity = light_on_pixels(
         field,
         sensor,
-        active_width=electronics.active_width,
+        fill_factor=electronics.fill_factor,
         oversampling=oversampling,
         stage_error_mm=stage_error_mm,
         shift_um=shift_um,
     )
     if exposure is None:
-        exposure = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
+        exposure = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
     settings = _settings(sensor, plane_distance_mm, field.wavelength_um, electronics, exposure, title)
     return Frame(expose(intensity, exposure, electronics, seed), settings)
 
@@ -254,7 +254,7 @@ def frames_of_light(
     electronics: Electronics,
     seed: Seed | None,
     times: Sequence[float],
-    brightest_share: float = 0.8,
+    peak_fill: float = 0.8,
     *,
     pattern: PixelPattern | None = None,
     exposure_errors: Sequence[float] = (),
@@ -265,12 +265,12 @@ def frames_of_light(
     ----------
     intensity
         Mean on each pixel, as :func:`light_on_pixels` gives it.
-    sensor, plane_distance_mm, electronics, seed, brightest_share
+    sensor, plane_distance_mm, electronics, seed, peak_fill
         As of :func:`record`. With one exposure the noise is that of :func:`record`.
     wavelength_um
         Of the light, in vacuum.
     times
-        Exposures, as multiples of the one that puts `brightest_share` into the brightest pixel.
+        Exposures, as multiples of the one that puts `peak_fill` into the brightest pixel.
     pattern
         Of pixels that are not alike.
     exposure_errors
@@ -288,7 +288,7 @@ def frames_of_light(
     """
     if not times or not all(math.isfinite(time) and time > 0.0 for time in times):
         raise InputError(f"times = {tuple(times)!r}: must be one exposure at least, finite and above 0")
-    least = exposure_for(intensity, brightest_share * electronics.full_well_electrons)
+    least = exposure_for(intensity, peak_fill * electronics.full_well_electrons)
     frames = []
     errors = exposure_errors or [0.0] * len(times)
     for time, error, own in zip(times, errors, exposure_seeds(seed, len(times)), strict=True):

@@ -17,6 +17,7 @@ from wavesim import image
 from wavesim.calibration import calibrate_empty, calibrate_frames, read_calibration
 from wavesim.calibration.calibrated import Calibrated
 from wavesim.calibration.joint.some_pixels import SomePixels
+from wavesim.calibration.pulls import independent_pulls
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.from_frames import reconstruct_frames
 from wavesim.scene.bench import Bench, LightErrors
@@ -142,8 +143,10 @@ def test_a_bench_as_designed_stays_so_and_its_verdict_is_that_of_the_reconstruct
     assert found.applied is not None
     assert not any(found.applied.values())
     assert found.deviations is not None
-    pulls = np.array(found.values) / np.array(found.deviations)
-    assert 0.4 < np.sqrt(np.mean(pulls**2)) < 1.6
+    assert found.covariance is not None
+    assert found.typical is not None
+    pulls = independent_pulls(np.array(found.values), found.covariance, np.array(found.typical))
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(found.table()))
     bench = read_calibration(path, lens)

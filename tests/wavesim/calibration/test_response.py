@@ -39,13 +39,13 @@ class Bench:
             Measurement(0.6, np.ones(exit_grid.shape)),
         ]
 
-    def model(self, mounting: Placement, active_width: float = 0.0) -> ForwardModel:
+    def model(self, mounting: Placement, fill_factor: float = 0.0) -> ForwardModel:
         engine = engine_for(placed_scene(self.scene, mounting), "eikonal", error=0.3)
         planes = planes_at(self.recorded, mounting)
-        return ForwardModel(engine, light_on(self.light, mounting), planes, 1.0, active_width)
+        return ForwardModel(engine, light_on(self.light, mounting), planes, 1.0, fill_factor)
 
-    def response(self, mounting: Placement, active_width: float = 0.0, **settings: float) -> np.ndarray:
-        model = self.model(mounting, active_width)
+    def response(self, mounting: Placement, fill_factor: float = 0.0, **settings: float) -> np.ndarray:
+        model = self.model(mounting, fill_factor)
         return mounting_response(model, self.transmission, mounting, (), **settings).residual
 
 
@@ -54,16 +54,16 @@ def bench() -> Bench:
     return Bench()
 
 
-@pytest.mark.parametrize(("blur_pixels", "active_width"), [(0.0, 0.0), (4.0, 1.0)])
-def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, active_width: float) -> None:
+@pytest.mark.parametrize(("blur_pixels", "fill_factor"), [(0.0, 0.0), (4.0, 1.0)])
+def test_derivatives_are_those_of_the_engine(bench: Bench, blur_pixels: float, fill_factor: float) -> None:
     """Light near the aperture's edge, which moves with the lens but not in the generator, is what differs."""
     found = mounting_response(
-        bench.model(HERE, active_width), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
+        bench.model(HERE, fill_factor), bench.transmission, HERE, NAMES, blur_pixels=blur_pixels
     )
     for name, change in zip(NAMES, found.changes, strict=True):
         value, step = values_of(HERE, [name])[0], STEPS[name]
         up, down = (
-            bench.response(with_values(HERE, [name], [value + s]), active_width, blur_pixels=blur_pixels)
+            bench.response(with_values(HERE, [name], [value + s]), fill_factor, blur_pixels=blur_pixels)
             for s in (step, -step)
         )
         numeric = (down - up) / (2.0 * step)  # the residual falls as the model grows

@@ -34,10 +34,8 @@ def model_parts() -> tuple:
     return small_twin()
 
 
-@pytest.mark.parametrize(("active_width", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
-def test_a_step_goes_down_the_misfits_slope(
-    model_parts: tuple, active_width: float, width_deg: float
-) -> None:
+@pytest.mark.parametrize(("fill_factor", "width_deg"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
+def test_a_step_goes_down_the_misfits_slope(model_parts: tuple, fill_factor: float, width_deg: float) -> None:
     """Against differences of the misfit, with weights, shifts, tilts, backgrounds and a wide source."""
     engine, lit = model_parts
     rng = np.random.default_rng(4)
@@ -45,7 +43,7 @@ def test_a_step_goes_down_the_misfits_slope(
     truth = 0.7 + 0.2 * rng.standard_normal(lit.grid.shape)
     shape = engine.scene.exit_grid.shape
     blank = [Measurement(d, np.ones(shape)) for d in (0.0, 0.6)]
-    seen = ForwardModel(engine, lit, blank, 1.0, active_width).amplitudes(truth.astype(complex))
+    seen = ForwardModel(engine, lit, blank, 1.0, fill_factor).amplitudes(truth.astype(complex))
     planes = [
         Measurement(
             p.distance_mm,
@@ -58,7 +56,7 @@ def test_a_step_goes_down_the_misfits_slope(
         for n, (p, a) in enumerate(zip(blank, seen, strict=True))
     ]
     modes = Source(width_deg).modes(0.532, 1, 4)
-    model = ForwardModel(engine, lit, planes, 1.0, active_width, modes=modes)
+    model = ForwardModel(engine, lit, planes, 1.0, fill_factor, modes=modes)
     change, _ = model.step(t.astype(complex))
 
     def cost(values: np.ndarray) -> float:
@@ -100,9 +98,9 @@ def test_the_noise_of_a_step_is_that_of_a_nearly_unitary_engine(model_parts: tup
     assert 0.75 * np.sqrt(band) * whole < found < 1.1 * np.sqrt(band) * whole
 
 
-@pytest.mark.parametrize("active_width", [0.0, 1.0])
+@pytest.mark.parametrize("fill_factor", [0.0, 1.0])
 def test_a_shifted_sensor_with_a_background_sees_the_light_shifted_and_added_to(
-    model_parts: tuple, active_width: float
+    model_parts: tuple, fill_factor: float
 ) -> None:
     """By whole pixels, a shift is a roll of what the sensor in place sees."""
     engine, lit = model_parts
@@ -112,25 +110,25 @@ def test_a_shifted_sensor_with_a_background_sees_the_light_shifted_and_added_to(
         Measurement(0.6, np.ones(shape)),
         Measurement(0.6, np.ones(shape), None, (3 * PITCH, -PITCH), background),
     ]
-    still, moved = ForwardModel(engine, lit, planes, 1.0, active_width).amplitudes(np.ones(lit.grid.shape))
+    still, moved = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(np.ones(lit.grid.shape))
     expected = np.sqrt(np.roll(still**2, (1, -3), (0, 1)) + 0.03)
     assert np.allclose(moved, expected, atol=1e-5 * still.max())
 
 
-@pytest.mark.parametrize("active_width", [0.0, 1.0])
+@pytest.mark.parametrize("fill_factor", [0.0, 1.0])
 def test_a_tilt_of_the_sensor_changes_what_it_sees_as_in_simulated_frames(
-    model_parts: tuple, active_width: float
+    model_parts: tuple, fill_factor: float
 ) -> None:
     engine, lit = model_parts
     grid, tilt_deg = engine.scene.exit_grid, (2.4, -1.8)
     t = 0.7 + 0.6 * np.random.default_rng(6).standard_normal(lit.grid.shape)
     planes = [Measurement(0.3, np.ones(grid.shape), tilt_deg=tilt) for tilt in ((0.0, 0.0), tilt_deg)]
-    upright, tilted = ForwardModel(engine, lit, planes, 1.0, active_width).amplitudes(t)
+    upright, tilted = ForwardModel(engine, lit, planes, 1.0, fill_factor).amplitudes(t)
     finer = replace(grid, shape=(432, 432), pitch_mm=0.5 * PITCH, z_mm=grid.z_mm + 0.3)
     there = propagate(engine.forward(lit.with_values(t * lit.values)), finer, coarse_output=True)
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(216, 216), plane_distances_mm=(1.0,))
     before, after = (
-        light_on_pixels(on_sensor(there, tilt), sensor, active_width=active_width)
+        light_on_pixels(on_sensor(there, tilt), sensor, fill_factor=fill_factor)
         for tilt in ((0.0, 0.0), tilt_deg)
     )
     change = after - before

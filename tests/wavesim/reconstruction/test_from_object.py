@@ -302,7 +302,7 @@ def test_planes_are_passed_once_more_for_the_scale_but_once(
 
     monkeypatch.setattr(PixelMeans, "carried", counted)
     louder = [replace(p, amplitude=7.0 * p.amplitude, sigma=7.0 * p.sigma) for p in noisy(case, 1e6)]
-    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "active_width": 1.0, "rounds": 3}
+    settings: dict[str, Any] = {"kind": "amplitude", "iterations": 4, "fill_factor": 1.0, "rounds": 3}
     found = reconstruct(case.engine, case.illumination, louder, **settings, residuals=False)
     assert len(passes) == len(louder) * (1 + 4 * 3)
     model = ForwardModel(case.engine, case.illumination, louder, None, 1.0)
@@ -399,11 +399,11 @@ def test_every_kept_iteration_leads_to_the_same_end(case: Case, start: str | Non
     assert np.iscomplexobj(kept[-1].ahead)
 
 
-@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("complex", 0.0)])
-def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, active_width: float) -> None:
+@pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("complex", 0.0)])
+def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind, fill_factor: float) -> None:
     room, used = Scratch(tmp_path, 0.0), []
     quiet = [replace(p, sigma=np.full(p.amplitude.shape, 1e-3)) for p in case.recorded]
-    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "active_width": active_width}
+    settings: dict[str, Any] = {"kind": kind, "tv_weight": "auto", "fill_factor": fill_factor}
     settings |= {"iterations": 4, "keep": lambda _: used.append(room.bytes_in_files)}
     in_files, in_memory = (
         reconstruct(case.engine, case.illumination, quiet, scratch=scratch, **settings)
@@ -429,7 +429,7 @@ def test_in_files_the_result_is_the_same(case: Case, tmp_path: Path, kind: Kind,
         ({"tv_weight": -1.0}, "tv_weight"),
         ({"iterations": 0}, "iterations = 0"),
         ({"scale": 0.0}, "scale = 0.0"),
-        ({"active_width": 2.5}, "active_width = 2.5"),
+        ({"fill_factor": 2.5}, "fill_factor = 2.5"),
         ({"tv_weight": "auto"}, "needs sigma"),
         ({"tv_weight": "strong"}, "tv_weight = 'strong'"),
         ({"start": "random"}, "start = 'random'"),

@@ -80,7 +80,7 @@ class Nothing(Engine):
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
 
-    def neglected(self) -> tuple:
+    def error_terms(self) -> tuple:
         return ()
 
     def settings(self) -> dict:
@@ -160,7 +160,7 @@ def each_keeps_rooms_for_columns(count: int) -> None:
     blocks.for_blocks(one, blocks.THREADS, 1)
 
 
-@pytest.mark.parametrize(("kind", "active_width"), [("amplitude", 1.0), ("amplitude", 0.0), ("complex", 0.0)])
+@pytest.mark.parametrize(("kind", "fill_factor"), [("amplitude", 1.0), ("amplitude", 0.0), ("complex", 0.0)])
 @pytest.mark.parametrize(
     ("distances_mm", "with_sigma"), [((0.0,), True), ((0.0, 20.0), True), ((5.0, 9.0, 20.0), False)]
 )
@@ -169,7 +169,7 @@ def test_each_phase_holds_what_is_listed(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     kind: Kind,
-    active_width: float,
+    fill_factor: float,
     distances_mm: tuple[float, ...],
     with_sigma: bool,
     in_files: bool,
@@ -185,7 +185,7 @@ def test_each_phase_holds_what_is_listed(
     monkeypatch.setattr(pixel_means, "rows_in", lambda bytes_of_row: 4)
     shape = 700, 600
     engine = Nothing(shape)
-    settings: dict[str, Any] = {"kind": kind, "active_width": active_width, "iterations": 2}
+    settings: dict[str, Any] = {"kind": kind, "fill_factor": fill_factor, "iterations": 2}
     settings["tv_weight"] = "auto" if with_sigma else 0.02
     # Compiled loops take memory once, as they are compiled or loaded. Some are reached at this size alone.
     first = Nothing(shape)
@@ -198,10 +198,10 @@ def test_each_phase_holds_what_is_listed(
         reconstruct(engine, light, recorded, scratch=room, **settings)
     del peaks[Phase.READING]
     sizes = Sizes.of(engine, distances_mm)
-    arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, active_width)
+    arrays = given_arrays(sizes, with_sigma=with_sigma) + descent_arrays(sizes, kind, fill_factor)
     assert [one.bytes_of_all for one in arrays if one.name == "columns at work"] == [
         bytes_of_columns(shape[0], np.complex64)
-    ] * (active_width > 0.0)
+    ] * (fill_factor > 0.0)
     arrays = tuple(one for one in arrays if one.name != "columns at work")
     told = {}
     for phase in peaks:
@@ -219,13 +219,13 @@ def test_memory_of_a_wide_source_and_a_tilted_sensor_is_told_beforehand(
     engine, distances_mm = Nothing((150, 160)), (0.0, 20.0)
     modes = Source(width_deg).modes(0.532, rings=1)[:4]
     expected = reconstruction_bytes(
-        engine, distances_mm, active_width=1.0, modes=len(modes), tilted=any(tilt_deg)
+        engine, distances_mm, fill_factor=1.0, modes=len(modes), tilted=any(tilt_deg)
     ).most_bytes
 
     def run(one: Nothing) -> None:
         light, recorded = arrays_of(one, distances_mm, True, Scratch())
         tilted = [replace(plane, tilt_deg=tilt_deg) for plane in recorded]
-        reconstruct(one, light, tilted, active_width=1.0, iterations=2, tv_weight="auto", modes=modes)
+        reconstruct(one, light, tilted, fill_factor=1.0, iterations=2, tv_weight="auto", modes=modes)
 
     run(Nothing((8, 8)))
     tracemalloc.start()
@@ -250,15 +250,15 @@ from wavesim.runtime.scratch import Scratch
 def run(shape, room):
     engine = Nothing(shape)
     light, recorded = arrays_of(engine, (0.0, 20.0), True, room)
-    settings = dict(kind="amplitude", active_width=1.0, tv_weight="auto", iterations=2)
+    settings = dict(kind="amplitude", fill_factor=1.0, tv_weight="auto", iterations=2)
     reconstruct(engine, light, recorded, scratch=room, **settings)
-    return reconstruction_bytes(engine, (0.0, 20.0), kind="amplitude", active_width=1.0)
+    return reconstruction_bytes(engine, (0.0, 20.0), kind="amplitude", fill_factor=1.0)
 
 run((64, 64), Scratch())  # compiles and loads all
 status = pathlib.Path("/proc/self/status").read_text()
 used = 1024 * int(status.split("VmData:")[1].split()[0])
 shape = (1100, 1200)
-told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", active_width=1.0)
+told = reconstruction_bytes(Nothing(shape), (0.0, 20.0), kind="amplitude", fill_factor=1.0)
 limit = (told.least_bytes + told.most_bytes) // 2
 resource.setrlimit(resource.RLIMIT_DATA, (used + limit, used + limit))
 room = Scratch() if {in_memory} else Scratch(pathlib.Path({folder!r}), 0.3 * limit - 0.3 * told.least_bytes)
@@ -296,7 +296,7 @@ def engine() -> Nothing:
 
 def told(engine: Any, during: Phase, **settings: Any) -> tuple[float, float]:
     """Most and least bytes for each sample in some phases, the process itself left out."""
-    usual = {"method": "object", "kind": "amplitude", "active_width": 1.0, "frames_bytes": 0}
+    usual = {"method": "object", "kind": "amplitude", "fill_factor": 1.0, "frames_bytes": 0}
     usual |= {"shown": engine.scene.object_grid.shape, "carried": 0, "truth": False}
     arrays = run_arrays(engine, (0.0, 20.0), **(usual | settings))
     need = need_of(tuple(replace(one, during=one.during & during) for one in arrays))

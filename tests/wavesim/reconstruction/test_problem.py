@@ -60,7 +60,7 @@ def stated(lens: Lens) -> Bench:
 
 def over_noise(case: ReconstructionProblem, recorded: list[Measurement], true: np.ndarray) -> float:
     """Misfit that the true object leaves, over that of the stated noise."""
-    model = ForwardModel(case.engine, case.light, recorded, None, SETTINGS.active_width)
+    model = ForwardModel(case.engine, case.light, recorded, None, SETTINGS.fill_factor)
     model.fits_scale = True
     noise = noise_misfit(recorded)
     assert noise is not None

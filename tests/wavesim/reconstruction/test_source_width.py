@@ -46,7 +46,7 @@ class FarField(Engine):
     def cost(self) -> Cost:
         return Cost(0.1, 0.0, 0)
 
-    def neglected(self) -> tuple:
+    def error_terms(self) -> tuple:
         return ()
 
     def settings(self) -> dict:

@@ -147,7 +147,7 @@ def test_recording_several_exposures_is_recording_each_and_long_ones_clip_withou
     field = Field(grid, np.exp(-((grid.x_mm / 0.02) ** 2 + (grid.y_mm[:, None] / 0.02) ** 2)) + 0j, 0.532)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        light = light_on_pixels(field, sensor, active_width=CAMERA.active_width)
+        light = light_on_pixels(field, sensor, fill_factor=CAMERA.fill_factor)
         frames = frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0, 50.0))
     least = frames[0].settings.exposure
     assert frames[1].settings.exposure == pytest.approx(50.0 * least)
@@ -157,7 +157,7 @@ def test_recording_several_exposures_is_recording_each_and_long_ones_clip_withou
     assert np.array_equal(one.counts, alone.counts)
     assert one.settings == alone.settings
     with pytest.warns(SaturationWarning):
-        frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0,), brightest_share=2.0)
+        frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, (1.0,), peak_fill=2.0)
     for times in ((), (0.0,), (math.inf,)):
         with pytest.raises(InputError, match="times = "):
             frames_of_light(light, sensor, 2.0, 0.532, CAMERA, None, times)

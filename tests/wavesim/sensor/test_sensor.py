@@ -79,7 +79,7 @@ def quiet(**changes: Any) -> Electronics:
 @pytest.mark.parametrize("oversampling", [2, 3, 4])
 def test_pixels_integrate_a_gaussian_as_the_error_function_says(width: float, oversampling: int) -> None:
     field = gaussian(sensor_grid(SENSOR, Z_MM, oversampling))
-    got = light_on_pixels(field, SENSOR, active_width=width, oversampling=oversampling)
+    got = light_on_pixels(field, SENSOR, fill_factor=width, oversampling=oversampling)
     assert abs(got - mean_gaussian((0.004, -0.003), width)).max() < 2e-9
 
 
@@ -111,7 +111,7 @@ def test_full_pixels_lose_no_light(oversampling: int) -> None:
 @pytest.mark.parametrize("width", [0.0, 1.0])
 def test_any_grid_that_holds_the_field_gives_the_same_light(width: float) -> None:
     field = gaussian(Grid((90, 110), 2.1e-3, Z_MM, (0.002, 0.001)))
-    got = light_on_pixels(field, SENSOR, active_width=width)
+    got = light_on_pixels(field, SENSOR, fill_factor=width)
     assert abs(got - mean_gaussian((0.004, -0.003), width)).max() < 1e-7
 
 
@@ -125,7 +125,7 @@ def test_a_window_of_a_wider_field_sees_what_all_of_it_would(more: tuple[int, in
 
 def test_point_pixels_take_the_samples_as_they_are() -> None:
     field = gaussian(sensor_grid(SENSOR, Z_MM))
-    got = light_on_pixels(field, SENSOR, active_width=0.0, oversampling=1)
+    got = light_on_pixels(field, SENSOR, fill_factor=0.0, oversampling=1)
     np.testing.assert_array_equal(got, abs(field.values) ** 2)
 
 
@@ -216,7 +216,7 @@ def test_the_stated_variance_is_that_of_the_error(brightest: float) -> None:
     field = field.with_values(field.values + 0.2)
     electronics = Electronics(read_noise_electrons=3.0)
     truth = light_on_pixels(Field(field.grid, field.values, 0.532), big)
-    frame = record(field, big, 3.0, electronics, 3, brightest_share=brightest / 10_000.0)
+    frame = record(field, big, 3.0, electronics, 3, peak_fill=brightest / 10_000.0)
     intensity, variance = estimate_intensity(frame)
     assert not frame.saturated.any()
     squares = (intensity - truth) ** 2 / variance
@@ -228,7 +228,7 @@ def test_the_stated_variance_is_that_of_the_error(brightest: float) -> None:
 def test_the_brightest_pixel_gets_its_electrons() -> None:
     field = gaussian(sensor_grid(SENSOR, Z_MM, 2))
     electronics = Electronics(full_well_electrons=10_000.0)
-    frame = record(field, SENSOR, 3.0, electronics, None, brightest_share=0.75)
+    frame = record(field, SENSOR, 3.0, electronics, None, peak_fill=0.75)
     assert estimate_intensity(frame)[0].max() * frame.settings.exposure == pytest.approx(
         7500.0, abs=0.5 * electronics.gain
     )
@@ -301,8 +301,8 @@ def test_the_frame_says_how_it_was_recorded() -> None:
     [
         ({"oversampling": 1}, "oversampling = 1"),
         ({"oversampling": 2.5}, "oversampling = 2.5"),
-        ({"active_width": 1.5}, "active_width = 1.5"),
-        ({"active_width": math.nan}, "active_width = nan"),
+        ({"fill_factor": 1.5}, "fill_factor = 1.5"),
+        ({"fill_factor": math.nan}, "fill_factor = nan"),
         ({"shift_um": (math.nan, 0.0)}, "shift_um"),
         ({"stage_error_mm": math.inf}, "stage_error_mm = inf"),
     ],

@@ -118,7 +118,7 @@ def _tile_fields(
         part = scaled[operator.part]
         moments = part, part * y_mm[:, None], part * x_mm
         alone = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
-        carried = at_once([partial(operator.carried, moment) for moment in moments])
+        carried = at_once([partial(operator.transformed, moment) for moment in moments])
         for one, result in zip(carried, alone, strict=True):
             operator.add(one, result)
         yield tile, carrier, alone

@@ -65,7 +65,7 @@ class Pixels(ABC):
         At nominal distances from the exit grid.
     scale : float or None
         Recorded amplitude for a unit of the model's, where it is known.
-    active_width : float
+    fill_factor : float
         Side of a pixel's photosensitive square as a share of the pitch; 0 is a point.
     make : callable
         Makes the engine of a scene.
@@ -75,7 +75,7 @@ class Pixels(ABC):
     illumination: Field
     recorded: Sequence[Measurement]
     scale: float | None
-    active_width: float
+    fill_factor: float
     make: Callable[[Scene], Engine]
 
     rows: tuple[slice, ...] = ()
@@ -166,7 +166,7 @@ class AllPixels(Pixels):
             light_on(self.illumination, bench),
             planes_at(self.recorded, bench),
             self.scale,
-            self.active_width,
+            self.fill_factor,
         )
 
     def _is_carried(self, parameter: Parameter) -> bool:

@@ -66,20 +66,17 @@ NEAR = 1.5
 ALIKE = 0.1
 """By a step that lowers the squared misfit by less than this share, what parameters do hardly changes."""
 
-SETTLED, ESTIMATED, FOLLOWS = 80, 30, 5
-"""Iterations of the object at the end, rounds of conjugate gradients for the estimates, and rounds in which
-the object follows for their covariance."""
+SETTLED, ESTIMATED, ELIMINATED = 80, 30, 20
+"""Iterations of the object at the end, iterations of conjugate gradients for the estimates, and iterations
+that eliminate the object from their covariance."""
 
 REFINED = 2
 """Times that estimates are made, each about the object on the bench of the one before."""
 
-OBJECT_FACTOR = 1.4
-"""Standard deviations of estimates over those by the noise alone: objects are not quite at the minimum."""
-
-COHERENT = 250
-"""Independent parts of what engine and pixels err (`MODEL_ERROR` of the amplitude): unlike noise it is alike
-in many pixels, and of parameters it takes away more. So many fit the pulls on benches that are as designed
-(`benchmarks/calibration_pulls.py`)."""
+COHERENT = 60
+"""Number of independent errors of engine and pixels, each of `MODEL_ERROR` of the amplitude. Unlike noise,
+they are equal in many pixels and average out less. The number was fitted to the pulls of six nominal
+benches (`benchmarks/calibration_pulls.py`)."""
 
 WORSE = 1.02
 """Ratio of misfits up to which a bench with fewer parameters, or a refined one, explains frames as well."""
@@ -252,13 +249,14 @@ class JointSearch:
         names = [p.name for p in self.parameters]
         best = self._settled(here.unknowns, checked.transmission)
         for count in range(REFINED):
-            estimates, covariance = self._estimate(best, slopes)
+            joint, estimates = self._estimate(best, slopes)
             if count == REFINED - 1:
                 break
             refined = self._or_none(best.unknowns.changed(names, estimates.tolist()), best.transmission)
             if refined is None or refined.misfit > WORSE * best.misfit:
                 break
             best = refined
+        covariance = self._covariance(joint)
         # First the bench as designed: where a stiff direction is a little off, a linear model asks for more.
         selected = select_parameters(estimates, covariance, self._pixels)
         none = Selection(np.zeros(len(names), bool), np.zeros(len(names)))
@@ -286,13 +284,13 @@ class JointSearch:
         """The bench with the object whose misfit is that of the noise, or falls no more."""
         return self._tried(unknowns, start=start, iterations=SETTLED)
 
-    def _estimate(self, tried: _Tried, slopes: RaySlopes | None) -> tuple[Array, Array]:
-        """Estimates of all parameters, and their covariance."""
+    def _estimate(self, tried: _Tried, slopes: RaySlopes | None) -> tuple[GaussNewtonStep, Array]:
+        """Return the normal equations about an object, without damping, and the estimates that solve them."""
         names, linear = [p.name for p in self.parameters], tried.linear
         columns = self.pixels.columns(tried.unknowns, linear, self.parameters, slopes)
         # A misfit beyond the noise is an error of the model, of which frames tell as little as of noise.
         misfit = max(linear.misfit, self.noise_misfit or 0.0)
-        variance = (OBJECT_FACTOR * misfit) ** 2 / self._pixels + MODEL_ERROR**2 / COHERENT
+        variance = misfit**2 / self._pixels + MODEL_ERROR**2 / COHERENT
         typical, values = np.array([p.typical for p in self.parameters]), tried.unknowns.of(names)
         follows = self.known is None
         joint = GaussNewtonStep(
@@ -306,9 +304,13 @@ class JointSearch:
             self._undone(tried, self.parameters) if follows else {},
         )
         joint.damping = np.zeros_like(joint.damping)
-        estimates = values + joint.solve(ESTIMATED)
-        covariance = np.linalg.inv(joint.reduced_curvature(FOLLOWS if follows else 0)) * variance
-        return estimates, np.asarray(covariance + np.diag(self._clipped() ** 2), float)
+        return joint, values + joint.solve(ESTIMATED)
+
+    def _covariance(self, joint: GaussNewtonStep) -> Array:
+        """Return the covariance of the estimates, with the prior included."""
+        curvature = joint.reduced_curvature(ELIMINATED if self.known is None else 0)
+        covariance = np.linalg.inv(curvature) * joint.variance
+        return np.asarray(covariance + np.diag(self._clipped() ** 2), float)
 
     def _clipped(self) -> Array:
         """How large a background, by the parameter's place, clipped noise of dark pixels may pass for."""
@@ -434,7 +436,7 @@ class JointSearch:
             until_noise=iterations is not None,
             scale=self.pixels.scale,
             start=None if start is None else model.illumination.with_values(start),
-            active_width=self.pixels.active_width,
+            fill_factor=self.pixels.fill_factor,
             rows=self.pixels.rows,
             residuals=False,
             rounds=BEHIND,

@@ -189,7 +189,7 @@ def some_pixels(every: Pixels, frames: Sequence[Frame], apart: int) -> SomePixel
     found = SomePixels(
         replace(every.scene, exit_grid=points),
         every.illumination,
-        [recorded_points(plane, one.distance_mm, apart, every.active_width) for plane, one in planes],
+        [recorded_points(plane, one.distance_mm, apart, every.fill_factor) for plane, one in planes],
         every.scale,
         0.0,
         every.make,

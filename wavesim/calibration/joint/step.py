@@ -23,8 +23,8 @@ DAMPING = 0.03
 LEAST_TOLD = 0.5
 """Of what is known before: with so much more, a standard deviation falls by a fifth."""
 
-ALIKE = 1e-6
-"""Of the squared length of what is explained: below it, single precision tells nothing."""
+ALIKE = 1e-5
+"""Squared relative length below which a direction may be an effect of rounding in single precision."""
 
 SOLVED = 1e-3
 """Of the squared gradient, in the measure of the curvature, at which the solution ends."""
@@ -77,7 +77,7 @@ class GaussNewtonStep:
             self.columns = self.columns.copy()
         for place, change in undone.items():
             self.columns[place] += linear.of_object(change * self.free).ravel()
-        self.pull = variance / typical**2
+        self.variance, self.pull = variance, variance / typical**2
         self.slope: Array = np.asarray(self.columns @ left.ravel(), float) - self.pull * values
         self.damping = DAMPING * linear.misfit**2 / typical**2
         self.curvature = np.asarray(self.columns @ self.columns.T, float) + np.diag(self.pull)
@@ -107,28 +107,52 @@ class GaussNewtonStep:
             way_bench = ahead_bench + size / before * way_bench
         return there
 
-    def reduced_curvature(self, rounds: int) -> Array:
-        """What of the curvature is left where the object follows, shape (parameters, parameters).
+    def reduced_curvature(self, most_iterations: int) -> Array:
+        """Return the curvature of the parameters with the object eliminated, shape (parameters, parameters).
 
-        At most: the object follows along the slopes of what is left, some rounds of it, and where what frames
-        tell is nothing beside the prior, it need not. The prior is in it.
+        The object may change with the parameters, so a parameter is determined only by the part of its effect
+        that no change of the object can make. With the columns :math:`C` of the parameters, and the
+        projection :math:`P` onto the changes that the object can make, the result is
+        :math:`C^T (1 - P) C` plus the curvature of the prior. Block conjugate gradients build the projection:
+        each iteration takes the gradients of all columns at once, and makes their effects orthogonal to those
+        of the iteration before. The result is an upper bound that falls with every iteration.
+
+        Combinations of parameters that the frames determine less well than the prior are not followed.
+
+        Parameters
+        ----------
+        most_iterations
+            Iterations at most. Each of them carries as many fields forward and back as there are parameters.
+            With 0 of them the object stays as it is.
+
+        References
+        ----------
+        D. P. O'Leary, "The block conjugate gradient algorithm and related methods", Linear Algebra Appl. 29,
+        293 (1980).
         """
-        left, shape = self.columns.copy(), self.linear.residual.shape
-        for _ in range(rounds):
-            followed = self._telling(left)
-            for one in followed:
-                change = self._object_part(self.linear.to_object(one.reshape(shape))) * self.free
-                one[:] = self.linear.of_object(change).ravel()
-            if len(followed):
-                left -= _along(followed, left)
-        return np.asarray(left @ left.T, float) + np.diag(self.pull)
+        remaining, shape = self.columns.copy(), self.linear.residual.shape
+        previous: RealArray | None = None
+        for _ in range(most_iterations):
+            effects = self._determined(remaining)
+            if not len(effects):
+                break
+            for effect in effects:
+                gradient = self._object_part(self.linear.to_object(effect.reshape(shape))) * self.free
+                effect[:] = self.linear.of_object(gradient).ravel()
+            if previous is not None:
+                effects -= _combined(previous, _products(effects, previous))
+            previous = _orthonormal(effects)
+            remaining -= _combined(previous, _products(remaining, previous))
+        return _products(remaining, remaining) + np.diag(self.pull)
 
-    def _telling(self, columns: RealArray) -> RealArray:
-        """Mixtures of columns of which frames tell more than `LEAST_TOLD` of the prior."""
+    def _determined(self, columns: RealArray) -> RealArray:
+        """Return unit mixtures of columns that the frames determine better than `LEAST_TOLD` of the prior."""
         unit = 1.0 / np.sqrt(self.pull)
-        told, mixed = np.linalg.eigh(np.asarray(columns @ columns.T, float) * np.outer(unit, unit))
-        chosen = mixed[:, told > LEAST_TOLD] * unit[:, None]
-        return np.asarray(chosen.T.astype(columns.dtype) @ columns)
+        precision, mixed = np.linalg.eigh(_products(columns, columns) * np.outer(unit, unit))
+        chosen = mixed[:, precision > LEAST_TOLD] * unit[:, None]
+        mixtures = _combined(columns, chosen.T)
+        lengths = np.linalg.norm(mixtures, axis=1)
+        return np.asarray(mixtures / lengths[:, None].astype(columns.dtype))
 
     def _times(self, way: NDArray[Any], way_bench: Array) -> tuple[NDArray[Any], Array]:
         bench = (way_bench.astype(self.columns.dtype) @ self.columns).reshape(self.linear.residual.shape)
@@ -141,11 +165,20 @@ class GaussNewtonStep:
         return np.asarray(values.real) if self.is_real else values
 
 
-def _along(basis: RealArray, columns: RealArray) -> RealArray:
-    """The part of columns that a basis explains."""
-    length = np.linalg.norm(basis, axis=1).astype(float)
-    size = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
-    own = np.asarray(basis @ basis.T, float) * np.outer(size, size)
-    met = np.asarray(basis @ columns.T, float) * size[:, None]
-    share = np.linalg.pinv(own, rcond=ALIKE, hermitian=True) @ met * size[:, None]
-    return np.asarray(share.T.astype(basis.dtype) @ basis)
+def _products(one: RealArray, other: RealArray) -> Array:
+    """Return the scalar products of rows, in double precision."""
+    return np.asarray(one @ other.T, float)
+
+
+def _combined(rows: RealArray, factors: Array) -> RealArray:
+    """Return combinations of rows, factors of shape (combinations, rows)."""
+    return np.asarray(factors.astype(rows.dtype) @ rows)
+
+
+def _orthonormal(rows: RealArray) -> RealArray:
+    """Return an orthonormal basis of rows, without directions that rounding alone may have made."""
+    lengths = np.linalg.norm(rows, axis=1).astype(float)
+    units = rows[lengths > 0.0] / lengths[lengths > 0.0, None].astype(rows.dtype)
+    powers, mixed = np.linalg.eigh(_products(units, units))
+    kept = powers > ALIKE * max(powers.max(initial=0.0), 1.0)
+    return _combined(units, (mixed[:, kept] / np.sqrt(powers[kept])).T)

@@ -15,7 +15,7 @@ import numpy as np
 from lensdesign.errors import InputError
 from wavesim.calibration.joint.ray_changes import ON_GRID, SensorPose, ray_changes
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_back
+from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_adjoint
 from wavesim.rays.maps import RayMap
 from wavesim.scene.engine import Cost, Engine, ErrorTerm
 from wavesim.scene.scene import Scene
@@ -54,7 +54,9 @@ class TurnedTiles(Engine):
         if dtype not in self._operators:
             grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
             self._operators[dtype] = tuple(
-                operator.turned(carrier, ray_changes(self.scene, tile, carrier, grid, self.seat), wavenumber)
+                operator.perturbed(
+                    carrier, ray_changes(self.scene, tile, carrier, grid, self.seat), wavenumber
+                )
                 for tile, carrier, operator in self.near.tile_operators(dtype)
             )
         return self._operators[dtype]
@@ -77,14 +79,14 @@ class TurnedTiles(Engine):
         dtype, beyond = values.dtype, self.plane.beyond
         field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_back(self._turned(dtype), field, result)
+        add_tiles_adjoint(self._turned(dtype), field, result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def cost(self) -> Cost:
         return self.near.cost()
 
-    def neglected(self) -> tuple[ErrorTerm, ...]:
-        return self.near.neglected()
+    def error_terms(self) -> tuple[ErrorTerm, ...]:
+        return self.near.error_terms()
 
     def settings(self) -> dict[str, Any]:
         return self.near.settings()

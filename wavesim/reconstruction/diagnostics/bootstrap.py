@@ -93,7 +93,7 @@ def uncertainty(
     kind: Kind = "complex",
     tv_weight: float | Literal["auto"] = 0.0,
     iterations: int = ITERATIONS,
-    active_width: float = 0.0,
+    fill_factor: float = 0.0,
     held_out: Measurement | None = None,
     repeats: int = 8,
     seed: int = 0,
@@ -103,7 +103,7 @@ def uncertainty(
 
     Parameters
     ----------
-    engine, illumination, recorded, kind, tv_weight, active_width
+    engine, illumination, recorded, kind, tv_weight, fill_factor
         As of :func:`wavesim.reconstruct`, and as they were for `found`; all planes state their `sigma`.
     found
         What was reconstructed from them.
@@ -131,7 +131,7 @@ def uncertainty(
         raise InputError("uncertainty: needs sigma on every plane")
 
     def modelled(planes: Sequence[Measurement]) -> list[RealArray]:
-        model = ForwardModel(engine, illumination, planes, found.scale, active_width)
+        model = ForwardModel(engine, illumination, planes, found.scale, fill_factor)
         return model.amplitudes(found.transmission.values)
 
     clean = modelled(recorded)
@@ -143,7 +143,7 @@ def uncertainty(
         "kind": kind,
         "tv_weight": tv_weight,
         "scale": found.scale,
-        "active_width": active_width,
+        "fill_factor": fill_factor,
     }
     lit = np.abs(illumination.values) > 0.0
     starts = _starts(illumination, kind, seed)

@@ -77,7 +77,7 @@ class Change(NamedTuple):
     engine: Engine
     light: Field
     recorded: Sequence[Measurement]
-    active_width: float
+    fill_factor: float
     modes: Sequence[SourceMode]
 
 
@@ -87,7 +87,7 @@ class CauseTrials:
 
     Parameters
     ----------
-    engine, light, recorded, kind, tv_weight, scale, active_width, modes
+    engine, light, recorded, kind, tv_weight, scale, fill_factor, modes
         As of :func:`wavesim.reconstruct`.
     maps
         What the result leaves of the planes.
@@ -104,7 +104,7 @@ class CauseTrials:
     kind: Kind
     tv_weight: float | Literal["auto"]
     scale: float | None
-    active_width: float
+    fill_factor: float
     diversity: float
     modes: Sequence[SourceMode] = ()
     stops: StopSearch | None = None
@@ -144,7 +144,7 @@ class CauseTrials:
         engine: Engine | None = None,
         light: Field | None = None,
         recorded: Sequence[Measurement] | None = None,
-        active_width: float | None = None,
+        fill_factor: float | None = None,
         modes: Sequence[SourceMode] | None = None,
     ) -> Change:
         return Change(
@@ -153,7 +153,7 @@ class CauseTrials:
             engine or self.engine,
             light or self.light,
             recorded or self.recorded,
-            self.active_width if active_width is None else active_width,
+            self.fill_factor if fill_factor is None else fill_factor,
             self.modes if modes is None else modes,
         )
 
@@ -166,7 +166,7 @@ class CauseTrials:
             tv_weight=self.tv_weight,
             iterations=iterations,
             scale=self.scale,
-            active_width=change.active_width,
+            fill_factor=change.fill_factor,
             modes=change.modes,
         )
 
@@ -215,13 +215,13 @@ class CauseTrials:
                 width = factor * coherent_deg(self.light)
                 modes = Source(width).few_modes(self.light.wavelength_um)
                 yield self._trial(self._change("source", f"source {width:.2g} deg wide", modes=modes))
-        if not self.active_width:
+        if not self.fill_factor:
             return
         pitch_um = 1e3 * self.engine.scene.exit_grid.pitch_mm
         for blur in BLURS_PIXELS:
-            width = math.sqrt(self.active_width**2 + 12.0 * blur**2)
+            width = math.sqrt(self.fill_factor**2 + 12.0 * blur**2)
             said = f"pictures blurred by {blur * pitch_um:.2g} um rms, as by vibration"
-            yield self._trial(self._change("vibration", said, active_width=width))
+            yield self._trial(self._change("vibration", said, fill_factor=width))
 
     def _moved(self) -> Iterator[Trial]:
         """What moves the light on the planes: sensor, light, lens."""
@@ -376,7 +376,7 @@ class CauseTrials:
 
     def _of_light(self, engine: Engine) -> list[Array]:
         """Intensities of the light without an object."""
-        model = ForwardModel(engine, self.light, self.recorded, None, self.active_width, modes=self.modes)
+        model = ForwardModel(engine, self.light, self.recorded, None, self.fill_factor, modes=self.modes)
         return [
             made.astype(float) ** 2 for made in model.amplitudes(model.lit.astype(self.light.values.dtype))
         ]

@@ -40,7 +40,7 @@ def maps_of_all(
     engine: Engine,
     light: Field,
     recorded: Sequence[Measurement],
-    active_width: float,
+    fill_factor: float,
     found: Reconstructed,
     modes: Sequence[SourceMode] = (),
 ) -> tuple[NDArray[np.floating[Any]], ...]:
@@ -48,14 +48,14 @@ def maps_of_all(
 
     Parameters
     ----------
-    engine, light, recorded, active_width
+    engine, light, recorded, fill_factor
         As of :func:`wavesim.reconstruct`.
     found
         From the planes of which something is known.
     modes
         As of :func:`wavesim.reconstruct`.
     """
-    model = ForwardModel(engine, light, recorded, found.scale, active_width, modes=modes)
+    model = ForwardModel(engine, light, recorded, found.scale, fill_factor, modes=modes)
     made = model.amplitudes(found.transmission.values)
     return tuple(own - plane.amplitude for own, plane in zip(made, recorded, strict=True))
 

@@ -116,7 +116,7 @@ def score_test(
     *,
     scale: float,
     fits_scale: bool,
-    active_width: float,
+    fill_factor: float,
     model_error: float,
     progress: Callable[[str], None] = lambda what: None,
 ) -> ScoreTest:
@@ -124,7 +124,7 @@ def score_test(
 
     Parameters
     ----------
-    engine, light, recorded, kind, active_width
+    engine, light, recorded, kind, fill_factor
         As of :func:`wavesim.reconstruct`; light of a point source.
     transmission : ndarray
         The object found, on the samples of the light.
@@ -140,7 +140,7 @@ def score_test(
     TransferLensError
         Where the scene does not take small displacements.
     """
-    model = ForwardModel(engine, light, recorded, scale, active_width)
+    model = ForwardModel(engine, light, recorded, scale, fill_factor)
     values = transmission.real if kind == "amplitude" else transmission
     linear = Linearised(model, values, fits_scale)
     model.scale = linear.scale

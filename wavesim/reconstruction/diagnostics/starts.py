@@ -62,7 +62,7 @@ def agreement_of_starts(
             until_noise=True,
             scale=settings.scale,
             start=light.with_values(first.astype(light.values.dtype)),
-            active_width=settings.active_width,
+            fill_factor=settings.fill_factor,
             modes=modes,
         )
         ends.append(light.with_values(light.values * other.transmission.values))

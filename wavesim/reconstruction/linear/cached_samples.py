@@ -13,7 +13,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavesim.fields.plane_waves import TransferFunction
-from wavesim.fields.tilted_propagator import Way
+from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.reconstruction.recording.kernel import (
     add_halves,
     halves,
@@ -42,7 +42,7 @@ class CachedSamples:
         To the plane.
     """
 
-    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, way: Way) -> None:
+    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, way: PlanePropagator) -> None:
         self.pixels, self.way = pixels, way
         self.rows: Rows = pixels.carried(spectrum, way)
         dtype, (height, width) = spectrum.dtype, spectrum.shape

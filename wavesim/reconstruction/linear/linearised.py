@@ -116,7 +116,7 @@ class Linearised:
     def to_object(self, left: RealArray) -> ComplexArray:
         """The adjoint of :meth:`of_object`."""
         left = self.without_scale(left)
-        change = self.sight.back([slope * one for slope, one in zip(self._slopes, left, strict=True)])
+        change = self.sight.adjoint([slope * one for slope, one in zip(self._slopes, left, strict=True)])
         scene = self.model.engine.scene
         back = self.model.engine.adjoint(Field(scene.exit_grid, change, self.lit.wavelength_um, self._index))
         # Engines' adjoints are those of integrals, and not of sums.

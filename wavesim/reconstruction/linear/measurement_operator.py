@@ -29,7 +29,7 @@ class MeasurementOperator(Protocol):
     def products(self, change: ComplexArray) -> list[RealArray]:
         """With a change of the field on the exit grid, plane by plane."""
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         """On the exit grid, what pixels' shares of the field make together: the adjoint of the products."""
 
 
@@ -76,7 +76,7 @@ class FreeSpaceMeasurement:
             seen.append(plane.products_with(turned[axis]))
         return seen
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         total = np.zeros_like(self.spectrum)
         for plane, one in zip(self.planes, planes, strict=True):
             plane.add_back(one.astype(self.spectrum.real.dtype), total)
@@ -107,5 +107,5 @@ class PixelMeasurement:
         both = self.values.real * change.real + self.values.imag * change.imag
         return [both[rows] for rows in self.rows]
 
-    def back(self, planes: list[RealArray]) -> ComplexArray:
+    def adjoint(self, planes: list[RealArray]) -> ComplexArray:
         return np.concatenate(planes) * self.values

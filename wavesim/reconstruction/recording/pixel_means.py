@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
-from wavesim.fields.tilted_propagator import TiltedPropagator, Way, band_wavenumbers
+from wavesim.fields.tilted_propagator import PlanePropagator, TiltedPropagator, band_wavenumbers
 from wavesim.reconstruction.recording.bands import Change, Rows, Told, change_in_bands
 from wavesim.reconstruction.recording.kernel import (
     add_columns,
@@ -50,7 +50,7 @@ class PixelMeans:
     ----------
     grid
         One sample in the middle of each pixel.
-    active_width
+    fill_factor
         Side of the pixel's photosensitive square as a share of the pitch.
 
     Attributes
@@ -61,11 +61,11 @@ class PixelMeans:
         Weights of the middle, and of samples on either side.
     """
 
-    def __init__(self, grid: Grid, active_width: float) -> None:
+    def __init__(self, grid: Grid, fill_factor: float) -> None:
         self.grid = grid
-        self.taps = _taps(active_width)
+        self.taps = _taps(fill_factor)
 
-    def carried(self, spectrum: ComplexArray, way: Way, room: Rows | None = None) -> Rows:
+    def carried(self, spectrum: ComplexArray, way: PlanePropagator, room: Rows | None = None) -> Rows:
         """A field on a plane behind a way, in rows through the pixels' middles and through their upper edges.
 
         Parameters
@@ -86,7 +86,7 @@ class PixelMeans:
         if isinstance(way, TransferFunction):
             return _carried(spectrum, way, room)
         parallel: Rows = (np.empty_like(spectrum), np.empty_like(spectrum))
-        for number, one in enumerate(way.ways):
+        for number, one in enumerate(way.propagators):
             _carried(spectrum, one, parallel)
             for farther, part, total in zip((0.0, 0.5), parallel, room, strict=True):
                 _add_weighted(part, way, number, farther, total)
@@ -128,7 +128,7 @@ class PixelMeans:
         self,
         rows: Rows,
         change: RealArray,
-        way: Way,
+        way: PlanePropagator,
         total: ComplexArray,
     ) -> None:
         """Add the change of a field to a spectrum in front of the way: the adjoint of :meth:`carried`.
@@ -162,7 +162,9 @@ class PixelMeans:
             for_blocks(block, height, rows_in(part[0].nbytes))
         self._back(rows, way, total)
 
-    def changed(self, rows: Rows, change: Change[Told], way: Way, total: ComplexArray) -> list[Told]:
+    def changed(
+        self, rows: Rows, change: Change[Told], way: PlanePropagator, total: ComplexArray
+    ) -> list[Told]:
         """Change a field by what pixels see of it: :meth:`intensity` and :meth:`add_back` in one pass.
 
         Parameters
@@ -182,7 +184,7 @@ class PixelMeans:
         self._back(rows, way, total)
         return told
 
-    def _back(self, rows: Rows, way: Way, total: ComplexArray) -> None:
+    def _back(self, rows: Rows, way: PlanePropagator, total: ComplexArray) -> None:
         """Add rows, at half their size, to a spectrum in front of the way; they are used up."""
         along_y = half_sample(len(total), total.dtype)
         if isinstance(way, TransferFunction):
@@ -191,14 +193,14 @@ class PixelMeans:
         parallel: Rows = (np.empty_like(total), np.empty_like(total))
         for part in rows:
             _along_rows(scipy.fft.ifft, part)
-        for number, one in enumerate(way.ways):
+        for number, one in enumerate(way.propagators):
             for farther, part, weighted in zip((0.0, 0.5), rows, parallel, strict=True):
                 _weight_back(part, way, number, farther, weighted)
             add_rows_back(parallel, one, along_y, total)
 
 
 def tilt_changes(
-    pixels: PixelMeans, spectrum: ComplexArray, way: Way, wavelength_um: float
+    pixels: PixelMeans, spectrum: ComplexArray, way: PlanePropagator, wavelength_um: float
 ) -> tuple[Rows, Rows]:
     """Changes of a field on a sensor with its tilt: for a degree about x, and for one about y.
 
@@ -338,7 +340,7 @@ def half_sample(count: int, dtype: np.dtype[Any]) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * scipy.fft.fftfreq(count)), dtype)
 
 
-def _taps(active_width: float) -> list[float]:
+def _taps(fill_factor: float) -> list[float]:
     """Weights of the middle and of pairs of samples, fitted to the pixel's transfer up to twice the band.
 
     An intensity has less and less towards that end, and so do the fit's weights.
@@ -348,6 +350,6 @@ def _taps(active_width: float) -> list[float]:
     weights = 1.0 - cycles
     # All together make 1: the middle has what the pairs leave.
     found, *_ = np.linalg.lstsq(
-        weights[:, None] * (cosines - 2.0), weights * (np.sinc(active_width * cycles) - 1.0), rcond=None
+        weights[:, None] * (cosines - 2.0), weights * (np.sinc(fill_factor * cycles) - 1.0), rcond=None
     )
     return [float(tap) for tap in (1.0 - 2.0 * found.sum(), *found)]

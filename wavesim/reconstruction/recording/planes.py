@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.fields.tilted_propagator import Way
+from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.reconstruction.recording.kernel import change_pixels, change_samples, weighted_products
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
@@ -52,7 +52,7 @@ class PlaneRecord:
     weighs 1.
     """
 
-    way: Way
+    way: PlanePropagator
     rows: slice
     amplitude: RealArray
     sigma: RealArray
@@ -61,7 +61,13 @@ class PlaneRecord:
 
     @classmethod
     def of(
-        cls, one: Measurement, way: Way, rows: slice, least: float, dtype: np.dtype[Any], scratch: Scratch
+        cls,
+        one: Measurement,
+        way: PlanePropagator,
+        rows: slice,
+        least: float,
+        dtype: np.dtype[Any],
+        scratch: Scratch,
     ) -> PlaneRecord:
         def kept(values: RealArray, what: str) -> RealArray:
             values = np.atleast_2d(values)
@@ -187,10 +193,10 @@ class ExitField:
             if self._change is None:
                 self._change = np.zeros_like(self.values)
             self._change[plane.rows] += field
-        elif plane.way.is_none:
+        elif plane.way.is_identity:
             self._change = _added(self._change, field)
         else:
-            self._spectrum_change = _added(self._spectrum_change, plane.way.back(field))
+            self._spectrum_change = _added(self._spectrum_change, plane.way.adjoint(field))
         return told
 
     def go_on(self, share: float) -> None:
@@ -229,10 +235,10 @@ class ExitField:
         return _added(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
 
     def _samples(self, plane: PlaneRecord) -> ComplexArray:
-        if plane.way.is_none:
+        if plane.way.is_identity:
             assert self.values is not None
             return self.values[plane.rows].copy()
-        return plane.way.there(self.spectrum)
+        return plane.way.forward(self.spectrum)
 
 
 def _power(seen: NDArray[Any]) -> RealArray:

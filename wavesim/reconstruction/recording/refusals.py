@@ -20,7 +20,7 @@ WIDEST_PIXEL = 2.0
 
 
 def validate_numbers(
-    kind: str, tv_weight: float | str, iterations: int, scale: float | None, active_width: float
+    kind: str, tv_weight: float | str, iterations: int, scale: float | None, fill_factor: float
 ) -> None:
     """Refuse settings out of their range; all as of :func:`wavesim.reconstruct`."""
     validate_choice("kind", kind, ("complex", "amplitude"))
@@ -31,8 +31,8 @@ def validate_numbers(
     validate_whole_number("iterations", iterations, 1)
     if scale is not None:
         validate_positive("scale", scale)
-    if not 0.0 <= active_width <= WIDEST_PIXEL:
-        raise InputError(f"active_width = {active_width!r}: must be from 0 to {WIDEST_PIXEL:g}")
+    if not 0.0 <= fill_factor <= WIDEST_PIXEL:
+        raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to {WIDEST_PIXEL:g}")
 
 
 def validate_measurements(

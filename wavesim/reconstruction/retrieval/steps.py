@@ -124,7 +124,7 @@ def plane_for(
 ) -> Plane:
     """A plane with its work space, for fields of a complex type; distance from the plane sought."""
     way = TransferFunction(grid, wavelength_um, distance_mm, dtype)
-    carrier = None if way.is_none else _in_panels(way, grid.shape[-1])
+    carrier = None if way.is_identity else _in_panels(way, grid.shape[-1])
     recorded = rows_of(amplitude).astype(np.zeros(0, dtype).real.dtype, copy=False)
     there = None if carrier is None else Panels(recorded.shape, dtype)
     return Plane(recorded, None if known is None else rows_of(known), carrier, there)

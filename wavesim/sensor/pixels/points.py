@@ -31,7 +31,7 @@ def points_among(count: int, apart: int) -> slice:
 
 
 def recorded_points(
-    plane: Sequence[Frame], distance_mm: float, apart: int, active_width: float
+    plane: Sequence[Frame], distance_mm: float, apart: int, fill_factor: float
 ) -> Measurement:
     """What frames of one plane tell of the amplitude at points.
 
@@ -45,10 +45,10 @@ def recorded_points(
         As of :class:`wavesim.sensor.measurement.Measurement`.
     apart
         Pixels from one point to the next, two or more; those of :func:`points_among`.
-    active_width
+    fill_factor
         Side of a pixel's photosensitive square as a share of the pitch.
     """
-    weights = point_weights(apart, active_width)
+    weights = point_weights(apart, fill_factor)
     rows, columns = plane[0].counts.shape
     down, across = points_among(rows, apart), points_among(columns, apart)
     along: list[list[Array]] = [[], [], []]
@@ -65,11 +65,11 @@ def recorded_points(
     return recorded_intensity(distance_mm, intensity, np.where(unknown > 0.0, np.inf, variance))
 
 
-def point_weights(apart: int, active_width: float) -> Array:
+def point_weights(apart: int, fill_factor: float) -> Array:
     """Of the pixels around a point, along one axis, in the intensity there."""
     fitted = np.linalg.pinv(np.vander(np.arange(-apart, apart + 1.0), DEGREE + 1, increasing=True))
     value, bend = fitted[0], 2.0 * fitted[2]
-    return np.asarray(value - active_width**2 / 24.0 * bend, np.float32)
+    return np.asarray(value - fill_factor**2 / 24.0 * bend, np.float32)
 
 
 def _around(values: Array, weights: Array, axis: int) -> Array:

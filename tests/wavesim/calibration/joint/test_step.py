@@ -78,19 +78,39 @@ def test_what_an_object_undoes_is_solved_in_few_rounds(
     assert off[1] < 0.2 * off[0]
 
 
-def test_what_the_object_takes_is_not_told(rng: np.random.Generator) -> None:
-    """All that lies along the object's own effects goes; more rounds never leave more."""
+def eliminated(columns: NDArray[Any], linear: Dense) -> NDArray[Any]:
+    """Return the exact curvature of the parameters with the object eliminated."""
+    basis, _ = np.linalg.qr(linear.matrix)
+    left = columns - (columns @ basis) @ basis.T
+    return np.asarray(left @ left.T + np.diag(VARIANCE / TYPICAL**2))
+
+
+def test_the_object_is_eliminated(rng: np.random.Generator) -> None:
+    """What the object can make is no information; more iterations never leave more."""
     linear = Dense(rng)
     columns = np.stack([linear.matrix @ rng.standard_normal(OBJECT) for _ in range(PARAMETERS)])
     columns += 0.5 * rng.standard_normal(columns.shape)
-    joint, pull = step_of(columns, linear), np.diag(VARIANCE / TYPICAL**2)
-    basis, _ = np.linalg.qr(linear.matrix)
-    left = columns - (columns @ basis) @ basis.T
-    found = [joint.reduced_curvature(rounds) for rounds in range(4)]
-    assert found[0] == pytest.approx(columns @ columns.T + pull)
-    assert found[3] == pytest.approx(left @ left.T + pull, rel=1e-3)
+    joint = step_of(columns, linear)
+    found = [joint.reduced_curvature(iterations) for iterations in range(4)]
+    assert found[0] == pytest.approx(columns @ columns.T + np.diag(VARIANCE / TYPICAL**2))
+    assert found[3] == pytest.approx(eliminated(columns, linear), rel=1e-6)
     for more, fewer in zip(found[1:], found[:-1], strict=True):
         assert np.linalg.eigvalsh(fewer - more).min() > -1e-9
+
+
+def test_elimination_converges_where_parts_of_the_object_hardly_matter(rng: np.random.Generator) -> None:
+    """Directions of the object whose effects differ a hundred times are all eliminated."""
+    linear, size = Dense(rng), 30
+    left, _ = np.linalg.qr(rng.standard_normal((PIXELS, size)))
+    linear.matrix = left @ np.diag(np.geomspace(1.0, 0.01, size))
+    linear.model.lit = np.ones(size, bool)
+    columns = rng.standard_normal((PARAMETERS, size)) @ left.T
+    columns += 0.05 * rng.standard_normal((PARAMETERS, PIXELS))
+    exact = np.sqrt(np.diag(np.linalg.inv(eliminated(columns, linear))))
+    inside = np.full(size, 0.5)
+    joint = GaussNewtonStep(linear, columns, VALUES, TYPICAL, VARIANCE, inside)  # type: ignore[arg-type]
+    found = np.sqrt(np.diag(np.linalg.inv(joint.reduced_curvature(12))))
+    assert found == pytest.approx(exact, rel=0.02)
 
 
 def test_an_object_that_cannot_move_takes_nothing(rng: np.random.Generator) -> None:

@@ -84,13 +84,13 @@ def coarsely(fine: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return 0.25 * spectrum[np.ix_(*kept)]
 
 
-@pytest.mark.parametrize("active_width", [0.3, 0.7, 1.0])
-def test_means_are_those_of_the_sensor(active_width: float) -> None:
+@pytest.mark.parametrize("fill_factor", [0.3, 0.7, 1.0])
+def test_means_are_those_of_the_sensor(fill_factor: float) -> None:
     """The sensor's means come from a cosine series, by another way."""
     one = field()
     sensor = Sensor(pixel_pitch_um=1e3 * PITCH, pixels=(40, 48), plane_distances_mm=(1.0,))
-    expected = light_on_pixels(one, sensor, active_width=active_width, oversampling=4)
-    pixels = PixelMeans(GRID, active_width)
+    expected = light_on_pixels(one, sensor, fill_factor=fill_factor, oversampling=4)
+    pixels = PixelMeans(GRID, fill_factor)
     way = TransferFunction(GRID, 0.532, 0.0, np.complex128)
     means = pixels.intensity(pixels.carried(np.fft.fft2(one.values), way))
     off = np.linalg.norm(means - expected) / np.linalg.norm(expected)
@@ -100,13 +100,13 @@ def test_means_are_those_of_the_sensor(active_width: float) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("active_width", [0.3, 1.0])
+@pytest.mark.parametrize("fill_factor", [0.3, 1.0])
 @pytest.mark.parametrize("distance_mm", [0.0, 0.4])
 def test_means_in_blocks_are_those_of_all_fine_samples(
-    shape: tuple[int, int], active_width: float, distance_mm: float
+    shape: tuple[int, int], fill_factor: float, distance_mm: float
 ) -> None:
     grid = Grid(shape, PITCH, 1.0)
-    pixels, way = PixelMeans(grid, active_width), TransferFunction(grid, 0.532, distance_mm, np.complex128)
+    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, distance_mm, np.complex128)
     spectrum, _ = speckle(shape, 2)
     factor = transfer(fft_frequencies(shape, PITCH), 0.532, 1.0, distance_mm)
     fine = densely(spectrum * factor)
@@ -136,10 +136,10 @@ def test_the_way_back_in_blocks_is_that_of_all_fine_samples(shape: tuple[int, in
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0.01, 1.0), st.integers(0, 100))
-def test_the_way_back_is_the_adjoint(height: int, width: int, active_width: float, seed: int) -> None:
+def test_the_way_back_is_the_adjoint(height: int, width: int, fill_factor: float, seed: int) -> None:
     """Means are a quadratic form of the spectrum, which its own derivative gives again."""
     grid = Grid((height, width), PITCH, 1.0)
-    pixels, way = PixelMeans(grid, active_width), TransferFunction(grid, 0.532, 0.4, np.complex128)
+    pixels, way = PixelMeans(grid, fill_factor), TransferFunction(grid, 0.532, 0.4, np.complex128)
     spectrum, change = speckle(grid.shape, seed)
     # So bright in the middle of the band that no mean is held at 0.
     spectrum[0, 0] += 100.0 * grid.size
