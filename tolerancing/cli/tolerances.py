@@ -182,7 +182,7 @@ def budget(
                     fixed=fixed,
                     base_cost=base_cost,
                     fresh=verify,
-                    report=progress,
+                    progress=progress,
                 )
         except BudgetInterrupted as stop:
             if stop.found is None:
