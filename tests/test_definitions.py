@@ -40,7 +40,7 @@ from wavesim.metrics.contrast import RESOLVED_CONTRAST
 from wavesim.metrics.similarity import psnr_db
 from wavesim.pupil.pupil import PupilGrid, ReconstructionPupil, mtf, rms_waves, strehl
 from wavesim.rays.interfaces import transmission
-from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
+from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.reconstruction.refocusing import svfg
 from wavesim.sensor.exposures import Electronics, SaturationWarning, expose
 from wavesim.targets.usaf import usaf_elements, usaf_line_width_um

@@ -32,7 +32,7 @@ from wavesim.engines.choosing import engine_for
 from wavesim.fields.field import Field
 from wavesim.metrics.judgement import truth_metrics
 from wavesim.reconstruction.diagnostics.held_out import hold_out
-from wavesim.reconstruction.from_object import reconstruct
+from wavesim.reconstruction.object_solver import reconstruct
 from wavesim.runtime.scratch import Scratch
 from wavesim.scene.engine import Engine
 from wavesim.scene.lengths import validate_lengths

@@ -44,7 +44,7 @@ def calibrate(
     The verdict is that of a reconstruction on this bench: the exit status is 0 if the frames are explained
     within their noise, and 1 if they are not. An interrupted run goes on with the same command.
     """
-    from wavesim.calibration.from_frames import calibrate_frames
+    from wavesim.calibration.frame_calibration import calibrate_frames
     from wavesim.plots.result_files import remove_unfinished
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
@@ -110,7 +110,7 @@ def print_calibration(found: Calibrated, summary: dict[str, Any], output: Path) 
     deviations = found.deviations or (None,) * len(found.parameters)
     for name, value, deviation in zip(found.parameters, found.values, deviations, strict=True):
         notes = ["at the border of the search"] * (name in found.at_reach)
-        notes += ["undetermined"] * (name in found.not_told)
+        notes += ["undetermined"] * (name in found.poorly_determined)
         notes += ["not needed, nominal"] * (name in found.nominal)
         notes += [f"goes with {', '.join(found.traded.get(name, ()))}"] * (name in found.traded)
         rows.append((name, f"{value:.5f}", "" if deviation is None else f"{deviation:.2g}", "; ".join(notes)))

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lensdesign.lens.lens import Lens
     from wavesim.calibration.calibrated import Calibrated
     from wavesim.fields.field import Field
-    from wavesim.reconstruction.found import FoundObject
+    from wavesim.reconstruction.found_object import FoundObject
     from wavesim.runtime.memory import Memory
     from wavesim.scene.bench import Bench
     from wavesim.sensor.frames import Frame
@@ -76,7 +76,7 @@ def reconstruct(
     """
     from wavesim.metrics.goodness_of_fit import STOP_CAUSE, Finding, with_finding
     from wavesim.plots.result_files import remove_unfinished
-    from wavesim.reconstruction.from_frames import reconstruct_frames
+    from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
     from wavesim.runtime.checkpoint import CHECKPOINT, EMPTY_CHECKPOINT
     from wavesim.sensor.frame_sets import read_frames
 
@@ -114,7 +114,7 @@ def reconstruct(
             )
             if free.calibrate and settings.field_stop == "find" and calibrated.field_stop_mm is not None:
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
-                stop_from, stop_doubt = "frames", calibrated.stop_doubt
+                stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
             bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
@@ -129,7 +129,7 @@ def reconstruct(
                 calibration=bench,
                 folder=output,
                 progress=tell,
-                before=before,
+                on_estimate=before,
             )
         if stop_doubt:
             found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))
@@ -162,9 +162,9 @@ def _calibrated_before(path: Path, lens: Lens) -> Bench:
 
 def _stop_doubt(calibration: Path | None) -> str:
     """Why the field stop of an earlier calibration is not determined; empty where it is."""
-    from wavesim.calibration.calibrated import stop_doubt_of
+    from wavesim.calibration.calibrated import stop_warning_of
 
-    return "" if calibration is None else stop_doubt_of(calibration)
+    return "" if calibration is None else stop_warning_of(calibration)
 
 
 def _stop_of(
@@ -193,7 +193,7 @@ def _calibrated(
 
     With a bench that is calibrated already, the light alone is sought anew.
     """
-    from wavesim.calibration.from_frames import calibrate_empty, calibrate_frames, validate_same_frames
+    from wavesim.calibration.frame_calibration import calibrate_empty, calibrate_frames, validate_same_frames
     from wavesim.scene.bench import Bench
 
     given = settings.model_dump(include=set(FramedSettings.model_fields), exclude_unset=True)
@@ -320,7 +320,7 @@ def _finest(found: FoundObject, usaf: dict[str, Any]) -> UsafElement | None:
 
 
 def _print(summary: dict[str, Any], output: Path) -> None:
-    from wavesim.reconstruction.from_object import STOPPED
+    from wavesim.reconstruction.object_solver import STOPPED
 
     engine = summary["engine"]
     why = STOPPED[summary["stopped_because"]] if "stopped_because" in summary else ""

@@ -76,7 +76,7 @@ def _draw_values(axes: Axes, found: Calibrated) -> None:
     for row, name, value, deviation, usual in zip(
         rows, found.parameters, found.values, found.deviations, typical, strict=True
     ):
-        color = NOISE if name in found.not_told else BEST
+        color = NOISE if name in found.poorly_determined else BEST
         axes.errorbar(
             value / usual, row, xerr=deviation / usual, fmt="o", ms=3.5, lw=1.0, capsize=2, color=color
         )

@@ -12,7 +12,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.common.text import visible
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.reconstruction.from_field import Retrieved, agreement
+from wavesim.reconstruction.phase_retrieval import Retrieved, agreement
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

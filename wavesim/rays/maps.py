@@ -302,8 +302,8 @@ def ray_map(
         f"the rays from ({point_mm[0]:g}, {point_mm[1]:g}) mm are too rough on the plane z = {plane_z_mm:g} "
         f"mm: the errors of polynomials of order {orders[-1]} are {errors[0]:.2g} waves of path, "
         f"{errors[1]:.2g} of the amplitude and {errors[2]:.2g} waves by direction "
-        f"(allowed: {PATH_TOLERANCE_WAVES:g}, {AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); stop the lens down, or go farther from the "
-        "caustic"
+        f"(allowed: {PATH_TOLERANCE_WAVES:g}, {AMPLITUDE_TOLERANCE:g}, {PATH_TOLERANCE_WAVES:g}); "
+        "stop the lens down, or go farther from the caustic"
     )
 
 

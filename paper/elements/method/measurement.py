@@ -16,7 +16,7 @@ from paper.elements.results.retrieval import PAPER_ITERATIONS, SECONDS, SETTINGS
 from paper.style import GREEN, ORANGE, panel, styled_figure
 from paper.twin import retrieved, twin
 from wavesim import ImageSettings, ReconstructionSettings, propagate
-from wavesim.reconstruction.from_field import FEEDBACK, TV_STEP
+from wavesim.reconstruction.phase_retrieval import FEEDBACK, TV_STEP
 from wavesim.sensor import diversity
 from wavesim.targets import object_patch
 
@@ -54,7 +54,7 @@ def figure_3(work: Work) -> Made:
         "stand: at 2 and 22 mm the light just fits the sensor. It says nothing of the amplitudes' scale, on "
         "which its step t depends; here their median is 64 where they are lit."
     )
-    command = "python -m pytest tests/wavesim/reconstruction/test_from_field.py"
+    command = "python -m pytest tests/wavesim/reconstruction/test_phase_retrieval.py"
     return Made(numbers, (command,), difference, (picture,))
 
 

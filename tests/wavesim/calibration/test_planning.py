@@ -19,7 +19,7 @@ from wavesim.calibration.planning import (
     plan_frames,
     random_objects,
 )
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.scene.settings import ITERATIONS, Kind, PlanSettings
 from wavesim.sensor.imaging import image
 from wavesim.sensor.windows import diversity, footprint_mm

@@ -14,7 +14,7 @@ from wavesim_command import ENDED, written
 
 from lensdesign.common.clusters import ClusterError
 from wavesim.engines.whole_field.executors import ThisComputer
-from wavesim.reconstruction import from_frames, resumable
+from wavesim.reconstruction import frame_reconstruction, resumable
 
 Run = Callable[..., tuple[object, str, str]]
 
@@ -38,7 +38,7 @@ def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -
 def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resumable, "KEEP_SECONDS", 0.0)
+    monkeypatch.setattr(resumable, "SAVE_INTERVAL_S", 0.0)
     uses, most = [0], [1000]
 
     class Away(ThisComputer):
@@ -63,7 +63,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
 
         yield take
 
-    monkeypatch.setattr(from_frames, "tiles_in", tiles)
+    monkeypatch.setattr(frame_reconstruction, "tiles_in", tiles)
     options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     half = 6  # three iterations on half of the samples

@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.fields.field import Field
-from wavesim.reconstruction.found import FoundObject
-from wavesim.reconstruction.from_frames import reconstruct_frames
+from wavesim.reconstruction.found_object import FoundObject
+from wavesim.reconstruction.frame_reconstruction import reconstruct_frames
 from wavesim.sensor.imaging import Imaged, image
 from wavesim.targets.illumination import field_stop
 from wavesim.targets.patch import object_patch

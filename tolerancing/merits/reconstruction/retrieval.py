@@ -2,7 +2,7 @@
 
 An object of transmission t under the illumination u gives the fields A_n(u t) on the planes n. Each iteration
 replaces their amplitudes by the recorded ones, applies the adjoint to the change, and takes a step with
-momentum, as :mod:`wavesim.reconstruction.from_object` does for two dimensions.
+momentum, as :mod:`wavesim.reconstruction.object_solver` does for two dimensions.
 """
 
 from __future__ import annotations

@@ -244,7 +244,8 @@ def maps_over_object(
         f"the rays of the field are too rough on the plane z = {plane_z_mm:g} mm: the errors of polynomials "
         f"are {best.errors[0]:.2g} waves of path, {best.errors[1]:.2g} of the amplitude and "
         f"{best.errors[2]:.2g} waves by direction "
-        f"(allowed: {limits[0]:.2g}, {limits[1]:.2g}, {limits[2]:.2g}); allow a larger error, stop the lens down, or go farther from the caustic"
+        f"(allowed: {limits[0]:.2g}, {limits[1]:.2g}, {limits[2]:.2g}); allow a larger error, "
+        "stop the lens down, or go farther from the caustic"
     )
 
 
