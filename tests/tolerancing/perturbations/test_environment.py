@@ -59,7 +59,7 @@ def test_a_study_scatters_over_temperatures(glass):
 
 
 def test_a_material_that_says_nothing_of_heat_is_refused_with_the_study(write_study, ray_study):
-    with pytest.raises(DesignError, match=r"environment.*surface 1, 1.5194726.*how it expands"):
+    with pytest.raises(DesignError, match=r"environment.*surface 1, 1.5194726.*thermal expansion"):
         load_study(write_study(ray_study + HEAT))
 
 
