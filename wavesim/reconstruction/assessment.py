@@ -139,8 +139,8 @@ def judge_result(
         if len(given) > 1 and case.diversity < NO_DIVERSITY:
             explanation = (
                 "the planes are so near each other that their pictures are nearly equal (diversity "
-                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more); they do not determine a "
-                "complex object"
+                f"{case.diversity:.2g}, which should be {LEAST_DIVERSITY:g} or more); they do not determine "
+                "a complex object"
             )
             findings.append(Finding("several objects", explanation))
     # If the misfit is only slightly too large and still falls, more iterations are sufficient.
