@@ -349,10 +349,10 @@ MUTATIONS = (
     ),
     Mutation(
         "root sum square of variances",
-        "tolerancing/statistics/quadratic_response.py",
+        "tolerancing/statistics/sensitivities.py",
         "np.sqrt(np.sum(sensitivity.standard_deviation**2, axis=0))",
         "np.sum(sensitivity.standard_deviation, axis=0)",
-        "tests/tolerancing/statistics/test_quadratic_response.py",
+        "tests/tolerancing/statistics/test_sensitivities.py",
     ),
     Mutation(
         "a trial at its limit fails",

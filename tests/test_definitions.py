@@ -253,7 +253,7 @@ class TestStatistics:
         assert CONFIDENCE == 0.95
         found = yield_of(np.arange(10) < 8)
         assert found is not None
-        assert (found.share, found.low, found.high) == pytest.approx((0.8, 0.4902, 0.9433), abs=5e-5)
+        assert (found.fraction, found.low, found.high) == pytest.approx((0.8, 0.4902, 0.9433), abs=5e-5)
 
     def test_fringes(self) -> None:
         assert pytest.approx(0.273035) == FRINGE_UM

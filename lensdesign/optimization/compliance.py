@@ -26,7 +26,7 @@ from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
 from lensdesign.optimization.specification.sections import LOSS_GOAL, Constraints
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.raytrace.compiled import compile_system
-from lensdesign.raytrace.extremes import extremes
+from lensdesign.raytrace.extremes import find_extremes
 
 
 def check_against(
@@ -132,7 +132,7 @@ def _spread(lens: Lens, specification: Specification, report: CheckReport) -> li
             system = compile_system(lens, found.wavelength_um)
             heights = np.linspace(0.0, lens.half_field_mm, 13)
             metrics = [partial(_along, axis) for axis in (0, 1)]
-            widest = extremes(lens, system, metrics, heights, symmetric=False, between_heights=True)
+            widest = find_extremes(lens, system, metrics, heights, symmetric=False, between_heights=True)
             for axis, end, limit in zip("xy", widest, limits.max_spread_xy_deg, strict=True):
                 rows.append(_angle(f"spread along {axis} {at}", math.degrees(end.value), limit))
         for own in limits.field_spread:

@@ -18,7 +18,7 @@ from lensdesign.lens.surface import Surface
 from lensdesign.lens.temperature import expansions, heated_keys, heated_material
 from lensdesign.optimization.operands.glass import edge_sag
 from lensdesign.optimization.operands.operand import State
-from lensdesign.raytrace.gradients import Chain, Variable
+from lensdesign.raytrace.gradients import ChainRule, Variable
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Heated:
 
     lens: Lens
     stop_semi_diameter_mm: float
-    chain: Chain
+    chain: ChainRule
 
 
 class Heat:
@@ -68,12 +68,14 @@ class Heat:
         self.materials = [heated_material(base, i, temperature_c) for i in range(len(base.surfaces))]
         self.shares = np.array(
             [
-                _share(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface])) if v.of_shape else 0.0
+                _share(base.surfaces[v.surface], v.kind, float(self.sizes[v.surface]))
+                if v.is_shape_term
+                else 0.0
                 for v in variables
             ]
         )
         spaces = (Variable("thickness", i) for i in range(len(base.surfaces) - 1))
-        self.own = (*(v for v in variables if v.of_shape), Variable("working_distance"), *spaces)
+        self.own = (*(v for v in variables if v.is_shape_term), Variable("working_distance"), *spaces)
 
     def with_glasses(self, base: Lens) -> Lens:
         """A lens with its glasses at the temperature, everything else as it is."""
@@ -96,7 +98,7 @@ class Heat:
         return Heated(
             self._lens(lens, np.array(spaces), planes),
             float(self.sizes[stop]) * grown.stop_semi_diameter_mm,
-            Chain(
+            ChainRule(
                 self._chained(cold.variables, lengths_by, sags_by),
                 self.sizes[stop] * grown.stop_semi_diameter_by,
                 self._grown(last, np.zeros((len(planes), len(cold.variables))), sags_by[:, None]),
@@ -111,7 +113,7 @@ class Heat:
         """How each variable of its own follows those of the search, shape (own, v)."""
         if not variables:
             return np.zeros((len(self.own), 0))
-        shapes = np.diag(self.shares)[[v.of_shape for v in variables]]
+        shapes = np.diag(self.shares)[[v.is_shape_term for v in variables]]
         spaces = [self._grown(i - 1, by, sags_by) for i, by in enumerate(lengths_by)]
         return np.vstack([shapes, *spaces])
 

@@ -316,7 +316,7 @@ def _plate(problem: DesignProblem) -> Lens:
     lens = problem.base
     for variable in problem.variables:
         i = variable.surface
-        if variable.of_shape:
+        if variable.is_shape_term:
             surface = lens.surfaces[i]
             values = {key: getattr(surface, key) for key in class_with(variable.kind).KEYS}
             lens = lens.with_surface(i, **class_with(variable.kind).changed_keys(values, variable.kind, 0.0))

@@ -20,7 +20,7 @@ from lensdesign.optimization.as_built import AsBuiltValues, LossValues, read_as_
 from lensdesign.optimization.heated import Heat, Heated
 from lensdesign.optimization.nlopt_driver import Evaluation
 from lensdesign.optimization.operands.glass import SEMI_DIAMETER_STEP_MM
-from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Row, State
+from lensdesign.optimization.operands.operand import LIMIT_MARGIN, Operand, State
 from lensdesign.optimization.operands.requirements import constraint_operands, goal_operands
 from lensdesign.optimization.specification.specification import Specification
 from lensdesign.optimization.specification.variables import VariableRange
@@ -226,7 +226,7 @@ class DesignProblem:
             stop = hot.stop_semi_diameter_mm
             if derivatives:
                 variables = self.heat.own
-                chain = hot.chain if planes_mm is None else hot.chain.to_still_planes(len(planes_mm))
+                chain = hot.chain if planes_mm is None else hot.chain.with_fixed_planes(len(planes_mm))
         return gradient_trace(
             _shaped(base, lens),
             lens.object_z_mm,
@@ -249,7 +249,7 @@ class DesignProblem:
             own, by = self.heat.own, self._heated(point, True).chain.variables[:, variable]
         vertices, object_z = lens.vertex_z_mm.astype(complex), complex(lens.object_z_mm)
         for one, share in zip(own, step * by, strict=True):
-            if one.of_shape and share:
+            if one.is_shape_term and share:
                 shapes[one.surface] = shapes[one.surface].moved(one.kind, share)
             elif one.kind == "thickness":
                 vertices += share * (np.arange(len(vertices)) > one.surface)
@@ -322,7 +322,7 @@ class DesignProblem:
 
     def rows(
         self, point: Array, rays: Rays, final: bool = False, derivatives: bool = True
-    ) -> tuple[list[Row], list[Row]]:
+    ) -> tuple[list[Operand], list[Operand]]:
         """Goals and constraints by name, with derivatives by the variables' own values."""
         state = self.state(point, rays, derivatives)
         return goal_operands(self.specification, state), constraint_operands(self.specification, state, final)

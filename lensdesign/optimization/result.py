@@ -24,7 +24,7 @@ from lensdesign.optimization.limits.feasibility import (
 )
 from lensdesign.optimization.limits.search import LimitsInterrupted, binding
 from lensdesign.optimization.local_search import Found
-from lensdesign.optimization.operands.operand import Row
+from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import finished_lens
 from lensdesign.optimization.specification.sections import AS_BUILT_GOALS, LOSS_GOAL
 from lensdesign.optimization.specification.specification import Specification
@@ -378,7 +378,7 @@ def _variables(specification: Specification, lens: Lens) -> dict[str, float | st
     return values
 
 
-def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
+def _goal(specification: Specification, goals: list[Operand]) -> tuple[float, str]:
     """The goal in the unit that people use."""
     largest = max(float(np.max(row.values)) for row in goals)
     goal, waves = specification.optimize.goal, specification.wavelengths_um
@@ -393,7 +393,7 @@ def _goal(specification: Specification, goals: list[Row]) -> tuple[float, str]:
 
 
 def _shown_goal(
-    specification: Specification, lens: Lens, goals: list[Row], built: AsBuiltReport | None
+    specification: Specification, lens: Lens, goals: list[Operand], built: AsBuiltReport | None
 ) -> tuple[float, str]:
     """The goal of the finished lens; where no trials were made, goals of lenses as built are predicted."""
     goal, study = specification.optimize.goal, specification.as_built
@@ -407,7 +407,9 @@ def _shown_goal(
     return (max(predicted.rms_waves), "waves") if goal == "as-built rms" else (100.0 * predicted.good, "%")
 
 
-def _built_goal(specification: Specification, goals: list[Row], built: AsBuiltReport) -> tuple[float, str]:
+def _built_goal(
+    specification: Specification, goals: list[Operand], built: AsBuiltReport
+) -> tuple[float, str]:
     """A goal of lenses as built: what is predicted of the finished lens, at all temperatures."""
     environment = specification.environment
     own = built.rows[-1 - (0 if environment is None else len(environment.temperatures_c)) :]

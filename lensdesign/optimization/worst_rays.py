@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from lensdesign.optimization.operands.operand import Row
+from lensdesign.optimization.operands.operand import Operand
 from lensdesign.optimization.problem import DesignProblem, Rays
 
 TOLERANCE = 3e-5
@@ -71,7 +71,7 @@ def _refined(
     Parameters
     ----------
     numbers, rays, values
-        Row, ray and value there of each search, shape (n,).
+        Operand, ray and value there of each search, shape (n,).
 
     Returns
     -------
@@ -110,7 +110,7 @@ def _turned(height: Array, along: Array, angle_rad: Array) -> Array:
     return np.column_stack([(height * x).ravel(), (height * y).ravel()])
 
 
-def _rows(problem: DesignProblem, point: Array, rays: Rays) -> list[Row]:
+def _rows(problem: DesignProblem, point: Array, rays: Rays) -> list[Operand]:
     """All goals and constraints, without derivatives: only the worst is asked for."""
     goals, constraints = problem.rows(point, rays, derivatives=False)
     return [*goals, *constraints]

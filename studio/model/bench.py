@@ -16,7 +16,7 @@ from typing import Any
 from lensdesign.errors import InputError, TransferLensError
 from lensdesign.files.design import design_text
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.built import ManufacturingQuality, workmanship
 from studio.model.document import Autosave, Document, opened, tables_text
 from studio.model.editing import Editing, Step, Tables, with_value
@@ -64,7 +64,7 @@ class Workbench:
             self.editing = aside.restored(self.document, self.editing)
         self.what_if = WhatIf()
         self.grade = grade
-        self.patch_share = FIELD_SHARES[1]
+        self.patch_share = FIELD_FRACTIONS[1]
         self.figures = Figures(self.lens)
         self.refused: dict[str, str] = {}
         self._made: tuple[str, tuple[Any, ...], ManufacturingQuality | None] | None = None

@@ -10,7 +10,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.lens.lens import Lens
 from lensdesign.lens.solid import glass_elements
 from lensdesign.raytrace.bundles import launch, pupil_fan, pupil_hexapolar
-from lensdesign.raytrace.paths import FIELD_SHARES, ray_paths, sized_lens
+from lensdesign.raytrace.paths import FIELD_FRACTIONS, ray_paths, sized_lens
 from lensdesign.raytrace.rays import trace
 
 RAYS_PER_FIELD = 11
@@ -41,7 +41,7 @@ class Layout:
 
 def heights_of(lens: Lens) -> tuple[float, ...]:
     """Object points of the pictures."""
-    return tuple(share * lens.half_field_mm for share in FIELD_SHARES)
+    return tuple(share * lens.half_field_mm for share in FIELD_FRACTIONS)
 
 
 def layout_of(lens: Lens) -> Layout:

@@ -199,7 +199,7 @@ def run_exploration(
             report(json.dumps({"values": one.values, "text": found}))
 
     with _asked(lens, search, made) as specification:
-        return len(Exploration(specification, axes_of(over, specification), count, keep=keep).run())
+        return len(Exploration(specification, axes_of(over, specification), count, on_result=keep).run())
 
 
 @contextmanager

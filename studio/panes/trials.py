@@ -138,7 +138,7 @@ class _Tolerances:
         elif (good := yield_of(self.passed)) is None:
             new = f"<p>{text(job.progress or 'starting')}…</p>"
         else:
-            share, low, high = (100.0 * v for v in (good.share, good.low, good.high))
+            share, low, high = (100.0 * v for v in (good.fraction, good.low, good.high))
             parts = ", ".join(f"{text(label)} {100.0 * v:.1f} %" for label, v in self.by_merit.items())
             new = (
                 f"<p><b>{share:.1f} %</b> of {good.total} lenses keep all limits ({low:.1f} to "

@@ -8,7 +8,7 @@ import numpy as np
 import panel as pn
 
 from lensdesign.lens.lens import Lens
-from lensdesign.raytrace.paths import FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_FRACTIONS
 from studio.model.bench import Workbench
 from studio.panes.common import bench_of, follow
 from studio.panes.themes import FIELDS, WAVES, Dresser, Theme, between, chart, dressed, framed
@@ -126,7 +126,7 @@ def patch(lens: Workbench | Lens, dressers: list[Dresser] | None = None) -> pn.C
                 margin=0,
             )
         )
-    fields = {f"{share:g} of the half field" if share else "on the axis": share for share in FIELD_SHARES}
+    fields = {f"{share:g} of the half field" if share else "on the axis": share for share in FIELD_FRACTIONS}
     chosen = pn.widgets.Select(options=fields, value=bench.patch_share, margin=(0, 8), width=160)
     chosen.param.watch(lambda event: bench.set_patch(event.new), "value")
     shown = pn.Row(*charts, sizing_mode="stretch_width", margin=0)

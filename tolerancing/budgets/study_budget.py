@@ -352,7 +352,7 @@ class _Rounds:
         batch = sample_perturbations(scaled, range(self.fresh))
         try:
             for start in range(0, self.fresh, ROWS_AT_ONCE):
-                part = batch.part(slice(start, start + ROWS_AT_ONCE))
+                part = batch.subset(slice(start, start + ROWS_AT_ONCE))
                 scores.append(score_batch(self.study.merits, context, part)[0])
                 self.progress(len(part))
         except KeyboardInterrupt:

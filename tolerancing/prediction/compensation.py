@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from tolerancing.merits.compensators import ROUNDS, steadied
+from tolerancing.merits.compensators import GAUSS_NEWTON_STEPS, regularised
 from tolerancing.prediction.derivatives import FieldDifferentials
 from tolerancing.prediction.system import pair_places
 
@@ -58,9 +58,9 @@ class Compensation:
         matrix = np.sum(
             [(own.T * m.weights) @ own for own, m in zip(slopes, self.models, strict=True)], axis=0
         )
-        steady = steadied(matrix)
+        steady = regularised(matrix)
         waves = [field.waves(amounts) for field in self.fields]
-        for _ in range(ROUNDS):
+        for _ in range(GAUSS_NEWTON_STEPS):
             wanted = np.zeros_like(shares)
             for whole, model, own in zip(waves, self.models, slopes, strict=True):
                 wanted += (whole - model.waves(shares * self.limits)) * model.weights @ own
@@ -75,7 +75,7 @@ class Compensation:
         pairs = list(zip(self.fields, self.models, strict=True))
         matrix = np.sum([(m.registered.T * m.weights) @ m.registered for _, m in pairs], axis=0)
         wanted = np.sum([(m.registered.T * m.weights) @ f.registered for f, m in pairs], axis=0)
-        return np.concatenate([changes, np.linalg.solve(steadied(matrix), wanted)])
+        return np.concatenate([changes, np.linalg.solve(regularised(matrix), wanted)])
 
 
 def less_model(field: FieldDifferentials, model: FieldDifferentials) -> FieldDifferentials:

@@ -96,7 +96,7 @@ def sheet_items(lens: Lens, study: Study, sheets: Sequence[DrawingTolerances]) -
                 if field is None and "fringes" in name:
                     ratio = general.fringe_wavelength_um / sheet.fringe_wavelength_um
                     number = float(f"{ratio * number:.4g}")
-                item = SheetItem(kind, element.number, surface, name, number, origin, ())
+                item = SheetItem(kind, element.index, surface, name, number, origin, ())
                 # Two cemented elements share a surface: the sheet that allows more counts.
                 other = found.get(item.key)
                 if other is None or (other.field == name and other.value < number):

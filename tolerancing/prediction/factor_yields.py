@@ -85,5 +85,5 @@ class JointYield:
         for start in range(0, len(good), BLOCK) if self._merits else ():
             part = slice(start, start + BLOCK)
             for merit in self._merits:
-                good[part] &= merit.passed(merit.scores(self._rays, changed.part(part)))
+                good[part] &= merit.passed(merit.scores(self._rays, changed.subset(part)))
         return float(np.mean(good))

@@ -19,7 +19,7 @@ from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
 from lensdesign.raytrace.compiled import CompiledSystem, compile_system
 from lensdesign.raytrace.rays import trace_compiled
-from tolerancing.merits.compensators import steadied
+from tolerancing.merits.compensators import regularised
 from tolerancing.merits.loss import AZIMUTHS_DEG, ReconstructionLoss
 from tolerancing.perturbations.batch import PerturbationBatch
 from tolerancing.perturbations.parameters import PerturbedParameter
@@ -231,7 +231,7 @@ def _calibrated(chains: Sequence[ChainDraws], lens: Array, model: Array, amounts
     matrix = sum(m.T @ see @ m for see, m in zip(sees, model, strict=True))
     across = sum(m.T @ see @ own for see, own, m in zip(sees, lens, model, strict=True))
     wanted = amounts @ across.T
-    return bounded_least_squares(steadied(np.asarray(matrix)), wanted)[0]
+    return bounded_least_squares(regularised(np.asarray(matrix)), wanted)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,8 +114,8 @@ class FirstOrderRays(Context):
                 pivot_z_mm=study.pivot_z_mm,
             )
 
-        known = self.kept(("arrivals", field_points_mm, wavelength, id(stop)), make)
-        return self.once(
+        known = self.cached(("arrivals", field_points_mm, wavelength, id(stop)), make)
+        return self.cached_for(
             batch,
             ("rays", field_points_mm, wavelength, id(stop)),
             lambda: known.arrival(known.changes.amounts(batch)),
@@ -131,9 +131,9 @@ class FirstOrderRays(Context):
         distances_mm
             Planes on which footprints are judged, from the first sensor plane.
         """
-        for key, known in self._kept.items():
+        for key, known in self._cache.items():
             if isinstance(known, ArrivalDifferentials):
-                self._kept[key] = known.part(_extreme_rays(known, batch, distances_mm))
+                self._cache[key] = known.part(_extreme_rays(known, batch, distances_mm))
 
 
 def _extreme_rays(
@@ -197,7 +197,7 @@ def predict_rays(
         return ()
     drawn = drawn_batch(study) if batch is None else batch
     context = FirstOrderRays(lens, study)
-    blocks = [drawn.part(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
+    blocks = [drawn.subset(slice(start, start + BLOCK)) for start in range(0, len(drawn), BLOCK)]
     planes = lens.sensor.plane_distances_mm
     judged = [m.plane_distance_mm or planes[-1] for m in merits if isinstance(m, FootprintRadius)]
     first = _scores(merits, context, blocks[0])
@@ -208,7 +208,7 @@ def predict_rays(
     alone = np.stack([np.std(_scores(merits, context, one), axis=0) for one in _one_by_one(blocks[0])])
     left = np.zeros(len(merits))
     if checked:
-        traced = _scores(merits, Context(lens, study.sampling), drawn.part(slice(0, TRACED)))
+        traced = _scores(merits, Context(lens, study.sampling), drawn.subset(slice(0, TRACED)))
         off = np.sqrt(np.mean((scores[: len(traced)] - traced) ** 2, axis=0))
         # What no perturbation moves deviates by rounding alone.
         left = off / np.maximum(np.std(traced, axis=0), ROUNDING * np.abs(nominal))

@@ -17,7 +17,7 @@ import numpy as np
 from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.lens import Lens
-from lensdesign.manufacture.drawing.scored import MOST_LOSS, Derived, SheetScore
+from lensdesign.manufacture.drawing.scored import MAX_YIELD_LOSS, Derived, SheetScore
 from lensdesign.manufacture.drawing.tolerances import DrawingTolerances
 from tolerancing.perturbations.grades import HIGH_PRECISION
 from tolerancing.prediction.drawn_study import (
@@ -130,7 +130,7 @@ class StudySheets:
         made = as_drawn_study(drawn, self.study, items)
         found = predict_study(drawn, made.study)
         losses: list[tuple[str, float]] = []
-        if own.yield_fraction - found.yield_fraction > MOST_LOSS:
+        if own.yield_fraction - found.yield_fraction > MAX_YIELD_LOSS:
             losses = _losses(drawn, made)
 
         def save(path: Path, design: str) -> None:

@@ -48,7 +48,7 @@ def make_ready(study: Study) -> None:
         If one cannot; as of :meth:`Merit.get_ready`.
     """
     for merit in study.all_merits:
-        merit.get_ready()
+        merit.prepare()
 
 
 def pupils_of(lens: Lens, study: Study) -> Context:

@@ -11,7 +11,7 @@ from lensdesign.common.lengths import (
     UNITS,
     WAVELENGTH_UM,
     PlausibleLength,
-    doubted_length,
+    implausible_length,
     in_unit,
     numbers_of,
 )
@@ -104,7 +104,7 @@ def _series(
 
 
 def _said(what: str, value: float, unit: str, plausible: PlausibleLength | None) -> Iterator[str]:
-    sentence = None if plausible is None else doubted_length(what, value, unit, plausible)
+    sentence = None if plausible is None else implausible_length(what, value, unit, plausible)
     if sentence is not None:
         yield sentence
 

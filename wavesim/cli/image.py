@@ -39,8 +39,8 @@ def image(
     Frames are 16-bit TIFF that hold their settings. The sensor's window is its middle, as much of it as the
     light falls on. Of several exposures, the long ones show faint light and are clipped where it is bright.
 
-    Of a whole field (engine two-level) finished parts are kept: the same command goes on with a run that was
-    interrupted.
+    Of a whole field (engine hierarchical) finished parts are kept: the same command goes on with a run that
+    was interrupted.
     """
     from wavesim.plots.result_files import remove_unfinished
 

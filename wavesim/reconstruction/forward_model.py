@@ -194,7 +194,7 @@ class ForwardModel:
                 total[plane.rows] += noise
                 continue
             plane_noise = noise.reshape(shape)
-            if not plane.propagator.is_none:
+            if not plane.propagator.is_identity:
                 plane_noise = scipy.fft.ifftn(
                     plane.propagator.adjoint(plane_noise), workers=-1, overwrite_x=True
                 )
@@ -261,7 +261,7 @@ class ForwardModel:
             total = np.zeros(plane.amplitude.shape, self.real)
             for mode, spectrum in zip(self.modes, spectra, strict=True):
                 rows = self.pixels.propagate(spectrum, plane.propagator, rows)
-                total += self.real.type(mode.share) * self.pixels.intensity(rows)
+                total += self.real.type(mode.weight) * self.pixels.intensity(rows)
             found.append(total)
         return found
 
@@ -287,7 +287,7 @@ class ForwardModel:
         result = np.zeros(self.lit.shape, self.dtype)
         for mode in self.modes:
             exit_field = scipy.fft.ifftn(totals.pop(0), workers=-1, overwrite_x=True)
-            result += self.real.type(mode.share) * self._adjoint_to_object(exit_field, self._light(mode))
+            result += self.real.type(mode.weight) * self._adjoint_to_object(exit_field, self._light(mode))
         return result, self.scale * math.sqrt(squared_misfit) / self.size
 
     def _change_of_mode(self, spectrum: ComplexArray, ratios: Sequence[RealArray]) -> ComplexArray:

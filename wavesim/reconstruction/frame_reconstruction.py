@@ -216,11 +216,11 @@ def _prepared_engine(
     if not isinstance(engine, Tiled):
         yield engine
         return
-    engine.report = reporter.engine_part
+    engine.progress = reporter.engine_part
     try:
         yield hand_over(engine)
     finally:
-        engine.report = None
+        engine.progress = None
 
 
 def _resume_hint(case: ReconstructionProblem) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wavesim.fields.field import Field
 from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
-from wavesim.fields.tilted_propagator import Way
+from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.reconstruction.forward_model import ForwardModel
 from wavesim.reconstruction.recording.kernel import (
     add_halves,
@@ -52,7 +52,7 @@ class CachedSamples:
         Propagator to the plane.
     """
 
-    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, propagator: Way) -> None:
+    def __init__(self, pixels: PixelMeans, spectrum: ComplexArray, propagator: PlanePropagator) -> None:
         self.pixels, self.propagator = pixels, propagator
         self.rows: Rows = pixels.propagate(spectrum, propagator)
         dtype, (height, width) = spectrum.dtype, spectrum.shape

@@ -26,7 +26,7 @@ from wavesim.fields.coverage import (
     validate_two_dimensional,
 )
 from wavesim.fields.field import Field, Grid
-from wavesim.fields.guards import tell
+from wavesim.fields.guards import report_loss
 from wavesim.fields.plane_waves import fft_frequencies
 from wavesim.runtime.arrays import fftn
 from wavesim.targets.patterns import ComplexArray
@@ -309,7 +309,7 @@ def _tell_fine(values: ComplexArray, source: Grid, grid: Grid) -> None:
     cycles = fft_frequencies(source.shape, source.pitch_mm, np)
     limit = min(INTERPOLATED_BAND * 0.5 / source.pitch_mm, 0.5 / grid.pitch_mm)
     fine = (abs(cycles[0]) > limit) | (abs(cycles[1]) > limit)
-    tell(
+    report_loss(
         float(np.sum(power[fine])) / total,
         f"lies above {limit:.4g} cycles/mm, too fine to be carried from samples of "
         f"{1e3 * source.pitch_mm:.4g} um to a pitch of {1e3 * grid.pitch_mm:.4g} um",

@@ -12,7 +12,7 @@ from lensdesign.analysis.outline import highest_ground_mm
 from lensdesign.common.arrays import Array
 from lensdesign.lens.shapes.base import Shape, directions
 from lensdesign.lens.solid import SHARP
-from lensdesign.optimization.operands.operand import Row, State, finite_operand, heights_of
+from lensdesign.optimization.operands.operand import Operand, State, finite_operand, heights_of
 from lensdesign.optimization.specification.specification import Specification
 
 SEMI_DIAMETER_STEP_MM = 0.01
@@ -25,7 +25,7 @@ CONIC_EDGE_SHARE = 0.95
 """Surfaces stay within this share of the radial height at which their conic ends."""
 
 
-def glass_operands(specification: Specification, state: State) -> list[Row]:
+def glass_operands(specification: Specification, state: State) -> list[Operand]:
     """Thicknesses, slopes and the edges of conics."""
     lens, limits = state.lens, specification.constraints
     heights = [_clear_height(state, i) for i in range(len(lens.surfaces))]
@@ -66,7 +66,7 @@ def track(state: State) -> tuple[float, Array]:
     return state.lens.track_mm, np.array([float(v.kind in spaces) for v in state.variables])
 
 
-def _length_rows(specification: Specification, state: State) -> list[Row]:
+def _length_rows(specification: Specification, state: State) -> list[Operand]:
     limits, rows = specification.constraints, []
     for name, most, found in (
         ("lens thickness", limits.max_lens_thickness_mm, lens_thickness),
@@ -116,7 +116,7 @@ def _ends_at(state: State, i: int, ground: Height, clear: Sequence[Height]) -> t
     return front, back
 
 
-def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Row:
+def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: float) -> Operand:
     """Of the steepest way over the surface, in each direction."""
     shape = state.lens.surfaces[i].shape
     limit = math.tan(math.radians(limit_deg)) ** 2
@@ -132,7 +132,7 @@ def _slope_row(state: State, i: int, height: tuple[float, Array], limit_deg: flo
 
 def _gap_row(
     name: str, state: State, i: int, heights: tuple[Height, Height], least: float, scale: float
-) -> Row:
+) -> Operand:
     """Of the space behind a surface, from a height on its front to one on its back, in each direction."""
     shapes = [s.shape for s in state.lens.surfaces[i : i + 2]]
     ux, uy = directions(*shapes)
@@ -199,7 +199,7 @@ def _clear_height(state: State, i: int) -> tuple[float, Array]:
 
 def _by(state: State, i: int, derivative: Callable[[str], Array]) -> Array:
     """Derivatives by all variables of what depends on the shape of one surface alone, shape (..., v)."""
-    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.of_shape and v.surface == i}
+    own = {j: derivative(v.kind) for j, v in enumerate(state.variables) if v.is_shape_term and v.surface == i}
     found = np.zeros((len(next(iter(own.values()), np.zeros(1))), len(state.variables)))
     for j, values in own.items():
         found[:, j] = values

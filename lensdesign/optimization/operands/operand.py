@@ -63,7 +63,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Row:
+class Operand:
     """Goals or constraints of one kind.
 
     Attributes
@@ -92,7 +92,7 @@ def heights_of(trace: GradientTrace, i: int) -> tuple[Array, Array]:
     return squares_of(trace.heights[:, i], trace.heights_by[:, i])
 
 
-def finite_operand(name: str, values: Array, by: Array) -> Row:
+def finite_operand(name: str, values: Array, by: Array) -> Operand:
     """A row in which what is not finite is far beyond any limit."""
     ok = np.isfinite(values) & np.all(np.isfinite(by), axis=-1)
-    return Row(name, np.where(ok, values, UNTRACEABLE), np.where(ok[:, None], by, 0.0))
+    return Operand(name, np.where(ok, values, UNTRACEABLE), np.where(ok[:, None], by, 0.0))

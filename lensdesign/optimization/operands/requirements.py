@@ -16,7 +16,7 @@ from lensdesign.optimization.nlopt_driver import UNTRACEABLE
 from lensdesign.optimization.operands.glass import glass_operands, lens_thickness, track
 from lensdesign.optimization.operands.operand import (
     LIMIT_MARGIN,
-    Row,
+    Operand,
     State,
     finite_operand,
     heights_of,
@@ -30,7 +30,7 @@ AS_BUILT_SCALE_WAVES = 0.1
 """Root mean square by which as-built goals are scaled."""
 
 
-def goal_operands(specification: Specification, state: State) -> list[Row]:
+def goal_operands(specification: Specification, state: State) -> list[Operand]:
     """What the largest value of is to be made small."""
     goal = specification.optimize.goal
     lens: Lens = specification  # as it was at the start
@@ -58,10 +58,10 @@ def goal_operands(specification: Specification, state: State) -> list[Row]:
         ]
     length, by = track(state) if goal == "shortest track" else lens_thickness(state)
     reference = lens.exit_vertex_z_mm
-    return [Row(goal, np.array([length / reference]), by[None] / reference)]
+    return [Operand(goal, np.array([length / reference]), by[None] / reference)]
 
 
-def constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Row]:
+def constraint_operands(specification: Specification, state: State, final: bool = False) -> list[Operand]:
     """What must not be above zero.
 
     Where the spread's limit is what a search makes as small as it can, only the `final` lens is held
@@ -78,9 +78,9 @@ def constraint_operands(specification: Specification, state: State, final: bool 
     return rows + glass_operands(specification, state) + built
 
 
-def _light_rows(specification: Specification, state: State, limited: bool) -> list[Row]:
+def _light_rows(specification: Specification, state: State, limited: bool) -> list[Operand]:
     """Where light may go, at each wavelength."""
-    rows: list[Row] = []
+    rows: list[Operand] = []
     for wavelength, trace in zip(specification.wavelengths_um, state.traces, strict=True):
         rows += _spread_rows(specification, state, wavelength, trace, limited)
         for i, limit in enumerate(specification.footprint_limits()):
@@ -94,7 +94,7 @@ def _light_rows(specification: Specification, state: State, limited: bool) -> li
     return rows
 
 
-def _as_built_goal(goal: str, state: State) -> Row:
+def _as_built_goal(goal: str, state: State) -> Operand:
     name = named_at(goal, state.temperature_c)
     if goal == LOSS_GOAL:
         assert state.losses is not None  # the goal asked for it
@@ -107,7 +107,7 @@ def _as_built_goal(goal: str, state: State) -> Row:
     return finite_operand(name, state.as_built.rms_waves / scale, state.as_built.rms_by / scale)
 
 
-def _as_built_rows(specification: Specification, state: State) -> list[Row]:
+def _as_built_rows(specification: Specification, state: State) -> list[Operand]:
     """How many lenses may fail, and how large their wavefront errors may be."""
     limits, found = specification.constraints, state.as_built
     rows = _loss_rows(specification, state)
@@ -125,7 +125,7 @@ def _as_built_rows(specification: Specification, state: State) -> list[Row]:
     return rows
 
 
-def _loss_rows(specification: Specification, state: State) -> list[Row]:
+def _loss_rows(specification: Specification, state: State) -> list[Operand]:
     most, found = specification.constraints.max_as_built_reconstruction_loss, state.losses
     if most is None or found is None:
         return []
@@ -143,7 +143,7 @@ def _limits_its_goal(specification: Specification) -> bool:
 
 def _spread_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace, limited: bool
-) -> list[Row]:
+) -> list[Operand]:
     squares = squares_of(trace.cosines, trace.cosines_by)
     limit = specification.spread_limit(wavelength)
     rows = []
@@ -158,13 +158,13 @@ def _spread_rows(
         at = np.abs(np.linalg.norm(state.fields_mm, axis=-1) - own.field_mm) < 1e-9
         name = _named(f"spread at field height {own.field_mm:g} mm", wavelength, state)
         row = _limited(name, squares, math.sin(math.radians(own.max_spread_deg)) ** 2, trace)
-        rows.append(Row(name, row.values[at], row.by[at], np.flatnonzero(at)))
+        rows.append(Operand(name, row.values[at], row.by[at], np.flatnonzero(at)))
     return rows
 
 
 def _rectangle_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
-) -> list[Row]:
+) -> list[Operand]:
     """Light within the sides of the sensor, x and y apart."""
     rows = []
     for i in range(len(specification.sensor.plane_distances_mm)):
@@ -177,7 +177,7 @@ def _rectangle_rows(
 
 def _throughput_rows(
     specification: Specification, state: State, wavelength: float, trace: GradientTrace
-) -> list[Row]:
+) -> list[Operand]:
     """Rays within the clear semi-diameters; of the share that may be lost, the worst do not count."""
     lens, share = state.lens, specification.constraints.min_throughput
     limits = [
@@ -194,24 +194,24 @@ def _throughput_rows(
     by = np.array([r.by for r in each])[worst, rays]
     name = _named("throughput", wavelength, state)
     if share == 1.0:
-        return [Row(name, values, by, rays)]
+        return [Operand(name, values, by, rays)]
     picked = []
     for field in np.unique(state.fields_mm, axis=0):
         mine = np.flatnonzero(np.all(state.fields_mm == field, axis=1))
         order = mine[np.argsort(values[mine])]
         picked.append(order[math.ceil(share * len(order)) - 1])
-    return [Row(name, values[picked], by[picked], np.array(picked))]
+    return [Operand(name, values[picked], by[picked], np.array(picked))]
 
 
-def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Row:
+def _per_ray(name: str, squares: tuple[Array, Array], scale: float, trace: GradientTrace) -> Operand:
     values = np.where(trace.ok, squares[0] / scale, UNTRACEABLE)
     by = np.where(trace.ok[:, None], squares[1] / scale, 0.0)
-    return Row(name, values, by, np.arange(len(values)))
+    return Operand(name, values, by, np.arange(len(values)))
 
 
-def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Row:
+def _limited(name: str, squares: tuple[Array, Array], limit: float, trace: GradientTrace) -> Operand:
     row = _per_ray(name, squares, limit * (1.0 - LIMIT_MARGIN) ** 2, trace)
-    return Row(name, row.values - 1.0, row.by, row.rays)
+    return Operand(name, row.values - 1.0, row.by, row.rays)
 
 
 def _sine(lens: Lens, wavelength: float) -> float:

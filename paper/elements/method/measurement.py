@@ -9,7 +9,7 @@ import numpy as np
 
 from lensdesign import Lens
 from lensdesign.analysis import footprint
-from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_SHARES
+from lensdesign.raytrace.paths import FIELD_COLORS, FIELD_FRACTIONS
 from paper.drawing import arrow, bare, box, dimension, draw_glass, draw_rays, label, plane_line
 from paper.element import Element, Made, Number, Work
 from paper.elements.results.retrieval import PAPER_ITERATIONS, SECONDS, SETTINGS
@@ -70,7 +70,7 @@ def _measured(axes: Axes, lens: Lens) -> None:
     near, far = lens.sensor_z_mm
     vertex, half = lens.exit_vertex_z_mm, 0.5 * min(lens.sensor.size_mm)
     draw_glass(axes, lens)
-    fields = zip((share * lens.half_field_mm for share in FIELD_SHARES), FIELD_COLORS, strict=True)
+    fields = zip((share * lens.half_field_mm for share in FIELD_FRACTIONS), FIELD_COLORS, strict=True)
     draw_rays(axes, lens, list(fields), 7)
     plane_line(axes, vertex, half, ls="--", lw=1.0)
     for z, name in ((vertex, "z = 0"), (near, "$H_1$"), (far, "$H_2$")):

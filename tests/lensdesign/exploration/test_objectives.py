@@ -15,9 +15,9 @@ from lensdesign.optimization.specification.sections import Constraints, Toleranc
     ("text", "said"),
     [
         ("thickness", "1 named; allowed: two to four"),
-        ("thickness,width", "'width' is no objective; allowed: thickness, track"),
-        ("thickness,thickness", "thickness stands twice"),
-        ("field,na", "at least one must be sought: thickness"),
+        ("thickness,width", "'width' is not an objective; allowed: thickness, track"),
+        ("thickness,thickness", "thickness is given twice"),
+        ("field,na", "at least one must be a goal of a search: thickness"),
         ("thickness,yield", "yield needs tolerances"),
         ("thickness,cost", "cost needs tolerances"),
         ("field=2,thickness", "bounds are two numbers"),

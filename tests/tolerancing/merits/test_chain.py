@@ -59,7 +59,7 @@ def test_lens_beside_its_place_takes_contrast(quiet):
 
 def test_noise_takes_contrast_and_belongs_to_the_trial(context, quiet):
     noisy = merit(electrons=100.0)
-    batch = PerturbationBatch((DECENTER,), np.zeros((2, 1)), numbers=(3, 7))
+    batch = PerturbationBatch((DECENTER,), np.zeros((2, 1)), trial_numbers=(3, 7))
     together = noisy.scores(context, batch)
     assert np.all(together < quiet[0] - 0.02)
     assert together[0] != together[1]

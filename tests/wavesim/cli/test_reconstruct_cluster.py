@@ -21,7 +21,7 @@ Run = Callable[..., tuple[object, str, str]]
 
 def test_super_tiles_done_by_a_cluster_make_the_same(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
+    options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 1, "--tv-weight", 0.02)
     code, _, err = run(*options, "-o", tmp_path / "here")
     assert code in ENDED, err
     cluster = Cluster(tmp_path)
@@ -64,7 +64,7 @@ def test_a_cluster_that_goes_away_is_one_message_and_the_same_command_goes_on(
         yield take
 
     monkeypatch.setattr(frame_reconstruction, "tiles_in", tiles)
-    options = ("--engine", "two-level", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
+    options = ("--engine", "hierarchical", "--kind", "amplitude", "--iterations", 3, "--tv-weight", 0.02)
     options = (*options, "--cluster", "tcp://nowhere:1", "-o", tmp_path / "out")
     half = 6  # three iterations on half of the samples
     for most[0], said in ((1, "no iteration was kept"), (half + 4, "goes on from where it was last kept")):

@@ -46,7 +46,7 @@ def test_the_way_back_is_the_adjoint() -> None:
 
 def test_without_a_tilt_it_is_one_plane() -> None:
     for tilt_deg in ((0.0, 0.0), (1e-6, -1e-6)):
-        assert propagator_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), tilt_deg).is_none
+        assert propagator_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), tilt_deg).is_identity
     assert isinstance(
         propagator_to(GRID, 0.532, 0.0, np.complex64, (0.0, 0.0), (0.01, 0.0)), TiltedPropagator
     )
@@ -55,7 +55,7 @@ def test_without_a_tilt_it_is_one_plane() -> None:
 @pytest.mark.parametrize(
     ("grid", "tilt_deg", "message"),
     [
-        (GRID, (60.0, 0.0), "out of the plane"),
+        (GRID, (60.0, 0.0), "rad at the sensor's rim"),
         (Grid((64,), 3.2e-3, 1.0), (1.0, 0.0), "meridional line"),
     ],
 )

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensdesign.common.arrays import Array
-from tolerancing.merits.compensators import steadied
+from tolerancing.merits.compensators import regularised
 from tolerancing.prediction.compensation import bounded_least_squares
 from tolerancing.prediction.goals.joint import WAVEFRONT_SOFTNESS
 
@@ -60,7 +60,7 @@ class CompensatedWaves:
     def _normal(self) -> Array:
         """Normal equations of the compensators' values as fractions of their limits."""
         d = self.amounts.shape[1]
-        return steadied(self.total[d:, d:] * self.limits * self.limits[:, None])
+        return regularised(self.total[d:, d:] * self.limits * self.limits[:, None])
 
     @property
     def together(self) -> Array:

@@ -23,7 +23,7 @@ from lensdesign.common.arrays import Array
 from lensdesign.errors import InputError
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.engines.tiles.engine import EikonalTiles
-from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_back, at_once
+from wavesim.engines.tiles.operator import Tile, TileOperator, add_tiles, add_tiles_adjoint, at_once
 from wavesim.fields.field import Field, Grid
 from wavesim.rays.maps import RayMap, SmoothMap, fit_map, sample_points
 from wavesim.rays.ray_bundles import RayBundle, trace_bundle
@@ -147,7 +147,7 @@ class PerturbedTiles(Engine):
         if dtype not in self._operators:
             grid, wavenumber = self.plane.grid, self.scene.wavenumber_per_mm
             self._operators[dtype] = tuple(
-                operator.turned(
+                operator.perturbed(
                     carrier, ray_changes(self.scene, tile, carrier, grid, self.sensor_pose), wavenumber
                 )
                 for tile, carrier, operator in self.reference.tile_operators(dtype)
@@ -172,7 +172,7 @@ class PerturbedTiles(Engine):
         dtype, beyond = values.dtype, self.plane.beyond
         field = values if beyond is None else beyond.adjoint(values.astype(complex)).astype(dtype)
         result = np.zeros(self.scene.object_grid.shape, dtype)
-        add_tiles_back(self._perturbed_operators(dtype), field, result)
+        add_tiles_adjoint(self._perturbed_operators(dtype), field, result)
         return result * result.real.dtype.type(self.plane.grid.cell)
 
     def cost(self) -> Cost:
@@ -297,7 +297,7 @@ def _tile_moments(
         part = scaled[operator.part]
         moments = part, part * y_mm[:, None], part * x_mm
         moments_at_exit = np.zeros((3, *engine.plane.grid.shape), scaled.dtype)
-        carried = at_once([partial(operator.carried, moment) for moment in moments])
+        carried = at_once([partial(operator.transformed, moment) for moment in moments])
         for each, result in zip(carried, moments_at_exit, strict=True):
             operator.add(each, result)
         yield tile, carrier, moments_at_exit

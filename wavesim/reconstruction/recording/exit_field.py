@@ -12,7 +12,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavesim.fields.tilted_propagator import Way
+from wavesim.fields.tilted_propagator import PlanePropagator
 from wavesim.reconstruction.recording.kernel import change_pixels, change_samples, weighted_products
 from wavesim.reconstruction.recording.pixel_means import PixelMeans
 from wavesim.runtime.scratch import Scratch
@@ -72,7 +72,7 @@ class PlaneRecord:
         Largest standard deviation of a pixel with weight 1.
     """
 
-    propagator: Way
+    propagator: PlanePropagator
     rows: slice
     amplitude: RealArray
     sigma: RealArray
@@ -83,7 +83,7 @@ class PlaneRecord:
     def of(
         cls,
         measurement: Measurement,
-        propagator: Way,
+        propagator: PlanePropagator,
         rows: slice,
         full_weight_sigma: float,
         dtype: np.dtype[Any],
@@ -238,7 +238,7 @@ class ExitField:
             if self._change is None:
                 self._change = np.zeros_like(self.values)
             self._change[plane.rows] += field
-        elif plane.propagator.is_none:
+        elif plane.propagator.is_identity:
             self._change = _sum_of(self._change, field)
         else:
             self._spectrum_change = _sum_of(self._spectrum_change, plane.propagator.adjoint(field))
@@ -280,7 +280,7 @@ class ExitField:
         return _sum_of(change, scipy.fft.ifftn(spectrum, workers=-1, overwrite_x=True))
 
     def _samples(self, plane: PlaneRecord) -> ComplexArray:
-        if plane.propagator.is_none:
+        if plane.propagator.is_identity:
             assert self.values is not None
             return self.values[plane.rows].copy()
         return plane.propagator.forward(self.spectrum)

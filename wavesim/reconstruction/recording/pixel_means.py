@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from lensdesign.lens.poses import rotation_matrix
 from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction, axial_wavenumbers, fft_frequencies
-from wavesim.fields.tilted_propagator import TiltedPropagator, Way, band_wavenumbers
+from wavesim.fields.tilted_propagator import PlanePropagator, TiltedPropagator, band_wavenumbers
 from wavesim.reconstruction.recording.bands import Change, Result, Rows, change_in_bands
 from wavesim.reconstruction.recording.kernel import (
     add_columns_adjoint,
@@ -68,7 +68,9 @@ class PixelMeans:
         self.grid = grid
         self.taps = _taps(fill_factor)
 
-    def propagate(self, spectrum: ComplexArray, propagator: Way, buffers: Rows | None = None) -> Rows:
+    def propagate(
+        self, spectrum: ComplexArray, propagator: PlanePropagator, buffers: Rows | None = None
+    ) -> Rows:
         """Propagate a field to a plane, in rows through the middles of pixels and through their upper edges.
 
         Parameters
@@ -89,7 +91,7 @@ class PixelMeans:
         if isinstance(propagator, TransferFunction):
             return _propagate(spectrum, propagator, buffers)
         parallel: Rows = (np.empty_like(spectrum), np.empty_like(spectrum))
-        for index, parallel_propagator in enumerate(propagator.ways):
+        for index, parallel_propagator in enumerate(propagator.propagators):
             _propagate(spectrum, parallel_propagator, parallel)
             for row_offset, part, total in zip((0.0, 0.5), parallel, buffers, strict=True):
                 _add_weighted(part, propagator, index, row_offset, total)
@@ -131,7 +133,7 @@ class PixelMeans:
         self,
         rows: Rows,
         change: RealArray,
-        propagator: Way,
+        propagator: PlanePropagator,
         total: ComplexArray,
     ) -> None:
         """Add the change of a field to a spectrum in front of the propagator: the adjoint of
@@ -167,7 +169,7 @@ class PixelMeans:
         self._add_rows_adjoint(rows, propagator, total)
 
     def apply_change(
-        self, rows: Rows, change: Change[Result], propagator: Way, total: ComplexArray
+        self, rows: Rows, change: Change[Result], propagator: PlanePropagator, total: ComplexArray
     ) -> list[Result]:
         """Change a field by what its pixels measure: :meth:`intensity` and :meth:`add_adjoint` in one pass.
 
@@ -189,7 +191,7 @@ class PixelMeans:
         self._add_rows_adjoint(rows, propagator, total)
         return results
 
-    def _add_rows_adjoint(self, rows: Rows, propagator: Way, total: ComplexArray) -> None:
+    def _add_rows_adjoint(self, rows: Rows, propagator: PlanePropagator, total: ComplexArray) -> None:
         """Add half of the rows to a spectrum in front of the propagator; the rows are overwritten."""
         along_y = half_sample(len(total), total.dtype)
         if isinstance(propagator, TransferFunction):
@@ -198,14 +200,14 @@ class PixelMeans:
         parallel: Rows = (np.empty_like(total), np.empty_like(total))
         for part in rows:
             _along_rows(scipy.fft.ifft, part)
-        for index, parallel_propagator in enumerate(propagator.ways):
+        for index, parallel_propagator in enumerate(propagator.propagators):
             for row_offset, part, weighted in zip((0.0, 0.5), rows, parallel, strict=True):
                 _weight_adjoint(part, propagator, index, row_offset, weighted)
             add_rows_adjoint(parallel, parallel_propagator, along_y, total)
 
 
 def tilt_changes(
-    pixels: PixelMeans, spectrum: ComplexArray, propagator: Way, wavelength_um: float
+    pixels: PixelMeans, spectrum: ComplexArray, propagator: PlanePropagator, wavelength_um: float
 ) -> tuple[Rows, Rows]:
     """Return changes of a field on a sensor per degree of tilt about x, and per degree about y.
 

@@ -131,7 +131,7 @@ def plane_for(
     sought.
     """
     propagator = TransferFunction(grid, wavelength_um, distance_mm, dtype)
-    carrier = None if propagator.is_none else _carrier_panels(propagator, grid.shape[-1])
+    carrier = None if propagator.is_identity else _carrier_panels(propagator, grid.shape[-1])
     recorded = rows_of(amplitude).astype(np.zeros(0, dtype).real.dtype, copy=False)
     spectrum_panels = None if carrier is None else Panels(recorded.shape, dtype)
     return Plane(recorded, None if known is None else rows_of(known), carrier, spectrum_panels)

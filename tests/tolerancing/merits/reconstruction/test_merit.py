@@ -35,7 +35,7 @@ def context(twin):
 
 def batch(*columns, numbers=()):
     parameters, values = zip(*columns, strict=True)
-    return PerturbationBatch(parameters, np.array(values, float).T, numbers=numbers)
+    return PerturbationBatch(parameters, np.array(values, float).T, trial_numbers=numbers)
 
 
 def test_slices_decenter_and_tilt_vary_together(context):
@@ -51,7 +51,7 @@ def test_slices_decenter_and_tilt_vary_together(context):
 
 
 def test_one_run_of_the_chain_gives_all_figures(context, monkeypatch):
-    counts = {"recorded": 0, "reconstructed": 0}
+    counts = {"record": 0, "reconstruct": 0}
     for name in counts:
         plain = getattr(LineChain, name)
 
@@ -61,15 +61,15 @@ def test_one_run_of_the_chain_gives_all_figures(context, monkeypatch):
 
         monkeypatch.setattr(LineChain, name, counted)
     merit().chain(context, 0.0)
-    counts.update(recorded=0, reconstructed=0)
+    counts.update(record=0, reconstruct=0)
     trial = batch((DECENTER, [0.002]))
     figures = [merit(), merit(figure="contrast", name="other"), merit(figure="lost_correlation", name="lost")]
     correlation, contrast, lost = (one.scores(context, trial)[0] for one in figures)
-    assert counts == {"recorded": 1, "reconstructed": 1}
+    assert counts == {"record": 1, "reconstruct": 1}
     assert lost == pytest.approx(1.0 - correlation)
     assert contrast != correlation
     merit(reconstruction_engine="slices", slices=8).scores(context, trial)
-    assert counts == {"recorded": 1, "reconstructed": 2}
+    assert counts == {"record": 1, "reconstruct": 2}
 
 
 def test_the_worst_field_point_counts(context, twin):

@@ -110,7 +110,7 @@ def test_files_that_are_none_are_refused(tmp_path):
     (tmp_path / "raw.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"raw.csv: not a text file in UTF-8"):
         Empirical(file="raw.csv", column="x").loaded(tmp_path)
-    with pytest.raises(ValidationError, match=r"cannot hold a NUL character"):
+    with pytest.raises(ValidationError, match=r"must not contain a NUL character"):
         Empirical(file="a\0b", column="x")
 
 

@@ -16,7 +16,7 @@ from tolerancing.cli.commands import main
 from tolerancing.prediction import predict_study
 from tolerancing.report.blocks import percent_text
 from tolerancing.report.report import report_data
-from tolerancing.report.sections.designed import designed_section, read_front
+from tolerancing.report.sections.prediction import prediction_section, read_front
 
 FRONT = """design,glasses,thickness_mm,as_built_rms_waves,on_front
 a.toml,N-BK7,8.19,0.1000,1
@@ -42,7 +42,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Store, Pa
 def test_what_drives_the_yield_stands_first(stored: tuple[Store, Path]) -> None:
     store, folder = stored
     data = report_data(store)
-    _, *blocks = designed_section(data, data.summary, read_front(folder))
+    _, *blocks = prediction_section(data, data.summary, read_front(folder))
     tables = [block for block in blocks if hasattr(block, "rows")]
     beside, yields, loosened, points, drivers = tables
     predicted = predict_study(data.lens, data.study)

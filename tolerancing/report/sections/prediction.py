@@ -1,4 +1,4 @@
-"""What a lens is designed for: its wavefront as predicted, what drives the yield, what may be loosened."""
+"""Section about predictions from the nominal lens: yield, wavefronts, and tolerances that may be loosened."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Front:
-    """Lenses of an exploration, as `lensdesign explore` writes them.
+    """Lenses of an exploration by `lensdesign explore`.
 
     Attributes
     ----------
     columns : (str, str)
-        Objectives, with units.
+        Names of the two objectives, with units.
     lenses : tuple of (float, float, bool)
-        Values, and whether the lens stands on the front.
+        Values of the objectives, and whether the lens is on the front.
     """
 
     columns: tuple[str, str]
@@ -50,12 +50,12 @@ class Front:
 
 
 def read_front(path: Path) -> Front:
-    """Read the front of an exploration's folder.
+    """Read the front from the output folder of an exploration, or from its file ``front.csv``.
 
     Raises
     ------
     InputError
-        If there is none.
+        If the file does not exist, or is no front that `lensdesign explore` wrote.
     """
     file = path / "front.csv" if path.is_dir() else path
     try:
@@ -64,47 +64,47 @@ def read_front(path: Path) -> Front:
         first, last = _objectives(read.names)
         columns = (read.column(name) for name in (first, last, "on_front"))
         lenses = tuple(
-            (read_number(x[0], x[1], first), read_number(y[0], y[1], last), shown[0] == "1")
-            for x, y, shown in zip(*columns, strict=True)
+            (read_number(x[0], x[1], first), read_number(y[0], y[1], last), on_front[0] == "1")
+            for x, y, on_front in zip(*columns, strict=True)
         )
     except InputError as error:
-        raise InputError(f"{file}: is no front that lensdesign explore wrote: {error}") from None
+        raise InputError(f"{file}: is no front written by lensdesign explore: {error}") from None
     return Front((first, last), lenses)
 
 
 def _objectives(names: Sequence[str]) -> tuple[str, str]:
-    """The first and the last objective among the columns of a front."""
+    """Return the names of the first and the last objective among the columns of a front."""
     own = [name for name in names if name not in ("design", "glasses", "on_front")]
     if not own:
-        raise InputError("no column of an objective")
+        raise InputError("it has no column with an objective")
     return own[0], own[-1]
 
 
-def designed_section(
-    data: ReportData, before: Summary | None = None, front: Front | None = None
+def prediction_section(
+    data: ReportData, original: Summary | None = None, front: Front | None = None
 ) -> list[Block]:
-    """What was predicted beside what trials found, and where to spend or save.
+    """Compare predictions with trials, and show which tolerances may be loosened.
 
-    Empty where nothing of the study can be predicted and nothing stands beside it.
+    The section is empty if nothing of the study can be predicted and there is no other lens to compare.
 
     Parameters
     ----------
     data
-        The report's.
-    before
-        Of another lens's store, the start of the search, say.
+        Data of the report.
+    original
+        Summary of the store of another lens, such as the start of the optimization.
     front
         Lenses of an exploration.
     """
     found = _prediction(data)
-    blocks = [*_beside(data, before), *_predicted(data, found), *_on_front(data, front, found)]
+    blocks = [*_comparison(data, original), *_predicted(data, found), *_on_front(data, front, found)]
     return [Heading("Predicted from the design"), *blocks] if blocks else []
 
 
-def _beside(data: ReportData, before: Summary | None) -> list[Block]:
-    if before is None:
+def _comparison(data: ReportData, original: Summary | None) -> list[Block]:
+    if original is None:
         return []
-    others = {m.merit.label: m for m in before.merits}
+    others = {m.merit.label: m for m in original.merits}
     rows = []
     for own in data.summary.merits:
         other = others.get(own.merit.label)
@@ -115,19 +115,19 @@ def _beside(data: ReportData, before: Summary | None) -> list[Block]:
                 own.merit.label,
                 number_text(other.nominal),
                 number_text(other.mean),
-                percent_text(other.good.share if other.good else None),
+                percent_text(other.good.fraction if other.good else None),
                 number_text(own.nominal),
                 number_text(own.mean),
-                percent_text(own.good.share if own.good else None),
+                percent_text(own.good.fraction if own.good else None),
             ]
         )
-    title = before.study.title or before.study.design
+    title = original.study.title or original.study.design
     headings = ["<Merit", "Start", "Start, mean", "Start, good", "This", "This, mean", "This, good"]
-    return [table(headings, rows, f"This lens beside the start: {title}.")]
+    return [table(headings, rows, f"This lens compared with the start: {title}.")]
 
 
 def _prediction(data: ReportData) -> StudyPrediction | None:
-    """What is predicted of the lens; None where nothing of the study can be."""
+    """Return the prediction for the lens; None if nothing of the study can be predicted."""
     from tolerancing.prediction.study_prediction import predict_study
 
     try:
@@ -144,15 +144,15 @@ def _predicted(data: ReportData, found: StudyPrediction | None) -> list[Block]:
         blocks += _predicted_wavefronts(found.wavefronts)
     if not found.is_trustworthy:
         blocks.append(
-            Warning("These tolerances are too large for predictions, which may be 5 % off or more.")
+            Warning("These tolerances are too large for predictions, which may be wrong by 5 % or more.")
         )
     return blocks
 
 
 def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
-    """The joint yield and its parts, beside the yields of the trials."""
+    """Compare the predicted joint yield, and the yield of each limit, with those of the trials."""
     scores = dict(zip((m.label for m in data.study.merits), data.results.scores.T, strict=True))
-    kept = [one.merit.passed(scores[one.merit.label]) for one in found.limits]
+    passed_by_limit = [one.merit.passed(scores[one.merit.label]) for one in found.limits]
 
     def fraction(passed: NDArray[np.bool_]) -> float | None:
         return float(np.mean(passed)) if len(passed) else None
@@ -165,9 +165,9 @@ def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
             percent_text(one.yield_fraction),
             percent_text(fraction(own)),
         ]
-        for one, own in zip(found.limits, kept, strict=True)
+        for one, own in zip(found.limits, passed_by_limit, strict=True)
     ]
-    together = fraction(np.all(kept, axis=0))
+    together = fraction(np.all(passed_by_limit, axis=0))
     rows.append(
         ["all of these", "", "", percent_text(found.yield_fraction), percent_text(together)],
     )
@@ -176,20 +176,20 @@ def _predicted_yield(data: ReportData, found: StudyPrediction) -> list[Block]:
         "of lenses keep all limits of the table at once."
     )
     if found.not_predicted:
-        text += f" Limits that only trials can score are not part of it: {', '.join(found.not_predicted)}."
+        text += f" Limits that only trials can score are not included: {', '.join(found.not_predicted)}."
     headings = ["<Merit", "<Limit", "<Field points", "Predicted", "Trials"]
-    return [Paragraph(text), table(headings, rows, "Yield limit by limit, and of all limits at once.")]
+    return [Paragraph(text), table(headings, rows, "Yield of each limit, and of all limits at once.")]
 
 
 def _loosened(data: ReportData, found: StudyPrediction) -> list[Block]:
-    """The yield with each tolerance halved and doubled, those that matter most first."""
+    """Return the yield with each tolerance halved and doubled, the most effective first."""
     from tolerancing.budgets.loosening import loosen_each
 
     loosened = sorted(loosen_each(data.lens, data.study), key=lambda one: one.doubled - one.halved)
     rows = [[one.perturbation, percent_text(one.halved), percent_text(one.doubled)] for one in loosened]
     caption = (
         f"The predicted yield of {percent_text(found.yield_fraction)} with each tolerance halved or doubled, "
-        "all others as they are. What changes little when it is doubled may be loosened."
+        "all others unchanged. A tolerance may be loosened if the yield changes little when it is doubled."
     )
     return [table(["<Perturbation", "Yield, if halved", "Yield, if doubled"], rows, caption)]
 
@@ -211,13 +211,13 @@ def _predicted_wavefronts(found: WavefrontPrediction) -> list[Block]:
         table(
             ["<Object point (mm)", "Rms (waves)", "Limit (waves)", "Good"],
             points,
-            "The wavefront's root mean square over pupil and lenses, shift and focus taken out, and its "
-            "limit; a limit on the Strehl ratio S counts as the root mean square of S = exp(−(2π rms)²).",
+            "Rms of the wavefront over pupil and lenses without shift and focus, and its limit. "
+            "A limit on the Strehl ratio S is converted to a root mean square by S = exp(−(2π rms)²).",
         ),
         table(
-            ["<Perturbation", "Share of rms squared"],
+            ["<Perturbation", "Fraction of rms squared"],
             drivers,
-            "What each perturbation contributes to the mean square of the wavefront at the worst object "
+            "Contribution of each perturbation to the mean square of the wavefront at the worst object "
             "point.",
         ),
     ]
@@ -232,14 +232,14 @@ def _on_front(data: ReportData, front: Front | None, found: StudyPrediction | No
     with styled():
         figure = styled_figure(4.7, 3.0)
         axis = figure.subplots()
-        for on, color, label in ((False, GREY, "behind the front"), (True, BLUE, "front")):
-            at = np.array([(x, y) for x, y, stands in front.lenses if stands == on]).reshape(-1, 2)
-            axis.plot(*at.T, "o", color=color, ms=4.0, label=label if len(at) else None)
+        for on_front, color, label in ((False, GREY, "behind the front"), (True, BLUE, "front")):
+            points = np.array([(x, y) for x, y, on in front.lenses if on == on_front]).reshape(-1, 2)
+            axis.plot(*points.T, "o", color=color, ms=4.0, label=label if len(points) else None)
         x, y = (own.get(column) for column in front.columns)
         if x is not None and y is not None:
             axis.plot(x, y, "*", color=RED, ms=12.0, label="this lens")
         axis.set_xlabel(front.columns[0].replace("_", " "))
         axis.set_ylabel(front.columns[1].replace("_", " "))
         axis.legend(fontsize=8)
-    text = "Lenses of the same specification of which none is better in everything, and this one."
+    text = "Pareto front of lenses of the same specification, and this lens."
     return [FigureBlock((Panel(figure, text),), caption=text)]

@@ -5,7 +5,7 @@ import re
 from matplotlib.figure import Figure
 
 from tolerancing.report.blocks import Code, FigureBlock, Panel, Paragraph, Report
-from tolerancing.report.pdf.pdf import write_pdf
+from tolerancing.report.pdf import write_pdf
 
 
 def pages(path, *blocks):
