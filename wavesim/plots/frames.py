@@ -100,22 +100,22 @@ def residual_figure(
         Written on top.
     """
     figure, (axes,) = panel_row(len(maps), f"{title}\nAmplitude of the result less the recorded one".strip())
-    for place, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
+    for cell, error, plane, distance in zip(axes, maps, recorded, distances_mm, strict=True):
         shown, drawn_pitch_um, reach, label = _residual(error, plane, pitch_um)
         found = plane_metrics(plane.amplitude, plane.sigma, error)
-        said = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
+        text = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
         if found["noise"] is not None:
-            said += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
+            text += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
         place.set_facecolor("0.6")
         picture = place.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
         colour_bar(figure, picture, place, label)
-        place.set_title(said, fontsize=11)
+        cell.set_title(text, fontsize=11)
         scale_bar(place, shown.shape, drawn_pitch_um)
     return figure
 
 
 def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array, float, float, str]:
-    """What is drawn of a residual, its pitch in µm, the reach of its colours, and its unit."""
+    """Return the drawn residual, its pitch (µm), the half range of its colours, and its unit."""
     if plane.sigma is None:
         shown, drawn_pitch_um = for_screen(error, pitch_um)
         shown = shown / math.sqrt(float(np.mean(plane.amplitude**2, dtype=float)))
@@ -127,7 +127,7 @@ def _residual(error: Array, plane: Measurement, pitch_um: float) -> tuple[Array,
 
 
 def curves_figure(curves: Mapping[str, tuple[Any, Any, str]], title: str = "") -> Figure:
-    """One chart for each curve, side by side.
+    """Draw one chart for each curve, side by side.
 
     Parameters
     ----------

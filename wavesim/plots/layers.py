@@ -16,32 +16,32 @@ from wavesim.sensor.exposures import fixed_variance
 from wavesim.sensor.frames import Frame
 
 BRIGHTEST = 0.9999
-"""Quantile of amplitudes that is shown brightest: single samples may stand out."""
+"""Quantile of amplitudes at the upper end of the colours, so that single samples may exceed it."""
 
 MOST_ASKED = 1_000_000
-"""Samples by which ranges are found."""
+"""Most samples from which ranges are found."""
 
 Plane = Literal["object", "sensor"]
 
 
 @dataclass(frozen=True, eq=False)
 class PictureLayer:
-    """One picture of a page.
+    """A picture of a page.
 
     Attributes
     ----------
     name : str
-        What is shown.
+        Name of the picture.
     unit : str
-        Of the values; may be empty.
+        Unit of the values; may be empty.
     plane : {"object", "sensor"}
-        Layers of one plane keep the place when they are switched.
+        Plane of the picture. The view stays the same between layers of one plane.
     pitch_um : float
-        Of the samples.
+        Sample pitch (um).
     centre_um : (x, y)
-        Middle of the picture.
+        Centre of the picture.
     levels : list of Level
-        The picture and its halvings; the first row on top, that of the largest y. Not a number is no value.
+        The picture and its halvings; the first row has the largest y. NaN means no value.
     low, high : float
         Range of the colours.
     beyond : (bool, bool)
@@ -75,7 +75,7 @@ def field_layers(
     values
         Complex or real, shape (ny, nx), y increasing with the row.
     pitch_um
-        Of the samples.
+        Sample pitch (um).
     centre_um
         Middle of the samples (x, y).
     name
