@@ -93,7 +93,7 @@ def _summary(imaged: Imaged) -> dict[str, Any]:
     return {
         "object": {
             "name": imaged.target.name,
-            "ground": imaged.target.ground,
+            "ground": imaged.target.polarity,
             "elements": len(imaged.target.elements),
             "patch_mm": patch.grid.shape[0] * patch.grid.pitch_mm,
             "field_stop_mm": patch.field_stop_mm,

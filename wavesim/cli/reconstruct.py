@@ -114,7 +114,7 @@ def reconstruct(
                 settings = settings.with_stop(calibrated.field_stop_mm, calibrated.field_stop_at_mm)
                 stop_from, stop_doubt = "frames", calibrated.stop_warning
             seen, kind = (frames, settings.kind) if free.calibrate else (empty or [], "empty")
-            bench = _told(calibrated, seen, pictures[0], kind, folder, as_json)
+            bench = _write_and_print(calibrated, seen, pictures[0], kind, folder, as_json)
             if not free.calibrate:  # the calibration has the mounting, too
                 settings = settings.replaced(**dict.fromkeys(PoseSettings.model_fields, 0.0))
         with progress() as tell:
@@ -127,7 +127,7 @@ def reconstruct(
                 calibration=bench,
                 folder=output,
                 progress=tell,
-                on_estimate=before,
+                on_estimate=on_estimate,
             )
         if stop_doubt:
             found = replace(found, verdict=with_finding(found.verdict, Finding(STOP_CAUSE, stop_doubt)))

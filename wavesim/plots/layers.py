@@ -98,7 +98,7 @@ def field_layers(
         reach = phase_reach(np.angle(some[np.abs(some) > LIT * brightest]))
         turn = reach == math.pi
         levels = [
-            Level(level.kept, _phase_where_lit(LIT * brightest))
+            Level(level.stored, _phase_where_lit(LIT * brightest))
             for level in picture_levels(upright, "phase_rad")
         ]
         colours = "twilight" if turn else "RdBu_r"
@@ -125,7 +125,7 @@ def frame_layer(frame: Frame, name: str, centre_um: tuple[float, float] = (0.0, 
         return np.float32(gain) * (counts - np.float32(offset))
 
     levels = [Level(frame.counts[::-1], electrons)]
-    levels += picture_levels(halved(levels[0].kept, electrons), "electrons")
+    levels += picture_levels(halved(levels[0].stored, electrons), "electrons")
     low = max(math.sqrt(fixed_variance(frame)), 1e-3)
     high = max(float(electrons(frame.counts.max())), 10.0 * low)
     beyond = float(electrons(frame.counts.min())) < low, False

@@ -56,7 +56,7 @@ class Level:
         return rows, columns
 
     def tiles(self, side: int = TILE) -> Iterator[Any]:
-        """Yield the shown values tile by tile, in rows. Tiles at the right and lower border may be smaller."""
+        """Yield the shown values tile by tile, in rows. Tiles at the far borders may be smaller."""
         rows, columns = self.shape
         for y in range(0, rows, side):
             for x in range(0, columns, side):
@@ -207,7 +207,7 @@ def _write(path: Any, channels: Sequence[Sequence[Level]], metadata: Any, sample
                 tile=(TILE, TILE),
                 photometric="minisblack",
                 compression="zlib",
-                compressionargs={"level",
+                compressionargs={"level": 1},  # Noisy numbers hardly shrink at higher levels.
                 resolution=(samples_per_cm * 0.5**number,) * 2,
                 resolutionunit="CENTIMETER",
                 **(first if number == 0 else {"subfiletype": 1, "metadata": None}),
