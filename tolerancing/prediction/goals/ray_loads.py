@@ -103,7 +103,7 @@ class FollowedRays:
 
     def subset(self, which: NDArray[np.int64]) -> FollowedRays:
         """Return a subset of the rays."""
-        return FollowedRays(self.design, self.rays.take(which))
+        return FollowedRays(self.design, self.rays.select(which))
 
 
 @dataclass(frozen=True, eq=False)
