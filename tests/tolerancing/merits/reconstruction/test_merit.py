@@ -132,8 +132,8 @@ def test_takes_what_stays_in_the_meridional_plane():
     [
         ({"region_mm": 0.02}, "the lines of line_widths_um need 0.0"),
         ({"line_width_um": 2.0, "figure": "contrast"}, "line_width_um = 2: allowed: .*0.775, 1.55"),
-        ({"line_width_um": 1.55}, "figure = 'correlation' is that of the whole object"),
-        ({"field_mm": (0.1, 0.0)}, "give x = 0"),
+        ({"line_width_um": 1.55}, "figure = 'correlation' is evaluated on the whole object"),
+        ({"field_mm": (0.1, 0.0)}, "x = 0"),
         ({"slices": 20}, "slices: has no effect with reconstruction_engine = 'eikonal'"),
         ({"imaging_slices": 20}, "imaging_slices: has no effect"),
         ({"planes_mm": (2.0,)}, "must be two or more, increasing"),
