@@ -86,7 +86,7 @@ class Chain:
     def transmission(self) -> NDArray[np.complexfloating]:
         """Complex transmission of the object."""
         from wavesim.fields.coverage import bar_rectangles, rectangle_coverage
-        from wavesim.targets.patterns import on_ground
+        from wavesim.targets.patterns import with_polarity
 
         width = 1e-3 * self.line_width_um
         shapes = [
@@ -94,7 +94,7 @@ class Chain:
             for axis, centre in self.sets
             for bar in bar_rectangles(width, BARS, axis, centre, SIDE * width)
         ]
-        return on_ground(rectangle_coverage(self.patch.grid, shapes), self.ground).astype(np.complex64)
+        return with_polarity(rectangle_coverage(self.patch.grid, shapes), self.ground).astype(np.complex64)
 
     @cached_property
     def sensor(self) -> Sensor:

@@ -37,7 +37,7 @@ SMALLEST_WAIST = 2.0
 """Waist radius in wavelengths below which the paraxial Gaussian beam does not hold: about 9 degrees."""
 
 INTERPOLATED_BAND = 0.5
-"""Part of the Nyquist band in which a cubic spline between samples is good."""
+"""Fraction of the Nyquist band in which cubic spline interpolation is accurate."""
 
 
 def plane_wave(
@@ -266,7 +266,7 @@ def _soft(distance: Array, half: float, edge: float) -> Array:
 
 
 def _read_field(path: Path) -> tuple[ComplexArray, dict[str, float]]:
-    """The complex array, and the numbers stated beside it."""
+    """Return the complex array of a file, and the numbers stored with it."""
     held = read_arrays(path, named="the measured field", only=("values", "pitch_um", "wavelength_um"))
     if "values" not in held:
         names = sorted(array_names(path))

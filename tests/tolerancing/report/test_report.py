@@ -175,7 +175,7 @@ def test_every_section_is_there_in_order(full):
     assert titles == SECTIONS
     for part in ("Worst offenders", "Correlations", "Compensators", "Root sum square beside Monte Carlo"):
         assert ("h3", part) in page.headings
-    assert ("h3", "What they would show") in page.headings
+    assert ("h3", "Line pairs of these trials") in page.headings
     assert "is not finished" not in text
 
 

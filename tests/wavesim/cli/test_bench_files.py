@@ -97,7 +97,7 @@ def test_the_light_of_empty_frames_makes_a_reconstruction(run: Command, bench: P
         (("--empty", "twin.toml"), "twin.toml"),
         (("--empty", "."), "holds no frame_*.tif"),
         (("--calibrate", "--priors", DESIGNS / "paper_tolerances.toml"), "is a study of another design"),
-        (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: means nothing without --calibrate"),
+        (("--priors", DESIGNS / "paper_tolerances.toml"), "--priors: requires --calibrate"),
     ],
 )
 def test_what_cannot_serve_is_refused_and_nothing_written(

@@ -167,7 +167,7 @@ def test_both_in_one_run(
     assert taken_bench.placement.pose == written.placement.pose
     code, _, err = run_wavesim(monkeypatch, capsys, "reconstruct", *command, "--calibration", path)
     assert code == 2
-    assert "give one of them" in err
+    assert "give only one of them" in err
 
 
 @pytest.mark.parametrize(
