@@ -64,8 +64,8 @@ def test_cells_that_are_not_plain_numbers(text, message):
         ("a,b\n1\n", "line 2: no value in column 'b'"),
         ("a\n0,5\n", "line 2: 2 cells, but the first line names 1 column: must be equal; '0,5' may hold"),
         ("a;b\n0,5;1,5;2\n", "line 2: 3 cells"),
-        ("", "holds nothing"),
-        (",,\n\n", "holds nothing"),
+        ("", "is empty"),
+        (",,\n\n", "is empty"),
     ],
 )
 def test_tables_that_do_not_fit_their_header(tmp_path, text, message):
