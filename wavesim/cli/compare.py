@@ -22,13 +22,8 @@ MAP_SEMI_DIAMETER_MM, MAP_PATCH_MM = 1.0, 0.02
 """Size of the scaled design for failure maps, on which a run takes a fraction of a second."""
 
 PLANE_SEMI_DIAMETER_MM, PLANE_PATCH_MM, PLANE_DISTANCE = 0.13, 0.016, 0.25
-<<<<<<< HEAD
-"""Size of the scaled design for whole planes, on which a run takes seconds, and the distance of its exit plane
-in semi-diameters."""
-=======
 """Size of the scaled design for whole planes, on which a run takes seconds, and the distance of its exit
 plane in semi-diameters."""
->>>>>>> main
 
 SPHERE_RADIUS_MM = 0.15
 

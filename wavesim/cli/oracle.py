@@ -25,14 +25,9 @@ def oracle(
 ) -> None:
     """Compare an engine with an exact solution.
 
-    <<<<<<< HEAD
-        The error is the L2 norm of the difference of both exit fields, divided by that of the exact field. Neither
-        phase nor amplitude is fitted. Options that are not given keep the defaults of the solution and the engine.
-    =======
-        The error is the L2 norm of the difference of both exit fields, divided by that of the exact field.
-        Neither phase nor amplitude is fitted. Options that are not given keep the defaults of the solution and
-        the engine.
-    >>>>>>> main
+    The error is the L2 norm of the difference of both exit fields, divided by that of the exact field.
+    Neither phase nor amplitude is fitted. Options that are not given keep the defaults of the solution and
+    the engine.
     """
     from wavesim.metrics.accuracy import run_analytic_case
 

@@ -106,19 +106,11 @@ def residual_figure(
         text = f"{distance:g} mm behind the exit vertex\nresidual {100.0 * (found['residual'] or 0.0):.3g} %"
         if found["noise"] is not None:
             text += f" of the amplitude; the noise alone leaves {100.0 * found['noise']:.3g} %"
-<<<<<<< HEAD
-        place.set_facecolor("0.6")
-        picture = place.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
-        colour_bar(figure, picture, place, label)
-        cell.set_title(text, fontsize=11)
-        scale_bar(place, shown.shape, drawn_pitch_um)
-=======
         cell.set_facecolor("0.6")
         picture = cell.imshow(shown, cmap="RdBu_r", vmin=-reach, vmax=reach, **AS_SAMPLED)
         colour_bar(figure, picture, cell, label)
         cell.set_title(text, fontsize=11)
         scale_bar(cell, shown.shape, drawn_pitch_um)
->>>>>>> main
     return figure
 
 

@@ -30,27 +30,22 @@ RIM = 1.04
 def pupil_figure(pupil: ReconstructionPupil, line_widths_um: Sequence[float], title: str = "") -> Figure:
     """Draw one sheet with the figures of a registered pupil.
 
-    <<<<<<< HEAD
-        It shows the wavefront, the point spread function on a logarithmic scale, the modulation transfer function,
-        and for each line width the picture of the line pairs with profiles across them.
-    =======
-        It shows the wavefront, the point spread function on a logarithmic scale, the modulation transfer
-        function, and for each line width the picture of the line pairs with profiles across them.
-    >>>>>>> main
+    It shows the wavefront, the point spread function on a logarithmic scale, the modulation transfer
+    function, and for each line width the picture of the line pairs with profiles across them.
 
-        Parameters
-        ----------
-        pupil
-            A registered pupil.
-        line_widths_um
-            Widths of the line pairs to show, at least one.
-        title
-            Written on top.
+    Parameters
+    ----------
+    pupil
+        A registered pupil.
+    line_widths_um
+        Widths of the line pairs to show, at least one.
+    title
+        Written on top.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure, which is not attached to a window; save it with ``figure.savefig``.
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure, which is not attached to a window; save it with ``figure.savefig``.
     """
     from matplotlib.figure import Figure
 
