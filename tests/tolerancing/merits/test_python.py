@@ -160,7 +160,7 @@ def test_whatever_leaves_the_program_is_that_trials_failure(tmp_path, context, b
     assert messages == (
         "python: SystemExit: 0: asks for the end of the run (mine.py, line 19)",
         "python: GeneratorExit:  (mine.py, line 21)",
-        "python: Own: it cannot say why (mine.py, line 23)",
+        "python: Own: no message (its __str__ failed) (mine.py, line 23)",
         r"python: ValueError: \ud800\x1b[31m (mine.py, line 25)",
         "python: SystemExit: 0: asks for the end of the run (mine.py, line 13)",
     )
