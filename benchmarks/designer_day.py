@@ -135,10 +135,10 @@ def _write_study(folder: Path) -> float:
 
 def _workbench(found: Day, lens: Path, study: Path) -> None:
     from lensdesign import load_design
-    from studio.model.built import built, workmanship
+    from studio.model.built import built, manufacturing_quality
 
     own = load_design(lens)
-    seen = built(own, workmanship(str(study), own))
+    seen = built(own, manufacturing_quality(str(study), own))
     found.show("predicted yield", "workbench", seen.prediction.yield_fraction)
     assert seen.prediction.wavefronts is not None
     rms = max(p.rms_waves for p in seen.prediction.wavefronts.points)

@@ -124,10 +124,10 @@ class MeridionalSystem:
         return sine
 
 
-def _refracted(direction: np.ndarray, normal: np.ndarray, before: float, behind: float) -> np.ndarray | None:
+def _refracted(direction: np.ndarray, normal: np.ndarray, n1: float, n2: float) -> np.ndarray | None:
     """Return the refracted direction by Snell's law in vector form; None for total reflection."""
     normal = normal / math.sqrt(float(normal @ normal))
-    ratio = before / behind
+    ratio = n1 / n2
     cosine = float(direction @ normal)
     inside = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
     if not inside >= 0.0 or cosine <= 0.0:

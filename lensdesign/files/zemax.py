@@ -230,7 +230,7 @@ SUMITA TOPAS UMICORE VITRON ZEON
 _STANDARD = frozenset(_STANDARD_CATALOGUES.split())
 
 
-def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: Supplement) -> None:
+def _remark_catalogues(reader: FileReader, surface_name: str, found: str, supplement: Supplement) -> None:
     """Add a remark if the file names a catalogue that is not available and may have the same glass name."""
     own = {path.name for path in supplement.glass_catalogs}
     stems = {name.casefold().removesuffix(".agf") for name in own}
@@ -245,8 +245,8 @@ def _remark_catalogues(reader: FileReader, place: str, found: str, supplement: S
         return
     if missing and catalog not in own:
         reader.draft.add_remark(
-            f"{place}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, which "
-            "may have another of this name (give it as a glass catalogue)"
+            f"{surface_name}: glass {found} is that of {catalog}; the file also names {', '.join(missing)}, "
+            "which may have another of this name (give it as a glass catalogue)"
         )
 
 

@@ -51,7 +51,7 @@ def start(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a study with the usual tolerances of a grade, as a starting point to edit."""
-    from tolerancing.study.starting import start_study
+    from tolerancing.study.files import start_study
 
     if output.exists() and not force:
         raise InputError(f"{output} exists already; give another name, or --force to replace it")
@@ -182,7 +182,7 @@ def budget(
                     fixed=fixed,
                     base_cost=base_cost,
                     fresh=verify,
-                    report=progress,
+                    progress=progress,
                 )
         except BudgetInterrupted as stop:
             if stop.found is None:

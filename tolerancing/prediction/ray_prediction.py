@@ -1,8 +1,8 @@
-"""Merits of rays without trials, from the derivatives of the nominal lens's rays.
+"""Predictions of ray merits without trials, from the derivatives of the nominal lens's rays.
 
-Each ray follows the perturbations to first order; which is the outermost is asked anew for each draw, so that
-an extreme that goes from ray to ray is told as it is. A few draws are traced all the same, to know whether
-first order suffices.
+Each ray follows the perturbations to first order. The outermost ray is determined for each draw, so that
+changes of the extreme ray are included. A few draws are traced to verify that the
+first order is sufficient.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RayPrediction:
-    """What is predicted of a merit of rays, in its unit.
+    """Prediction of a ray merit, in its unit.
 
     Attributes
     ----------
     merit : RayMerit
     nominal : float
-        Of the nominal lens.
+        Score of the nominal lens.
     mean, deviation : float
-        Over lenses.
+        Mean and standard deviation over lenses.
     passed : ndarray of bool, shape (draws,)
-        Which of the drawn lenses are within the limit.
+        True for drawn lenses within the limit.
     alone : ndarray, shape (perturbations,)
         Deviation that each perturbation brings by itself.
     left : float
@@ -76,18 +76,18 @@ class RayPrediction:
 
     @property
     def shares(self) -> Array:
-        """Of the sum of these squares that each perturbation brings, shape (perturbations,)."""
+        """Fraction of the sum of squared deviations of each perturbation alone, shape (perturbations,)."""
         squares = self.alone**2
         return np.asarray(squares / max(float(np.sum(squares)), np.finfo(float).tiny))
 
     @property
     def first_order_suffices(self) -> bool:
-        """Whether what first order leaves is small."""
+        """True if the error of the first order is small."""
         return self.left <= FIRST_SUFFICES
 
 
 class FirstOrderRays(Context):
-    """What ray merits score by: rays that follow the perturbations to first order, none clipped."""
+    """Context of ray merits whose rays follow the perturbations to first order, without clipping."""
 
     def __init__(self, lens: Lens, study: Study) -> None:
         super().__init__(lens, study.sampling, pivot_z_mm=study.pivot_z_mm)
@@ -133,7 +133,7 @@ class FirstOrderRays(Context):
         """
         for key, known in self._cache.items():
             if isinstance(known, ArrivalDifferentials):
-                self._cache[key] = known.part(_extreme_rays(known, batch, distances_mm))
+                self._cache[key] = known.subset(_extreme_rays(known, batch, distances_mm))
 
 
 def _extreme_rays(
@@ -154,7 +154,7 @@ def _extreme_rays(
 
 
 def is_predicted_ray_merit(merit: Merit) -> TypeGuard[LargestSpread | FootprintRadius]:
-    """Whether a merit is one of rays that can be predicted: a spread or a footprint."""
+    """Return whether a merit is a ray merit that can be predicted: a spread or a footprint."""
     return isinstance(merit, LargestSpread | FootprintRadius)
 
 
@@ -168,7 +168,7 @@ def predict_rays(
 ) -> tuple[RayPrediction, ...]:
     """Predict a study's largest spreads and footprints.
 
-    What it neglects: second order of the single ray, and rays that a perturbed lens clips or lets through
+    Neglected are the second order of single rays, and rays that a perturbed lens clips or lets through
     where the nominal one does not.
 
     Parameters
@@ -176,7 +176,7 @@ def predict_rays(
     lens
         The study's lens.
     study
-        What scatters, and its merits.
+        The study with perturbations and merits.
     batch
         The drawn lenses; default: those of :func:`tolerancing.prediction.wavefront_prediction.drawn_batch`.
     checked

@@ -191,12 +191,12 @@ class Rehearsal(Processes):
         InputError
             If a merit cannot score. The error is an :class:`EndedError` if the merit ends its process.
         """
-        from tolerancing.study.evaluate import make_ready
+        from tolerancing.study.evaluate import prepare_merits
 
         if self._files and not self.in_this_process:
-            self._in_own_process(partial(make_ready, self._study))
+            self._in_own_process(partial(prepare_merits, self._study))
         else:
-            make_ready(self._study)
+            prepare_merits(self._study)
 
     def run(self, work: Callable[[], Result], tasks: Iterable[Task], levels: Mapping[str, str]) -> Result:
         """Do `work` and return its result. See :meth:`LocalPool.run_with_prefetch` for the parameters.

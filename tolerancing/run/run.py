@@ -27,7 +27,7 @@ from tolerancing.run.tasks import (
 )
 from tolerancing.store.creation import remove_empty_store
 from tolerancing.store.store import Store, create_store, open_store
-from tolerancing.study.evaluate import first_scores
+from tolerancing.study.evaluate import levels_and_nominal_scores
 from tolerancing.study.files import LoadedStudy
 from tolerancing.study.study import MOST_TRIALS
 
@@ -259,7 +259,9 @@ def _ready_store(
     # cheapest levels; they are discarded if the decision differs.
     cheapest = loaded.study.with_levels({})
     early = all_tasks(cheapest, planned, crew)
-    levels, nominal = rehearsal.run(partial(first_scores, loaded.lens, loaded.study), early, cheapest.levels)
+    levels, nominal = rehearsal.run(
+        partial(levels_and_nominal_scores, loaded.lens, loaded.study), early, cheapest.levels
+    )
     if create_store(loaded, path, nominal, planned, levels=levels, replace=fresh):
         return open_store(path), True
     return _continued(path, loaded, planned), False

@@ -221,7 +221,7 @@ def outgoing_field(
 
 
 def transmitted_field(cylinder: Cylinder, beam: Beam, y_mm: ArrayLike, z_mm: ArrayLike) -> ComplexArray:
-    """What passes the cylinder once, without inner reflections (Debye p = 1); arguments as above."""
+    """Return the light that passes the cylinder once, without inner reflections (Debye p = 1)."""
     return outgoing_field(cylinder, beam, cylinder.debye_coefficients(1), y_mm, z_mm)
 
 

@@ -29,7 +29,7 @@ Samples = list[tuple[tuple[float, float], Array]]
 
 @dataclass(frozen=True)
 class ExitPlane:
-    """Where the tiles' fields are summed, and how the sum goes on to the exit grid.
+    """Plane on which the tiles' fields are summed, and its propagator to the exit grid.
 
     Attributes
     ----------

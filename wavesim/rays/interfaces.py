@@ -25,7 +25,7 @@ FAN_RINGS, FAN_ARMS = 24, 48
 
 @dataclass(frozen=True)
 class SurfaceMap:
-    """One surface over transverse points of the fixed frame.
+    """Heights of a surface over transverse points of the fixed frame.
 
     Attributes
     ----------

@@ -217,7 +217,7 @@ def trace_bundle(scene: Scene, points_mm: Array, pupil: Array, plane_z_mm: float
     # Calls for each neighbour would cost more than the rays themselves.
     all_points = np.tile(points, (len(moves), 1))
     bunch = shoot(scene, all_points, (pupil + moves[:, None]).reshape(-1, 2), plane_z_mm, clip=False)
-    rays = _part(bunch, slice(0, len(pupil)))
+    rays = _rays_in(bunch, slice(0, len(pupil)))
     validate_meridional(scene, rays)
     headings = _first_headings(scene, all_points, bunch).reshape(len(moves), -1, 3)
     first = headings[0]
@@ -268,9 +268,9 @@ def inverses(matrices: Array) -> Array:
     return np.asarray(inverse * np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0))
 
 
-def _part(rays: RayTrace, part: slice) -> RayTrace:
+def _rays_in(rays: RayTrace, chosen: slice) -> RayTrace:
     """Return some rays of a trace."""
-    return replace(rays, **{f.name: getattr(rays, f.name)[part] for f in fields(rays)})
+    return replace(rays, **{f.name: getattr(rays, f.name)[chosen] for f in fields(rays)})
 
 
 def _knots(rays: RayTrace) -> Array:

@@ -370,7 +370,7 @@ class _ProximalDescent:
         )
 
     def _is_far(self, state: SolverState) -> bool:
-        """Whether the misfit is clearly above that of noise, or the noise is unknown.
+        """Return whether the misfit is clearly above that of noise, or the noise is unknown.
 
         Planes with separate exit fields cannot use inner iterations on a common field.
         """
@@ -409,7 +409,7 @@ class _ProximalDescent:
 
 
 def _is_converged(misfits: Sequence[float], iterations: int) -> bool:
-    """Whether the misfit hardly changed over the last iterations."""
+    """Return whether the misfit hardly changed over the last iterations."""
     return len(misfits) > iterations and abs(misfits[-1 - iterations] / misfits[-1] - 1.0) < EARLY_GAIN
 
 
@@ -427,7 +427,7 @@ def _expected_change(misfits: Sequence[float]) -> float:
 
 
 def _leads_uphill(now: Array, ahead: Array, after: Array) -> bool:
-    """Whether the last step points against the gradient, so that the momentum must restart."""
+    """Return whether the last step points against the gradient, so that the momentum must restart."""
     # A few rows at a time: differences of whole fields would be the largest arrays of a step.
     blocks = (slice(start, start + 8) for start in range(0, len(now), 8))
     along = (np.vdot(ahead[rows] - after[rows], after[rows] - now[rows]) for rows in blocks)
@@ -452,7 +452,7 @@ def validate_numbers(
     validate_whole_number("iterations", iterations, 1)
     if scale is not None:
         validate_positive("scale", scale)
-    # A fill factor above 1 stands for the blur of the picture.
+    # A fill factor above 1 describes the blur of the picture.
     if not 0.0 <= fill_factor <= 2.0:
         raise InputError(f"fill_factor = {fill_factor!r}: must be from 0 to 2")
 

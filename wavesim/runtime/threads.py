@@ -9,10 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
-from itertools import pairwise
 from typing import Any, TypeVar
-
-import numpy as np
 
 Result = TypeVar("Result")
 
@@ -89,12 +86,6 @@ if hasattr(os, "register_at_fork"):
 def rows_in(bytes_of_row: int, most_bytes: int = 2**19) -> int:
     """Return the number of rows of a block that fits into a core's cache."""
     return max(1, most_bytes // bytes_of_row)
-
-
-def share(work: Callable[[int, int], None], count: int, threads: int = THREADS) -> None:
-    """Process equal parts of a range in threads, the first part in this one."""
-    parts = list(pairwise(np.linspace(0, count, threads + 1).astype(int)))
-    _each(lambda number: work(*parts[number]), threads)
 
 
 @contextmanager

@@ -61,7 +61,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """One effect that an engine neglects, and the error that it causes.
+    """Neglected effect of an engine, and the error that it causes.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ from lensdesign.optimization.specification.sections import Constraints, Toleranc
         ("field,na", "at least one must be a goal of a search: thickness"),
         ("thickness,yield", "yield needs tolerances"),
         ("thickness,cost", "cost needs tolerances"),
-        ("field=2,thickness", "bounds are two numbers"),
+        ("field=2,thickness", "bounds must be two numbers"),
         ("field=4:2,thickness", "the smaller first"),
         ("field=nan:2,thickness", "the smaller first"),
     ],

@@ -89,7 +89,7 @@ def test_glass_catalogues_are_relative_to_the_file(design: Path, tmp_path: Path)
 
 
 FAULTS = [
-    ("radius_mm = 42.3", "radius_mm = 0.0", "surface 1, radius_mm: a radius of 0 is no surface"),
+    ("radius_mm = 42.3", "radius_mm = 0.0", "surface 1, radius_mm: a radius of 0 is not a surface"),
     ("radius_mm = 42.3", 'radius_mm = "42.3"', r"surface 1, radius_mm = '42.3': must be a valid number"),
     ("radius_mm = 42.3", "radius_mm = nan", "surface 1, radius_mm = nan: must be a finite number"),
     ("radius_mm = 42.3", "radius = 42.3", "surface 1, radius: unknown key; allowed: radius_mm, conic, asphe"),

@@ -189,7 +189,7 @@ def test_a_merit_that_raises_for_the_nominal_lens_is_one_message_and_status_2(
     assert (ran.returncode, ran.stdout) == (2, "")
     assert ran.stderr == (
         "error: merit 'ratio' cannot score the nominal lens: LookupError: no ratio "
-        "(mine.py, line 2); nothing was run: mend the merit or the design\n"
+        "(mine.py, line 2); no trial was run: correct the merit or the design\n"
     )
     assert not (tmp_path / "a.store").exists()
 

@@ -159,8 +159,8 @@ def test_figures_have_streams_of_their_own():
     ("method", "trials", "columns", "message"),
     [
         ("halton", [0], 1, r"draws = 'halton': .*allowed: random, latin_hypercube, sobol"),
-        ("random", [-1], 1, r"trials are numbered from 0"),
-        ("random", [MOST_TRIAL + 1], 1, r"trials are numbered from 0 to 4294967295"),
+        ("random", [-1], 1, r"allowed: 0 to"),
+        ("random", [MOST_TRIAL + 1], 1, r"allowed: 0 to 4294967295"),
         ("sobol", [0], MOST_SOBOL_COLUMNS + 1, r"21202 columns; allowed: up to 21201"),
     ],
 )

@@ -119,5 +119,5 @@ def test_python_is_run_by_no_worker_before_the_nominal_lens_is_scored(
 
     monkeypatch.setattr(Processes, "submit", noted)
     run_study(loaded, tmp_path / "store", workers=2, trials=4)
-    assert submitted[:2] == ["make_ready", "first_scores"]
+    assert submitted[:2] == ["prepare_merits", "levels_and_nominal_scores"]
     assert set(submitted[2:]) == {"work_local"}

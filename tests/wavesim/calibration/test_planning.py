@@ -10,7 +10,7 @@ import pytest
 from lensdesign import load_design, scaled
 from lensdesign.errors import InputError
 from wavesim.calibration.planning import (
-    SIDE,
+    MOST_PIXELS,
     Plan,
     Plans,
     Twin,
@@ -106,7 +106,7 @@ def test_a_large_lens_is_tried_on_a_twin() -> None:
     assert twin.diversity == pytest.approx(diversity(lens, patch, (0.5, 5.5)), rel=0.03)
     assert twin.read_noise_electrons == pytest.approx(2.0 * 0.12 / twin.patch_mm)
     across = footprint_mm(scaled(lens, twin.scale), object_patch(lens, twin.patch_mm), 5.5 * twin.scale)
-    assert across / 3.2e-3 < 1.2 * SIDE
+    assert across / 3.2e-3 < 1.2 * MOST_PIXELS
 
 
 def test_the_fewest_frames_that_are_enough_are_recommended() -> None:

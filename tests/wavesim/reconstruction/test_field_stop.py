@@ -77,7 +77,7 @@ def test_the_stop_is_found_from_the_frames() -> None:
 
 
 def test_nothing_is_found_where_all_is_stated() -> None:
-    with pytest.raises(InputError, match="leave nothing to be found"):
+    with pytest.raises(InputError, match="field_stop_at_mm"):
         found_with(field_stop="find", field_stop_mm=STOP_MM, field_stop_at_mm=AT_MM)
 
 

@@ -30,7 +30,7 @@ from tolerancing.report.figures.series import (
     slice_panels,
     sweep_panels,
 )
-from tolerancing.study.evaluate import pupils_of, sample_perturbations
+from tolerancing.study.evaluate import pupil_context, sample_perturbations
 from tolerancing.study.results import Picture, StepResults
 from tolerancing.study.series import LinePairSection, line_pair_picture
 from tolerancing.study.slice_counts import SliceCounts
@@ -231,7 +231,7 @@ def _drawn(
     data: ReportData, merit: PupilMerit, trials: Sequence[int], width_um: float
 ) -> list[tuple[float, Picture]]:
     """Return contrast and picture of each trial along its worse axis."""
-    context = pupils_of(data.lens, data.study)
+    context = pupil_context(data.lens, data.study)
     batch = sample_perturbations(data.study, trials)
     pupils = context.pupils(batch, merit.points[0], merit.wavelength_um, merit.refocus, True)
     orientation = merit.orientation if isinstance(merit, LinePairContrast) else "worse"

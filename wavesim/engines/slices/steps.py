@@ -162,7 +162,7 @@ def propagated(waves: Waves, spectrum: Any, distance_mm: float, limit: BandLimit
 
 @dataclass(frozen=True, eq=False)
 class _Slice:
-    """One slice: its waves are transformed to samples, along rows and columns, and back to waves."""
+    """Transforms of one slice: from waves to samples, along rows and columns, and back to waves."""
 
     surface: SlicedSurface
     which: int

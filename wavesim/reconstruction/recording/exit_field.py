@@ -116,7 +116,11 @@ class PlaneRecord:
     @property
     def energy(self) -> float:
         """Weighted sum of squared measured amplitudes."""
-        return sum(self._map_row_blocks(lambda part: self._products(self.amplitude[part] ** 2, part)[0]))
+        return sum(
+            self._map_row_blocks(
+                lambda block_rows: self._products(self.amplitude[block_rows] ** 2, block_rows)[0]
+            )
+        )
 
     def products(self, modelled: NDArray[Any]) -> tuple[float, float]:
         """Return weighted sums of modelled times measured amplitudes (without background), and of modelled
@@ -124,7 +128,9 @@ class PlaneRecord:
 
         `modelled` holds intensities, or a field at points.
         """
-        found = self._map_row_blocks(lambda part: self._products(_power(modelled[part]), part))
+        found = self._map_row_blocks(
+            lambda block_rows: self._products(_power(modelled[block_rows]), block_rows)
+        )
         return sum(cross for cross, _ in found), sum(power for _, power in found)
 
     def change_pixels(self, intensity: RealArray, scale: float) -> float:
@@ -133,7 +139,7 @@ class PlaneRecord:
         """
         change = self.pixel_change(scale)
         return sum_of_parts(
-            self._map_row_blocks(lambda part: change(intensity[part], part.start))
+            self._map_row_blocks(lambda block_rows: change(intensity[block_rows], block_rows.start))
         ).squared_misfit
 
     def pixel_change(
@@ -148,9 +154,9 @@ class PlaneRecord:
         dark = real(DARK * mean)
 
         def rows(intensity: RealArray, first: int) -> FitSums:
-            part = slice(first, first + len(intensity))
-            products = self._products(intensity, part) if with_products else (0.0, 0.0)
-            arguments = (*self._recorded(part), real(scale), dark, self._background(part))
+            block_rows = slice(first, first + len(intensity))
+            products = self._products(intensity, block_rows) if with_products else (0.0, 0.0)
+            arguments = (*self._recorded(block_rows), real(scale), dark, self._background(block_rows))
             return FitSums(float(change_pixels(intensity, *arguments)), *products)
 
         return rows
@@ -159,23 +165,27 @@ class PlaneRecord:
         """Replace a field by the change that gives it the measured amplitudes; return the squared misfit."""
         factor = self.amplitude.dtype.type(scale)
 
-        def rows(part: slice) -> float:
-            arguments = (*self._recorded(part), factor, self._background(part))
-            return float(change_samples(field[part], *arguments))
+        def rows(block_rows: slice) -> float:
+            arguments = (*self._recorded(block_rows), factor, self._background(block_rows))
+            return float(change_samples(field[block_rows], *arguments))
 
         return sum(self._map_row_blocks(rows))
 
-    def _products(self, intensity: RealArray, part: slice) -> tuple[float, float]:
-        amplitude, *others = self._recorded(part)
+    def _products(self, intensity: RealArray, block_rows: slice) -> tuple[float, float]:
+        amplitude, *others = self._recorded(block_rows)
         if self.background.size:
-            amplitude = np.sqrt(np.maximum(amplitude * amplitude - self.background[part], 0.0))
+            amplitude = np.sqrt(np.maximum(amplitude * amplitude - self.background[block_rows], 0.0))
         return weighted_products(intensity, amplitude, *others)
 
-    def _background(self, part: slice) -> RealArray:
-        return self.background[part] if self.background.size else self.background
+    def _background(self, block_rows: slice) -> RealArray:
+        return self.background[block_rows] if self.background.size else self.background
 
-    def _recorded(self, part: slice) -> tuple[RealArray, RealArray, Any]:
-        return self.amplitude[part], self.sigma[part], self.amplitude.dtype.type(self.full_weight_sigma)
+    def _recorded(self, block_rows: slice) -> tuple[RealArray, RealArray, Any]:
+        return (
+            self.amplitude[block_rows],
+            self.sigma[block_rows],
+            self.amplitude.dtype.type(self.full_weight_sigma),
+        )
 
     def _map_row_blocks(self, work: Callable[[slice], Any]) -> list[Any]:
         return for_blocks(lambda start, stop: work(slice(start, stop)), len(self.amplitude), ROWS)
@@ -291,17 +301,15 @@ def _power(modelled: NDArray[Any]) -> RealArray:
     return np.asarray(modelled.real**2 + modelled.imag**2 if np.iscomplexobj(modelled) else modelled)
 
 
-def _sum_of(total: ComplexArray | None, part: ComplexArray) -> ComplexArray:
-    return part if total is None else np.add(total, part, out=total)
+def _sum_of(total: ComplexArray | None, change: ComplexArray) -> ComplexArray:
+    return change if total is None else np.add(total, change, out=total)
 
 
-def add_fraction(total: ComplexArray, part: ComplexArray, fraction: float) -> None:
-    """Add a fraction of an array in blocks of rows, because the product would need another field in
-    memory.
-    """
+def add_fraction(total: ComplexArray, change: ComplexArray, fraction: float) -> None:
+    """Add a fraction of an array in blocks of rows, which need less memory than the product."""
     factor = total.real.dtype.type(fraction)
 
     def rows(start: int, stop: int) -> None:
-        total[start:stop] += factor * part[start:stop]
+        total[start:stop] += factor * change[start:stop]
 
     for_blocks(rows, len(total), ROWS)

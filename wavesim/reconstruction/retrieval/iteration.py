@@ -27,7 +27,7 @@ from wavesim.fields.field import Grid
 from wavesim.fields.plane_waves import TransferFunction
 from wavesim.reconstruction.retrieval import kernel
 from wavesim.runtime.fourier.lanes import LANES
-from wavesim.runtime.fourier.panels import Panels, aligned, thread_room, transform_bytes
+from wavesim.runtime.fourier.panels import Panels, aligned, thread_buffer, transform_bytes
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -184,11 +184,11 @@ class Passes:
 
         def one(index: int) -> None:
             first_carried = carried[0]
-            spectrum = thread_room("spectrum", first_carried.values[index].shape, first_carried.dtype)
-            first_carried.along_columns(first_carried.values[index], spectrum, back=False)
+            spectrum = thread_buffer("spectrum", first_carried.values[index].shape, first_carried.dtype)
+            first_carried.along_columns(first_carried.values[index], spectrum, inverse=False)
             for plane, panels in zip(self._carried, carried, strict=True):
                 _apply_carrier(spectrum, plane, index, False)
-                panels.along_columns(panels.values[index], panels.values[index], back=True)
+                panels.along_columns(panels.values[index], panels.values[index], inverse=True)
 
         if carried:
             self._map_blocks(one, range(len(carried[0].values)))
@@ -305,9 +305,9 @@ class Passes:
 
         def one(index: int) -> float:
             panel = panels.values[index]
-            panels.along_columns(panel, panel, back=False)
+            panels.along_columns(panel, panel, inverse=False)
             power = _apply_carrier(panel, plane, index, True)
-            panels.along_columns(panel, panel, back=True)
+            panels.along_columns(panel, panel, inverse=True)
             return power
 
         return math.fsum(self._map_blocks(one, range(len(panels.values)))) * plane.amplitude.size
@@ -364,7 +364,7 @@ class Passes:
     ) -> ComplexArray:
         """Return rows of the field on a plane whose neighbouring rows have been copied."""
         panels, rows = _panels(plane), block.extended.stop - block.extended.start
-        values = thread_room("beside", (len(panels.values), rows, 2, LANES), panels.dtype)
+        values = thread_buffer("beside", (len(panels.values), rows, 2, LANES), panels.dtype)
         values[...] = panels.values[:, block.extended]
         for row in _neighbour_rows(block):
             values[:, row - block.extended.start] = neighbours[row]
@@ -394,7 +394,7 @@ def _panels(plane: Plane) -> Panels:
 
 def _thread_buffer(name: str, rows: slice, shape: tuple[int, ...], dtype: Any) -> ComplexArray:
     """Return a thread's buffer for rows of a field of a shape."""
-    return thread_room(name, (rows.stop - rows.start, 2 * shape[1]), dtype).view(dtype)
+    return thread_buffer(name, (rows.stop - rows.start, 2 * shape[1]), dtype).view(dtype)
 
 
 def _apply_carrier(spectrum: Array, plane: Plane, index: int, inverse: bool) -> float:
