@@ -28,15 +28,11 @@ def in_free_space(
     as_json: bool,
 ) -> None:
     """Reconstruct the field on z = 0 and write it, with the requested parameters of the planes."""
-<<<<<<< HEAD
     from wavesim.calibration.free_space.field import (
         DEFAULT_FRAME_SETTINGS,
         ITERATIONS,
         reconstruct_free_space,
     )
-=======
-    from wavesim.calibration.free_space.field import ITERATIONS, PLAIN, reconstruct_free_space
->>>>>>> main
     from wavesim.sensor.frame_sets import read_frames
     from wavesim.sensor.frames import AssumedWarning
 
