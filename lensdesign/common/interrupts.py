@@ -16,7 +16,7 @@ from typing import Any
 from lensdesign.errors import UNFINISHED
 
 END_PROCESS = os._exit
-"""Ends the process immediately. User code cannot call it under its usual name, `os._exit`."""
+"""Ends the process immediately."""
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
