@@ -150,7 +150,7 @@ def test_a_surface_without_an_end_is_refused() -> None:
         SECTIONS
         | {"surface": [{"semi_diameter_mm": 3.0, "thickness_mm": 2.0, "stop": True}, {"radius_mm": 30.0}]}
     )
-    with pytest.raises(InputError, match="surface 2 has no semi_diameter_mm"):
+    with pytest.raises(InputError, match=r"surface 2.*semi_diameter_mm"):
         sag_table(lens, 1, 0.1)
 
 

@@ -87,7 +87,7 @@ def test_lists_take_remarks_but_no_second_number(tmp_path):
     assert [value for value, _ in read_list(tmp_path / "l.txt", "radius")] == [37.5, -12.0, 5.0]
     for text in ("37,5", "37, 5", "37;5", "37 ,5 mm", "1.5; -2", "1, .5"):
         (tmp_path / "l.txt").write_text(text)
-        with pytest.raises(InputError, match=r"l.txt, line 1: .*more than one number, or a decimal comma"):
+        with pytest.raises(InputError, match=r"l\.txt, line 1: .*decimal comma"):
             read_list(tmp_path / "l.txt", "radius")
 
 
@@ -106,7 +106,7 @@ def test_lists_take_remarks_but_no_second_number(tmp_path):
 def test_grids_of_decimal_commas(rows, is_refused):
     lines = [(text, f"g.csv, line {n}") for n, text in enumerate(rows, start=1)]
     if is_refused:
-        with pytest.raises(InputError, match=r"g.csv, line 1: .*decimal commas"):
+        with pytest.raises(InputError, match=r"g\.csv, line 1: .*decimal comma"):
             refuse_comma_pairs(lines)
     else:
         refuse_comma_pairs(lines)

@@ -284,9 +284,9 @@ def test_faults_are_named(tmp_path: Path, old: str, new: str, message: str) -> N
 def test_what_the_format_cannot_hold_is_not_written(tmp_path: Path, paper_lens: Lens) -> None:
     path = tmp_path / "lens.seq"
     figure = FigureSource(zernike_um=((4, 0.1),), semi_diameter_mm=20.0)
-    with pytest.raises(InputError, match=r"surface 1: a \.seq file cannot hold a measured figure"):
+    with pytest.raises(InputError, match=r"surface 1.*\.seq.*figure"):
         write_seq(paper_lens.with_surface(0, figure=figure), path)
-    with pytest.raises(InputError, match=r"10 asphere terms; a \.seq file holds 9, up to r\^20"):
+    with pytest.raises(InputError, match=r"10 asphere.*\.seq.* 9.*r\^20"):
         write_seq(paper_lens.with_surface(1, asphere=(*(0.0,) * 9, 1e-30)), path)
     assert not path.exists()
 
@@ -328,7 +328,7 @@ def test_what_cannot_be_read_of_a_private_glass_matters_where_it_is_used(tmp_pat
     line = next(x for x in PRIVATE.splitlines() if "GLUE1" in x)
     unused = PRIVATE.replace(line, f"  {glass}")
     assert len(read_seq(saved(tmp_path, unused), SENSOR).lens.surfaces) == 2
-    with pytest.raises(InputError, match=r"line 10: private glass 'GLUE1' (has|is given by)"):
+    with pytest.raises(InputError, match=r"line 10: .*'GLUE1'"):
         read_seq(saved(tmp_path, unused.replace("NBK7_SCHOTT", "'GLUE1'")), SENSOR)
 
 
@@ -357,7 +357,7 @@ BK7 = "1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653"
 )
 def test_private_glasses_by_formulas(tmp_path: Path, glass: str, index: float) -> None:
     assert index_of(tmp_path, glass) == pytest.approx(index, abs=5e-5)
-    with pytest.raises(LossyImportError, match="surface 1: dispersion of the private glass"):
+    with pytest.raises(LossyImportError, match="surface 1: dispersion"):
         index_of(tmp_path, glass, wl="587.5618 486.1 656.3")
     assert index_of(tmp_path, glass, wl="587.5618 486.1 656.3", lossy=True) == pytest.approx(index, abs=5e-5)
 
@@ -383,11 +383,9 @@ def test_private_glasses_by_tables(tmp_path: Path) -> None:
     table, pwl = "'GLUE1' 1.51432 1.51680 1.52238 1.52668", "656.2725 587.5618 486.1327 435.8343"
     assert index_of(tmp_path, table, pwl, lossy=True) == 1.5168
     assert index_of(tmp_path, table, pwl, "532.0", lossy=True) == pytest.approx(1.51947, abs=2e-5)
-    with pytest.raises(
-        LossyImportError, match=r"index of the private glass GLUE1 at 700 nm; that at 656\.273 nm"
-    ):
+    with pytest.raises(LossyImportError, match=r"GLUE1 .*700 nm.*656\.273 nm"):
         index_of(tmp_path, table, pwl, "700.0")
-    with pytest.raises(LossyImportError, match="index of the private glass GLUE1 at 700 nm; that at 550 nm"):
+    with pytest.raises(LossyImportError, match=r"GLUE1 .*700 nm.*550 nm"):
         index_of(tmp_path, "'GLUE1' 1.5", "550.0", "700.0")
     assert index_of(tmp_path, "'GLUE1' 1.5", "587.6") == 1.5
 
@@ -436,7 +434,7 @@ def test_solves_without_a_present_value_are_named(tmp_path: Path, new: str, mess
 @pytest.mark.parametrize("command", ["THI EDG 0.5", "THI VAR", "CUY FOO 1", "RDY S2 ABC"])
 def test_an_unknown_word_in_place_of_a_value_that_is_known_is_a_loss(tmp_path: Path, command: str) -> None:
     path = saved(tmp_path, PRIVATE.replace("S -50 50\n", f"S -50 50\n {command}\n"))
-    with pytest.raises(LossyImportError, match=r"surface 2: (thickness|radius) by '[A-Z .05]+1?'; its value"):
+    with pytest.raises(LossyImportError, match=r"surface 2: (thickness|radius) by '[A-Z .05]+1?'"):
         read_seq(path, SENSOR)
     lens = read_seq(path, SENSOR, lossy=True).lens
     assert (lens.surfaces[1].radius_mm, lens.sensor.plane_distances_mm) == (-50.0, (50.0,))

@@ -228,27 +228,27 @@ def test_an_unknown_glass_is_named(design: Path, material: str, message: str) ->
 
 def test_a_wavelength_without_index_is_refused(design: Path) -> None:
     design.write_text(GOOD.replace("[0.532]", "[0.532, 9.0]"))
-    with pytest.raises(MaterialError, match=r"the index at 9 um is not known; .* from 0\.3 to 2\.5 um"):
+    with pytest.raises(MaterialError, match=r"9 um.*0\.3 to 2\.5 um"):
         load_design(design)
 
 
 def test_unreadable_paths_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match=r"cannot read .*nowhere\.toml: No such file"):
+    with pytest.raises(DesignError, match=r"nowhere\.toml.*No such file"):
         load_design(tmp_path / "nowhere.toml")
-    with pytest.raises(DesignError, match=r"cannot read .*: Is a directory"):
+    with pytest.raises(DesignError, match="Is a directory"):
         load_design(tmp_path)
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DesignError, match="not a text file in UTF-8"):
+    with pytest.raises(DesignError, match="UTF-8"):
         load_design(binary)
 
 
 def test_unwritable_paths_are_refused(paper_lens: Lens, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot write .*: it is a folder"):
+    with pytest.raises(InputError, match="is a folder"):
         save_design(paper_lens, tmp_path)
     blocked = tmp_path / "file"
     blocked.write_text("x")
-    with pytest.raises(InputError, match="a file stands where a folder is needed"):
+    with pytest.raises(InputError, match=r"file stands.*folder"):
         save_design(paper_lens, blocked / "lens.toml")
     assert blocked.read_text() == "x"
 
@@ -265,7 +265,7 @@ def test_a_failed_save_leaves_the_old_file(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
+    with pytest.raises(InputError, match="No space left"):
         save_design(paper_lens, design)
     assert design.read_text() == GOOD
     assert os.listdir(design.parent) == ["lens.toml"]

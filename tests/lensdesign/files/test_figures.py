@@ -209,7 +209,7 @@ def test_faults_of_a_figure_table_are_named(tmp_path: Path, figure: str, message
 
 def test_a_figure_needs_a_clear_aperture(paper_lens: Lens) -> None:
     figure = {"semi_diameter_mm": 20.0, "zernike_um": {4: 0.1}}
-    with pytest.raises(DesignError, match="a surface with a figure needs a semi_diameter_mm"):
+    with pytest.raises(DesignError, match=r"figure.*semi_diameter_mm"):
         paper_lens.with_surface(1, semi_diameter_mm=None, figure=figure)
 
 
@@ -236,7 +236,7 @@ def test_zernike_figures_scale_with_the_lens(tmp_path: Path) -> None:
 
 def test_a_grid_file_does_not_scale(tmp_path: Path) -> None:
     lens = load_design(design(tmp_path, f'file = "{grid_file(tmp_path).name}"'))
-    with pytest.raises(DesignError, match=r"front\.csv cannot be scaled: give it as Zernike coefficients"):
+    with pytest.raises(DesignError, match=r"front\.csv.*scaled"):
         scaled(lens, 0.5)
 
 
@@ -245,7 +245,7 @@ def test_specifications_and_derivatives_refuse_figures(tmp_path: Path) -> None:
     lens = load_design(path)
     with path.open("a") as file:
         file.write('[[variable]]\nsurface = 2\nparameter = "conic"\nbounds = [-2.0, 0.0]\n')
-    with pytest.raises(DesignError, match="surface 1: optimize the nominal lens, without a measured figure"):
+    with pytest.raises(DesignError, match=r"surface 1: .*figure"):
         load_specification(path)
     with pytest.raises(InputError, match="leave the measured figures out"):
         gradient_trace(

@@ -126,7 +126,7 @@ def test_holes_inside_the_disc_are_counted() -> None:
     values = np.zeros((41, 41))
     values[20, 18:21] = np.nan
     values[0, 0] = np.nan
-    with pytest.raises(InputError, match=r"figure: 3 of \d+ points inside the semi-diameter of 4 mm"):
+    with pytest.raises(InputError, match=r"figure: 3 of \d+ points.*4 mm"):
         figure_from_grid(values, 0.25, SEMI_MM)
 
 
@@ -318,7 +318,7 @@ def test_measured_and_added_figures_add() -> None:
 
 def test_a_figure_of_lesser_size_than_the_surface_is_refused() -> None:
     change = {0: SurfacePerturbation(figure=figure_from_zernike({5: 0.1}, 3.0))}
-    with pytest.raises(InputError, match=r"surface 1: the perturbation's figure is known over .* 3 mm"):
+    with pytest.raises(InputError, match=r"surface 1: .*figure.* 3 mm"):
         compile_system(singlet(radius_mm=40.0), 0.532, surface_perturbations=change)
 
 

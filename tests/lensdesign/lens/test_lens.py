@@ -62,7 +62,7 @@ def test_a_changed_lens_is_a_new_one() -> None:
     changed = lens.with_surface(1, radius_mm=-40.0)
     assert (lens.surfaces[1].radius_mm, changed.surfaces[1].radius_mm) == (-30.0, -40.0)
     assert lens.replaced(title="other").title == "other"
-    with pytest.raises(DesignError, match="radius_mm: a radius of 0"):
+    with pytest.raises(DesignError, match=r"radius_mm: .* 0"):
         lens.with_surface(1, radius_mm=0.0)
     with pytest.raises(ValidationError, match="frozen"):
         lens.title = "other"  # type: ignore[misc]
@@ -107,7 +107,7 @@ def test_a_bad_surface_is_refused(values: dict[str, Any], message: str) -> None:
 def test_an_object_within_the_lens_is_refused() -> None:
     bowl = Surface(radius_mm=-10.0, thickness_mm=5.0, material=1.5, semi_diameter_mm=9.9)
     lens = make(bowl, Surface())
-    with pytest.raises(DesignError, match=r"working_distance_mm = 8, but surface 1 comes 8\.589 mm towards"):
+    with pytest.raises(DesignError, match=r"working_distance_mm = 8, .*surface 1 .*8\.589 mm"):
         lens.replaced(object=lens.object.replaced(working_distance_mm=8.0))
 
 

@@ -64,7 +64,7 @@ def test_a_plate_that_is_there_already_changes_nothing():
 
 
 def test_without_spheres_or_plates_it_is_refused():
-    with pytest.raises(InputError, match="no sphere has a radius that may vary"):
+    with pytest.raises(InputError, match="no sphere"):
         fit_plates(specification((1, "radius_mm")), PLATES)
     with pytest.raises(InputError, match="plates: there is none"):
         fit_plates(specification(), ())
@@ -105,5 +105,5 @@ def test_faulty_lists_are_refused(tmp_path, name, text, message):
 
 
 def test_plates_with_decimal_commas_are_refused():
-    with pytest.raises(InputError, match=r"plates.txt, line 1: '37,5': .*decimal comma"):
+    with pytest.raises(InputError, match=r"plates\.txt, line 1: '37,5'.*decimal comma"):
         load_plates(GOLDEN / "files" / "decimal_comma_plates" / "plates.txt")

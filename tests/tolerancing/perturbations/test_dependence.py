@@ -198,11 +198,11 @@ def test_names_that_do_not_fit_are_refused(correlations, groups, message):
 
 def test_a_name_that_may_be_two_columns_needs_its_unit():
     columns = ("a_mm", "a_um", "b")
-    with pytest.raises(DesignError, match=r"'a' may be a_mm or a_um; give the unit too"):
+    with pytest.raises(DesignError, match=r"'a' .*a_mm or a_um"):
         study_dependence(columns, [pair("a", "b")], {})
     assert study_dependence(columns, [pair("a_um", "b")], {}).mixtures[0][0] == (1, 2)
 
 
 def test_an_empty_group_is_refused():
-    with pytest.raises(DesignError, match=r"group 'g': has no members: must be at least 2"):
+    with pytest.raises(DesignError, match=r"group 'g': .*at least 2"):
         study_dependence(COLUMNS, [], {"g": []})

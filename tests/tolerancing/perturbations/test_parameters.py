@@ -107,7 +107,7 @@ def test_a_shape_brings_its_own_parameters(paper_lens, parameter):
     perturbed.check(paper_lens.with_surface(1, shape_type="biconic", radius_x_mm=-14.0))
     flat = paper_lens.with_surface(1, shape_type="biconic")
     if parameter.startswith("radius"):
-        with pytest.raises(ValueError, match="surface 2 is a plane and has no radius_x_mm"):
+        with pytest.raises(ValueError, match=r"surface 2 .*plane.*radius_x_mm"):
             perturbed.check(flat)
 
 

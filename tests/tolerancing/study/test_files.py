@@ -144,7 +144,7 @@ def test_names_must_differ(write_study, full_study):
 
 def test_sections_must_be_arrays_of_tables(write_study, full_study):
     path = write_study(full_study.replace("[[merit]]", "[merit]", 1).replace("[[merit]]", "[other]"))
-    with pytest.raises(DesignError, match=r"merit: must be tables, each headed \[\[merit\]\]"):
+    with pytest.raises(DesignError, match=r"merit: .*\[\[merit\]\]"):
         load_study(path)
 
 
@@ -173,7 +173,7 @@ def test_fingerprint_follows_study_design_and_indices(write_study, full_study):
 def test_no_perturbation_is_too_few(write_study, ray_study):
     head, _, rest = ray_study.partition("[[perturbation]]")
     path = write_study("perturbation = []\n" + head + "[[merit]]" + rest.partition("[[merit]]")[2])
-    with pytest.raises(DesignError, match=r"perturbation = \[\]: must hold at least 1 item"):
+    with pytest.raises(DesignError, match=r"perturbation = \[\].*at least 1"):
         load_study(path)
 
 
@@ -209,7 +209,7 @@ def test_a_study_is_read_again_from_its_files(write_study, full_study, tmp_path)
 def test_files_that_lead_out_of_the_folder_are_refused(write_study, ray_study, tmp_path):
     loaded = load_study(write_study(ray_study))
     folder = make(tmp_path / "elsewhere")
-    with pytest.raises(DesignError, match="leads out of the study's folder"):
+    with pytest.raises(DesignError, match="out of the study's folder"):
         load_from_files(loaded.name, {**loaded.files, "../outside.txt": b"x"}, folder)
     assert not (tmp_path / "outside.txt").exists()
 

@@ -88,7 +88,7 @@ def test_their_light_holds_while_the_rest_is_sought(
 
 
 def test_frames_that_saw_an_object_are_refused(lens: Lens, star: tuple[Frame, ...]) -> None:
-    with pytest.raises(InputError, match=r"empty: a smooth light leaves \d+\.\d times the noise"):
+    with pytest.raises(InputError, match=r"empty: .*\d+\.\d times the noise"):
         calibrate_empty(lens, star, SETTINGS, most_mountings=10)
 
 

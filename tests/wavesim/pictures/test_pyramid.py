@@ -165,7 +165,7 @@ def test_a_failure_leaves_what_stood_there(tmp_path: Path, monkeypatch: pytest.M
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(tifffile.TiffWriter, "write", full)
-    with pytest.raises(InputError, match=r"cannot write .*field\.tif: No space left"):
+    with pytest.raises(InputError, match=r"field\.tif.*No space left"):
         write_pyramid(np.ones((3, 3)), path, 1.0, ["amplitude"])
     assert [p.name for p in tmp_path.iterdir()] == ["field.tif"]
     assert path.read_text() == "before"

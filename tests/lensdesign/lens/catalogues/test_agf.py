@@ -220,13 +220,13 @@ def test_refusals_name_file_and_line(text: str, message: str) -> None:
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(MaterialError, match=r"cannot read glass catalogue .*none\.agf"):
+    with pytest.raises(MaterialError, match=r"catalogue .*none\.agf"):
         read_agf(tmp_path / "none.agf")
     with pytest.raises(MaterialError, match="cannot read glass catalogue"):
         read_agf(tmp_path)
     broken = tmp_path / "broken.agf"
     broken.write_bytes(b"\xff\xfeN")
-    with pytest.raises(MaterialError, match=r"broken\.agf: not valid UTF-16"):
+    with pytest.raises(MaterialError, match=r"broken\.agf.*UTF-16"):
         read_agf(broken)
 
 
@@ -342,5 +342,5 @@ def test_records_go_on_on_the_next_line() -> None:
     assert (len(glass.coefficients), glass.reference_temperature_c) == (9, 23.0)
     assert (glass.notes, glass.fault) == ((), "")
     assert glass(LINE_D_UM) == pytest.approx(1.80518, abs=1e-5)
-    with pytest.raises(MaterialError, match=r"line 4: CD record has '1,5' where a finite number"):
+    with pytest.raises(MaterialError, match=r"line 4: CD record.*'1,5'"):
         parse_agf(text.replace(" -1.093820350E-005", " 1,5"), "nikon.agf")

@@ -93,7 +93,7 @@ def test_unknown_choice_of_glass_is_named(tmp_path):
 
 def test_etendue_bound_refuses_before_any_search(tmp_path):
     path = edited(tmp_path, ("field_diameter_mm = 3.0", "field_diameter_mm = 4.0"))
-    with pytest.raises(DesignError, match=r"infeasible: by the etendue .*4 x 0.5 / 0.083125 = 24.06 mm"):
+    with pytest.raises(DesignError, match=r"etendue.*4 x 0\.5 / 0\.083125 = 24\.06 mm"):
         load_specification(path)
 
 
@@ -102,7 +102,7 @@ def test_the_shortest_wavelength_binds_the_etendue(tmp_path):
     path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.43]"))
     assert len(load_specification(path).wavelengths_um) == 3
     path = edited(tmp_path, ("wavelengths_um = [0.532]", "wavelengths_um = [0.65, 0.532, 0.42]"))
-    with pytest.raises(DesignError, match=r"infeasible: by the etendue .*3 x 0.5 / 0.065625 = 22.86 mm"):
+    with pytest.raises(DesignError, match=r"etendue.*3 x 0\.5 / 0\.065625 = 22\.86 mm"):
         load_specification(path)
 
 

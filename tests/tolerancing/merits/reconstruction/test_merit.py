@@ -95,7 +95,7 @@ def test_a_calibrated_model_finds_what_the_nominal_one_loses(twin):
 
 
 def test_a_calibrated_model_needs_compensators(context):
-    with pytest.raises(InputError, match=r"model = 'calibrated' needs \[\[compensator\]\]"):
+    with pytest.raises(InputError, match=r"model = 'calibrated'.*\[\[compensator\]\]"):
         merit(model="calibrated").scores(context, batch((DECENTER, [0.0])))
 
 
@@ -108,7 +108,7 @@ def test_noise_belongs_to_the_trial(context):
 
 
 def test_refuses_an_object_that_the_unperturbed_chain_does_not_find(context):
-    with pytest.raises(InputError, match=r"region_mm = 0\.05 .* correlation of 0\.\d+, and must reach 0\.97"):
+    with pytest.raises(InputError, match=r"region_mm = 0\.05 .*correlation of 0\.\d+.*0\.97"):
         merit(object="complex").scores(context, batch((DECENTER, [0.0])))
 
 
@@ -118,7 +118,7 @@ def test_refuses_an_object_that_the_unperturbed_chain_does_not_find(context):
 )
 def test_refuses_what_leaves_the_meridional_plane(target, parameter):
     one = PerturbedParameter(target=target, parameter=parameter)
-    with pytest.raises(ValueError, match="meridional line along y"):
+    with pytest.raises(ValueError, match="meridional line"):
         merit().check_perturbation(one)
 
 
@@ -147,7 +147,5 @@ def test_refuses_bad_keys(keys, message):
 
 
 def test_refuses_a_region_wider_than_the_field(twin):
-    with pytest.raises(
-        ValueError, match=r"region_mm = 0\.5: wider than the field; allowed: up to 0\.1875 mm"
-    ):
+    with pytest.raises(ValueError, match=r"region_mm = 0\.5.*up to 0\.1875 mm"):
         merit(region_mm=0.5).check(twin)

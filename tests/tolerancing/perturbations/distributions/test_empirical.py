@@ -58,7 +58,7 @@ def test_measured_values_are_known_by_their_digest(tmp_path):
 def test_values_are_read_at_their_first_use(tmp_path, monkeypatch):
     unread = written(tmp_path, "radius_mm\n1.0\n2.0\n")
     for use in (lambda: unread.digest, lambda: unread.quantile(np.array([0.5])), lambda: unread.largest):
-        with pytest.raises(InputError, match=r"cannot read shop.csv: No such file"):
+        with pytest.raises(InputError, match=r"shop\.csv.*No such file"):
             use()
     monkeypatch.chdir(tmp_path)
     assert unread.quantile(np.array([0.5]))[0] == 0.5 + 1.5
@@ -103,14 +103,14 @@ def test_faulty_measured_values_are_refused(tmp_path, text, message):
 
 
 def test_files_that_are_none_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"cannot read .*absent.csv: No such file"):
+    with pytest.raises(InputError, match=r"absent\.csv.*No such file"):
         Empirical(file="absent.csv", column="x").loaded(tmp_path)
-    with pytest.raises(InputError, match=r"cannot read .*: Is a directory"):
+    with pytest.raises(InputError, match="Is a directory"):
         Empirical(file=".", column="x").loaded(tmp_path)
     (tmp_path / "raw.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"raw.csv: not a text file in UTF-8"):
+    with pytest.raises(InputError, match=r"raw\.csv.*UTF-8"):
         Empirical(file="raw.csv", column="x").loaded(tmp_path)
-    with pytest.raises(ValidationError, match=r"cannot hold a NUL character"):
+    with pytest.raises(ValidationError, match="NUL character"):
         Empirical(file="a\0b", column="x")
 
 

@@ -68,7 +68,7 @@ def test_a_hot_pixel_is_told_and_left_out(lab: Path) -> None:
         frame = read_frames([path])[0]
         frame.counts[30, 40] = 65_000
         write_frame(frame, path)
-    with pytest.warns(BadPixelWarning, match="plane at 1 mm: 1 pixels are hot or dead"):
+    with pytest.warns(BadPixelWarning, match="plane at 1 mm: 1 pixels"):
         frames = read_frames(frames_of(lab), dark=lab / "dark.npy")
     assert all(np.isinf(estimate_intensity(frame)[1][30, 40]) for frame in frames)
 
@@ -80,7 +80,7 @@ def test_an_exposure_that_is_not_as_stated_is_told_and_taken_out(tmp_path: Path)
     paths = [tmp_path / "short.tif", tmp_path / "long.tif"]
     for path, frame in zip(paths, frames, strict=True):
         write_frame(frame, path)
-    with pytest.warns(ExposureWarning, match=r"long.tif: is \+(3.9|4|4.1) % brighter than its exposure says"):
+    with pytest.warns(ExposureWarning, match=r"long\.tif.*\+(3.9|4|4.1) % brighter"):
         short, long = read_frames(paths)
     assert long.settings.exposure / short.settings.exposure == pytest.approx(20.0 * 1.04, rel=3e-3)
 

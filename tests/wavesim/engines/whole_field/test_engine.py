@@ -178,7 +178,7 @@ def test_settings_that_cannot_be_are_refused(paper_lens: Lens) -> None:
         with pytest.raises(InputError, match=next(iter(wrong))):
             WholeFieldEngine(scene, **wrong)  # type: ignore[arg-type]
     line = Scene(paper_lens, Grid((20,), 1e-3, -13.5), Grid((20,), 1e-3, 12.7), WAVELENGTH_UM)
-    with pytest.raises(InputError, match="on a line take eikonal"):
+    with pytest.raises(InputError, match=r"line.*eikonal"):
         WholeFieldEngine(line)
 
 
@@ -190,7 +190,7 @@ def test_tiles_too_wide_are_refused_by_name(paper_lens: Lens) -> None:
 def test_a_fold_on_the_plane_is_refused(paper_lens: Lens) -> None:
     lens = paper_lens.with_surface(1, radius_mm=-6.0, semi_diameter_mm=7.5)
     grids = Grid((100, 100), 0.5e-3, -13.5), Grid((50, 50), 0.1, 20.0)
-    with pytest.raises(FoldError, match="fold on the plane z = 20 mm"):
+    with pytest.raises(FoldError, match=r"fold.*z = 20 mm"):
         WholeFieldEngine(Scene(lens, *grids, WAVELENGTH_UM)).groups  # noqa: B018
 
 
@@ -243,7 +243,7 @@ def test_maps_that_cannot_be_so_accurate_are_refused(
     scene = plane_scene(paper_lens)
     region = region_of_object(scene)
     assert not region.is_disc
-    with pytest.raises(RayMapError, match="ask for less accuracy"):
+    with pytest.raises(RayMapError, match="less accuracy"):
         maps_over_object(scene, region, 12.7, 0.09, 1e-11)
 
 
