@@ -133,9 +133,9 @@ def test_the_file_reads_back_as_it_was(tmp_path: Path, paper_lens: Lens) -> None
 @pytest.mark.parametrize(
     ("surface", "spacing", "message"),
     [
-        (1, 0.1, "surface 2: the lens has surfaces 1 to 1"),
+        (1, 0.1, r"surface 2: .*1 to 1"),
         (-1, 0.1, "surface 0"),
-        (0, 0.0, "spacing_mm = 0.0: must be finite and above 0"),
+        (0, 0.0, r"spacing_mm = 0.0"),
         (0, math.nan, "spacing_mm = nan"),
         (0, 1e-7, "more than 1000000 rows"),
     ],

@@ -14,10 +14,10 @@ from lensdesign.optimization.asked.sections import Constraints, Tolerances
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("thickness", "1 named; allowed: two to four"),
-        ("thickness,width", "'width' is no objective; allowed: thickness, track"),
+        ("thickness", r"1 named.*two to four"),
+        ("thickness,width", r"'width'.*thickness, track"),
         ("thickness,thickness", "thickness stands twice"),
-        ("field,na", "at least one must be sought: thickness"),
+        ("field,na", "sought: thickness"),
         ("thickness,yield", "yield needs tolerances"),
         ("thickness,cost", "cost needs tolerances"),
         ("field=2,thickness", "bounds are two numbers"),

@@ -219,18 +219,18 @@ def change_matrix(moves: dict[str, float]) -> np.ndarray:
 
 
 LOSSES = [
-    ("F2_SCHOTT", "REFL", "surface 3: mirror, read as a surface in air"),
-    ("F2_SCHOTT", "620364", "surface 3: dispersion of the fictitious glass 620364"),
-    ("F2_SCHOTT", "620040.363700", "surface 3: dispersion of the fictitious glass"),
-    ("F2_SCHOTT", "1.62004:36.37", "surface 3: dispersion of the fictitious glass"),
+    ("F2_SCHOTT", "REFL", "surface 3: mirror"),
+    ("F2_SCHOTT", "620364", r"surface 3: dispersion.* 620364"),
+    ("F2_SCHOTT", "620040.363700", "surface 3: dispersion"),
+    ("F2_SCHOTT", "1.62004:36.37", "surface 3: dispersion"),
     (
         "F2_SCHOTT",
         "'MINE'\nPRV\nPWL 650 550 480\n'MINE' 1.61 1.62 1.63\nEND",
-        "dispersion of the private glass MINE",
+        r"dispersion.*MINE",
     ),
     ("CIR 5.0", "CIR 5.0; REX 5.0", "surface 4: 'REX 5.0'"),
     ("CIR 5.0", "CIR 5.0; CIR OBS 1.0", "surface 4: aperture CIR 'OBS 1.0'"),
-    ("CIR 5.0", "CIR 5.0; XDE 0.1; DAR", "surface 4: coordinate break that is no pose of the whole lens"),
+    ("CIR 5.0", "CIR 5.0; XDE 0.1; DAR", "surface 4: coordinate break"),
     ("CIR 5.0", "CIR 5.0; ADE 45; BEN", "surface 4: BEN"),
     ("CIR 5.0", "CIR 5.0; DIF GRT", "surface 4: 'DIF GRT'"),
     ("VUX   0.0", "VUX   0.1", "vignetting factors"),
@@ -255,11 +255,11 @@ def test_what_would_be_lost_is_listed(tmp_path: Path, old: str, new: str, messag
 
 
 FAULTS = [
-    ("DIM   M", "DIM   I", "line 4: DIM 'I'; only lengths in mm"),
+    ("DIM   M", "DIM   I", "line 4: DIM 'I'"),
     ("RDM;LEN", "LEN", "line 17: '22.01359' may be a radius or a curvature"),
-    ("22.01359", "22.o1359", "line 17: '22.o1359' stands where a finite number must"),
+    ("22.01359", "22.o1359", r"line 17: '22.o1359' stands"),
     ("22.01359", "nan", "'nan' stands where"),
-    ("3.25896", "-3.0", "the next surface lies -3 mm behind surface 1"),
+    ("3.25896", "-3.0", "-3 mm behind surface 1"),
     ("SO ", "S ", "S as surface 0; the object"),
     ("SI    0.0 0.0\n", "", "no image surface"),
     ("GO", "S 1 2", "behind the image surface"),
@@ -365,12 +365,12 @@ def test_private_glasses_by_formulas(tmp_path: Path, glass: str, index: float) -
 @pytest.mark.parametrize(
     ("glass", "message"),
     [
-        ("'GLUE1' LAU -2.0", "the Laurent coefficients of private glass 'GLUE1' give an index of nan"),
+        ("'GLUE1' LAU -2.0", r"Laurent.*'GLUE1'.* nan"),
         ("'GLUE1' GMS 1.0 0.3452288", "give an index of"),
-        ("'GLUE1' CAU 0.5", "give an index of 0.5 at 0.587562 um"),
-        ("'GLUE1' CAU 1.5 0.1 0.1 0.1", "has 4 Cauchy coefficients; allowed are 1 to 3"),
+        ("'GLUE1' CAU 0.5", r"index of 0.5 at 0.587562 um"),
+        ("'GLUE1' CAU 1.5 0.1 0.1 0.1", r"4 Cauchy.*1 to 3"),
         ("'GLUE1' LAU", "has 0 Laurent coefficients"),
-        ("'GLUE1' LAU 2.3 X", "'X' stands where a finite number must"),
+        ("'GLUE1' LAU 2.3 X", "'X' stands"),
     ],
 )
 def test_private_glasses_without_an_index_are_named(tmp_path: Path, glass: str, message: str) -> None:
@@ -418,10 +418,10 @@ def test_solves_leave_the_present_value(tmp_path: Path, old: str, new: str, rema
 @pytest.mark.parametrize(
     ("new", "message"),
     [
-        ("S -50 HMY 0\n", r"line 16: the thickness of surface 2 is left to a solve or pickup \('HMY 0'\)"),
-        ("S -50\n THI HMY 0.0\n", r"the thickness of surface 2 is left to a solve or pickup \('HMY 0.0'\)"),
-        ("S UMY 50\n", "the radius of surface 2 is left to a solve or pickup"),
-        ("S -50 FOO\n", "line 16: 'FOO' stands where a finite number must"),
+        ("S -50 HMY 0\n", r"line 16: .*thickness of surface 2 .*\('HMY 0'\)"),
+        ("S -50\n THI HMY 0.0\n", r"thickness of surface 2 .*solve.* \('HMY 0.0'\)"),
+        ("S UMY 50\n", r"radius of surface 2 .*solve"),
+        ("S -50 FOO\n", "line 16: 'FOO' stands"),
     ],
 )
 def test_solves_without_a_present_value_are_named(tmp_path: Path, new: str, message: str) -> None:

@@ -185,10 +185,10 @@ def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
     [
         (
             {"semi_diameter_mm": 9.9},
-            "edge 1: the cylinder of semi_diameter_mm = 9.9 leaves no room for surface 2",
+            r"edge 1: .*semi_diameter_mm = 9.9 .*surface 2",
         ),
-        ({"back_bevel_mm": 0.5}, "leaves no room for surface 2 .*bevel of 0.5 mm"),
-        ({"semi_diameter_mm": 12.0, "front_flat_from_mm": 8.0}, "room for surface 1 .*flat from 8 mm"),
+        ({"back_bevel_mm": 0.5}, r"surface 2 .*bevel of 0.5 mm"),
+        ({"semi_diameter_mm": 12.0, "front_flat_from_mm": 8.0}, r"surface 1 .*flat from 8 mm"),
         ({"semi_diameter_mm": 12.0, "front_flat_from_mm": 11.9, "front_bevel_mm": 0.2}, "flat from 11.9 mm"),
         (
             {"flange": {"semi_diameter_mm": 13.0, "distance_mm": 2.0, "thickness_mm": 1.0}},
@@ -199,16 +199,16 @@ def test_a_twin_has_the_edge_scaled(paper_lens: Lens) -> None:
                 "semi_diameter_mm": 11.0,
                 "flange": {"semi_diameter_mm": 11.0, "distance_mm": 2.0, "thickness_mm": 1.0},
             },
-            "must be greater than the edge's of 11",
+            "edge's of 11",
         ),
         (
             {
                 "semi_diameter_mm": 11.0,
                 "flange": {"semi_diameter_mm": 12.0, "distance_mm": 0.5, "thickness_mm": 1.0},
             },
-            "stands off the edge cylinder, which runs from 1.455.* behind the front vertex",
+            r"edge cylinder.* 1.455",
         ),
-        ({"front_bevel_mm": -0.1}, "edge 1, front_bevel_mm = -0.1: must be greater than or equal to 0"),
+        ({"front_bevel_mm": -0.1}, r"edge 1, front_bevel_mm = -0.1"),
         ({"bevel": 0.1}, "unknown key"),
     ],
 )

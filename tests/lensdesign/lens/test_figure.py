@@ -137,11 +137,11 @@ def test_holes_inside_the_disc_are_counted() -> None:
             np.zeros((21, 41)),
             0.25,
             4.0,
-            r"reaches 2\.5 mm from the vertex, less than .* of 4 mm",
+            r"2\.5 mm from the vertex.* 4 mm",
         ),
         (np.zeros((7, 41)), 0.25, 0.5, "both at least 8"),
         (np.zeros(41), 0.25, 4.0, r"shape \(41,\)"),
-        (np.zeros((41, 41)), 0.0, 4.0, "spacing_mm = 0.0: must be finite and above 0"),
+        (np.zeros((41, 41)), 0.0, 4.0, r"spacing_mm = 0.0"),
         (np.zeros((41, 41)), 0.25, math.nan, "semi_diameter_mm = nan"),
     ],
 )

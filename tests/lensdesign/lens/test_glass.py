@@ -174,11 +174,11 @@ def test_names_that_only_case_tells_apart() -> None:
         ("OHARA:SBSL7", r"did you mean S-BSL7 \(Ohara\)"),
         ("SCHOTT:S-BSL7", r"unknown material 'SCHOTT:S-BSL7'"),
         ("PMAM", r"did you mean PMMA"),
-        ("NIKON:BK7", r"unknown catalogue .*known are .*Schott, Ohara, Hoya"),
+        ("NIKON:BK7", r"unknown catalogue .*Schott, Ohara, Hoya"),
         ("??", "nothing known has a similar name"),
-        ("", "must be a name such as"),
-        ("SCHOTT:", "must be a name such as"),
-        (":N-BK7", "must be a name such as"),
+        ("", "must be a name"),
+        ("SCHOTT:", "must be a name"),
+        (":N-BK7", "must be a name"),
     ],
 )
 def test_unknown_names_are_never_guessed(name: str, hint: str) -> None:

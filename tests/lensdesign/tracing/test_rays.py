@@ -463,11 +463,11 @@ def test_no_rays_are_no_fault(paper_lens: Lens) -> None:
 @pytest.mark.parametrize(
     ("origins", "directions", "message"),
     [
-        ([[0, 0, -9]], [[0, 0, 1.001]], "1 rays have an origin or direction that is not finite, or no unit"),
+        ([[0, 0, -9]], [[0, 0, 1.001]], r"1 rays .*not finite"),
         ([[0, 0, -9]], [[0, 0, math.nan]], "not finite"),
         ([[0, math.nan, -9]], [[0, 0, 1]], "not finite"),
         ([[0, math.inf, -9]], [[0, 0, 1]], "not finite"),
-        ([[0, 0]], [[0, 0, 1]], r"origins has shape \(1, 2\): must be \(rays, 3\)"),
+        ([[0, 0]], [[0, 0, 1]], r"origins .*\(1, 2\).*\(rays, 3\)"),
         ([[0, 0, -9]] * 2, [[0, 0, 1]] * 3, "2 origins and 3 directions"),
         ([[[0, 0, -9]]] * 2, [[[0, 0, 1]]] * 3, "different numbers of trials"),
     ],

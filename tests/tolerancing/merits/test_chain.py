@@ -135,7 +135,7 @@ def test_refuses_a_patch_larger_than_the_field(twin):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"patch_mm": 0.012}, "need a field stop of 0.0153 mm"),
+        ({"patch_mm": 0.012}, r"field stop of 0.0153 mm"),
         ({"level": "pupil"}, "allowed: auto, wave"),
         ({"method": "magic"}, "method"),
         ({"electrons": 1.0}, "electrons"),

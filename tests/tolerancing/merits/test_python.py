@@ -98,8 +98,8 @@ def test_it_travels_to_other_processes(tmp_path, context, batch):
 @pytest.mark.parametrize(
     ("name", "source", "message"),
     [
-        ("none", SOURCE, "mine.py: there is no function 'none'"),
-        ("not_callable", SOURCE, "mine.py: there is no function 'not_callable'"),
+        ("none", SOURCE, r"mine.py: .*'none'"),
+        ("not_callable", SOURCE, r"mine.py: .*'not_callable'"),
         ("tilt", "def tilt(:", "mine.py: cannot be run: SyntaxError"),
         ("tilt", "1 / 0", "mine.py: cannot be run: ZeroDivisionError"),
     ],

@@ -95,9 +95,9 @@ def test_frames_that_saw_an_object_are_refused(lens: Lens, star: tuple[Frame, ..
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"wavelength_um": 0.6}, "empty: wavelength_um = 0.6; that of the object's frames is 0.532"),
-        ({"pixel_pitch_um": 3.0}, "empty: pixel_pitch_um = 3; that of the object's frames is 3.2"),
-        ({"plane_distance_mm": 0.3}, "empty: planes at 0.3 mm; the object's frames have"),
+        ({"wavelength_um": 0.6}, r"empty: wavelength_um = 0.6; .*0.532"),
+        ({"pixel_pitch_um": 3.0}, r"empty: pixel_pitch_um = 3; .*3.2"),
+        ({"plane_distance_mm": 0.3}, r"empty: planes at 0.3 mm"),
     ],
 )
 def test_frames_of_another_light_pitch_or_plane_are_refused(

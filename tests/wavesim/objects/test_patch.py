@@ -60,7 +60,7 @@ def test_a_patch_holds_the_light_of_the_aperture() -> None:
         (0.4, None, "field_diameter_mm = 0.375"),
         (0.0, None, "patch_mm = 0"),
         (math.nan, None, "patch_mm = nan"),
-        (0.1, 0.2, "field_stop_mm = 0.2: must be above 0 and at most patch_mm = 0.1"),
+        (0.1, 0.2, r"field_stop_mm = 0.2.*patch_mm = 0.1"),
     ],
 )
 def test_patches_that_are_refused(patch_mm: float, stop_mm: float | None, message: str) -> None:
@@ -109,8 +109,8 @@ def test_charts_beside_the_middle_lie_about_their_points_and_apart() -> None:
     ("points", "message"),
     [
         ([(0.02, 0.01)], "overlaps another chart"),
-        ([(0.15, 0.0), (0.15, 0.0)], "chart at 0.15, 0 mm: .* overlaps another chart"),
-        ([(0.199, 0.0)], "reaches beyond the field stop of 0.4 mm"),
+        ([(0.15, 0.0), (0.15, 0.0)], r"chart at 0.15, 0 mm: .*overlaps"),
+        ([(0.199, 0.0)], r"field stop of 0.4 mm"),
         ([(math.nan, 0.0)], "chart at nan, 0.0 mm: must be finite"),
     ],
 )

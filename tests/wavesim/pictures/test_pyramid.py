@@ -139,10 +139,10 @@ def test_writing_takes_less_than_the_field_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "pitch_um", "quantities", "words"),
     [
-        (np.zeros(3), 1.0, ["amplitude"], r"shape \(3,\): must be real or complex \(ny, nx\)"),
-        (np.zeros((0, 3)), 1.0, ["amplitude"], "must be real or complex"),
-        (np.array([["a"]]), 1.0, ["amplitude"], "must be real or complex"),
-        (np.zeros((3, 3)), 0.0, ["amplitude"], r"pitch_um = 0\.0: must be finite"),
+        (np.zeros(3), 1.0, ["amplitude"], r"shape \(3,\):.*real or complex \(ny, nx\)"),
+        (np.zeros((0, 3)), 1.0, ["amplitude"], "real or complex"),
+        (np.array([["a"]]), 1.0, ["amplitude"], "real or complex"),
+        (np.zeros((3, 3)), 0.0, ["amplitude"], r"pitch_um = 0\.0"),
         (np.zeros((3, 3)), np.nan, ["amplitude"], "pitch_um = nan"),
         (np.zeros((3, 3)), 1.0, [], "must be one or more"),
         (np.zeros((3, 3)), 1.0, ["a", "a"], "and differ"),

@@ -37,12 +37,12 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
             'goal = "thinest"',
             r"optimize, goal = 'thinest': must be 'smallest spread'",
         ),
-        ('start = "plate"', 'algorithm = "simplex"', r"unknown algorithm 'simplex'; allowed: slsqp"),
-        ('start = "plate"', "strat = 1", r"optimize, strat: unknown key; allowed: goal, start"),
+        ('start = "plate"', 'algorithm = "simplex"', r"'simplex'.*slsqp"),
+        ('start = "plate"', "strat = 1", "optimize, strat: unknown key"),
         (
             'parameter = "conic"',
             'parameter = "conique"',
-            r"parameter = 'conique': unknown; allowed: radius_mm",
+            r"parameter = 'conique'.*radius_mm",
         ),
         (
             'parameter = "conic"',
@@ -56,7 +56,7 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
         ("smallest_radius_mm = 10.0", "bounds = [1.0, 2.0]", r"radius_mm needs smallest_radius_mm"),
         ("smallest_radius_mm = 10.0", "smallest_radius_mm = 0.0", r"must be greater than 0"),
         ("surface = 1\n", "surface = 3\n", r"the lens has 2 surfaces"),
-        ("surface = 1\n", "", r"radius_mm needs a surface number"),
+        ("surface = 1\n", "", r"radius_mm .*surface number"),
         ('surface = 2\nparameter = "radius_mm"', 'surface = 1\nparameter = "radius_mm"', r"is given twice"),
         (
             'surface = 1\nparameter = "thickness_mm"',

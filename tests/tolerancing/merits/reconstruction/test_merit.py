@@ -130,11 +130,11 @@ def test_takes_what_stays_in_the_meridional_plane():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"region_mm": 0.02}, "the lines of line_widths_um need 0.0"),
+        ({"region_mm": 0.02}, r"line_widths_um.* 0.0"),
         ({"line_width_um": 2.0, "figure": "contrast"}, "line_width_um = 2: allowed: .*0.775, 1.55"),
-        ({"line_width_um": 1.55}, "figure = 'correlation' is that of the whole object"),
+        ({"line_width_um": 1.55}, "figure = 'correlation'"),
         ({"field_mm": (0.1, 0.0)}, "give x = 0"),
-        ({"slices": 20}, "slices: means nothing with reconstruction_engine = 'eikonal'"),
+        ({"slices": 20}, r"slices: .*reconstruction_engine = 'eikonal'"),
         ({"imaging_slices": 20}, "imaging_slices: means nothing"),
         ({"planes_mm": (2.0,)}, "must be two or more, increasing"),
         ({"line": False}, "line"),
