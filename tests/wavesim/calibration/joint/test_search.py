@@ -25,7 +25,6 @@ from wavesim.reconstruction.recording_model import RecordingModel
 from wavesim.scene.engine import Engine
 from wavesim.scene.scene import Scene, placed_scene
 
-PITCH = 3.2e-3
 TRUE = {
     "light_tilt_x_deg": 0.25,
     "light_tilt_y_deg": -0.15,

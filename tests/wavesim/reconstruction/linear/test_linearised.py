@@ -13,8 +13,6 @@ from wavesim.reconstruction.linear.linearised import Linearised
 from wavesim.reconstruction.linear.sight import ThroughSpace
 from wavesim.reconstruction.recording_model import RecordingModel
 
-PITCH = 3.2e-3
-
 
 @pytest.fixture(scope="module")
 def parts() -> tuple:
