@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TypeVar
 
-from lensdesign.common.interrupts import END_PROCESS
 from lensdesign.common.text import visible
 from lensdesign.errors import TransferLensError
 
 Result = TypeVar("Result")
 
 
-class _Ended(BaseException):
-    """The code would have ended the process."""
-
-
 def contained(work: Callable[[], Result], file: str) -> Result:
     """Do what a user's code does.
 
-    Exceptions of every kind become ordinary ones, ``sys.exit`` and ``os._exit`` among them: they would end a
-    run with status 0, as if all were done. An interrupt is the user's, and passes.
+    Exceptions of every kind become ordinary ones, ``sys.exit`` among them: it would end a run with status 0,
+    as if all were done. An interrupt is the user's, and passes.
 
     Parameters
     ----------
@@ -39,29 +31,11 @@ def contained(work: Callable[[], Result], file: str) -> Result:
         Whatever the code raised, with its kind and the line of the file, in printable characters.
     """
     try:
-        with _process_kept():
-            return work()
+        return work()
     except KeyboardInterrupt:
         raise
     except BaseException as error:
         raise TransferLensError(_told(error, file)) from error
-
-
-@contextmanager
-def _process_kept() -> Iterator[None]:
-    """Have ``os._exit`` raise, but for other threads and for processes that the code starts."""
-    own = os.getpid(), threading.get_ident()
-
-    def refuse(status: int) -> None:
-        if (os.getpid(), threading.get_ident()) != own:
-            END_PROCESS(status)
-        raise _Ended(f"os._exit({status!r}) would end the run")
-
-    os._exit = refuse  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        os._exit = END_PROCESS
 
 
 def _told(error: BaseException, file: str) -> str:
@@ -72,7 +46,7 @@ def _told(error: BaseException, file: str) -> str:
         text = "it cannot say why"
     if isinstance(error, SystemExit):
         text = f"{text or 0}: asks for the end of the run"
-    kind = "" if isinstance(error, TransferLensError | _Ended) else f"{type(error).__name__}: "
+    kind = "" if isinstance(error, TransferLensError) else f"{type(error).__name__}: "
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     place = f" ({file}, line {lines[-1]})" if lines and not isinstance(error, TransferLensError) else ""
     return visible(kind + text) + visible(place)

@@ -1,6 +1,5 @@
 """A user's own merit: what it is given, and what goes wrong."""
 
-import os
 import pickle
 import signal
 
@@ -122,7 +121,6 @@ def test_reading_runs_nothing(tmp_path, context, batch):
 
 
 WAYS_OUT = """
-import os
 import sys
 
 
@@ -141,7 +139,7 @@ def leave(trial):
     if tilt == 0.0:
         sys.exit(0)
     if tilt == 0.05:
-        os._exit(0)
+        raise MemoryError
     if tilt == 0.1:
         raise Own
     if tilt == 0.15:
@@ -159,14 +157,12 @@ def test_whatever_leaves_the_program_is_that_trials_failure(tmp_path, context, b
     scores, messages = score_batch([own(tmp_path, "leave", WAYS_OUT)], context, batch)
     assert np.all(np.isnan(scores))
     assert messages == (
-        "python: SystemExit: 0: asks for the end of the run (mine.py, line 19)",
-        "python: os._exit(0) would end the run (mine.py, line 21)",
-        "python: Own: it cannot say why (mine.py, line 23)",
-        r"python: ValueError: \ud800\x1b[31m (mine.py, line 25)",
-        "python: SystemExit: 0: asks for the end of the run (mine.py, line 13)",
+        "python: SystemExit: 0: asks for the end of the run (mine.py, line 18)",
+        "python: MemoryError:  (mine.py, line 20)",
+        "python: Own: it cannot say why (mine.py, line 22)",
+        r"python: ValueError: \ud800\x1b[31m (mine.py, line 24)",
+        "python: SystemExit: 0: asks for the end of the run (mine.py, line 12)",
     )
-    assert os._exit is not None
-    assert os._exit.__module__ == "posix"
 
 
 def test_scores_too_large_to_be_counted_with_are_failures(tmp_path, context, batch):
@@ -182,9 +178,7 @@ def test_scores_too_large_to_be_counted_with_are_failures(tmp_path, context, bat
     ]
 
 
-@pytest.mark.parametrize(
-    "way", ["sys.exit(0)", "os._exit(0)", "raise KeyError('x')", "class B(BaseException): 0\nraise B"]
-)
+@pytest.mark.parametrize("way", ["sys.exit(0)", "raise KeyError('x')", "class B(BaseException): 0\nraise B"])
 def test_a_file_that_leaves_the_program_is_refused(tmp_path, way):
     with pytest.raises(DesignError, match=r"mine\.py: cannot be run"):
         own(tmp_path, "tilt", f"import os, sys\n{way}\n{SOURCE}").get_ready()
